@@ -41,7 +41,7 @@ from loewner.scenes import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
 
-# Modules that take longer to import than all the rest, or need an extra: at their first use.
+# Modules that take longer to import than all others together, or need an extra, are imported at their first use.
 _AT_FIRST_USE = ("cluster", "gpu", "jax", "paper", "planners", "plots", "torch", "viewer")
 
 __all__ = [
@@ -97,7 +97,7 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # for type checkers it would stand for any name at all
+if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept any name
 
     def __getattr__(name: str) -> Any:
         if name in _AT_FIRST_USE:

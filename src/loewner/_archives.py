@@ -1,9 +1,9 @@
-"""Arrays in ``.npz`` files: written whole or not at all, read as data; and single ones in ``.npy`` files.
+"""Arrays in ``.npz`` files, written atomically and read as pure data, and single arrays in ``.npy`` files.
 
-Reading goes in steps, each of which trusts only the ones before: a regular file; an archive with members that have the
-names of ours; for each the few bytes that say type and shape, which must agree with one another, with the sizes that
-the archive states, and with a limit; then the numbers, their checksum, and whether they are what they should be, which
-whoever asks for them looks at.
+A file is read in steps, and each step trusts only what earlier steps have checked: a regular file; an archive with the
+expected members; for each member the few bytes that give type and shape, which must agree with one another, with the
+sizes that the archive states, and with a limit; then the numbers and their checksum. The caller checks the meaning of
+the numbers.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from loewner.errors import FileError, InputError
 
 T = TypeVar("T")
 
-# Unpacked, a file's arrays take no more than this, nor than the machine's memory [bytes]. Some hundred million pieces.
+# Limit on the size of a file's unpacked arrays [bytes], besides the machine's memory: about a hundred million pieces.
 LARGEST_CONTENT = 2**36
 
-# Texts (format, digest, names) are short [bytes].
+# Limit on the size of texts (format, digest, names) [bytes].
 LARGEST_TEXT = 2**12
 
-# At a time [bytes]; the directory of an archive of a few members is a kilobyte.
+# Bytes read at a time; the directory of an archive with a few members takes a kilobyte.
 CHUNK, MOST_AT_ONCE = 2**18, 2**20
 
 # Members of every file, besides its arrays.
 OWN = ("format", "version", "digest")
 
-# What an array begins with. Then come two bytes that say the version, of which the first says how many bytes the length
-# of the header has, which in `.npy` files is at most this.
+# An array begins with these bytes, followed by two bytes for the version, whose first determines how many bytes hold
+# the length of the header. In `.npy` files this length is at most the last number.
 MAGIC, LENGTH_BYTES, LONGEST_HEADER = b"\x93NUMPY", {1: 2, 2: 4, 3: 4}, 2**16
 
-# What NumPy writes before the numbers of a plain array; read strictly, so that nothing is evaluated.
+# NumPy's header of a plain array, which is read strictly, so that nothing is evaluated.
 HEADER = re.compile(
     rb"\{'descr': '([<>|=][a-zA-Z]\d{1,6})', 'fortran_order': (True|False), "
     rb"'shape': \(((?:\d{1,18}, ?)*(?:\d{1,18})?)\), \} *\n"
@@ -58,23 +58,23 @@ class Format:
     Attributes
     ----------
     name : str
-        What its member "format" says.
+        Content of the member "format".
     version : int
-        The newest that is read; files of older ones are read as well.
+        The newest version; files of older versions are read as well.
     what : str
-        What is in it, for messages: "a body".
+        Description of the content for messages, such as "a body".
     else_use : str
-        What to use for other kinds of files, for messages.
+        Advice for other kinds of files, for messages.
     arrays : tuple of str
         Members that hold numbers.
     integers : frozenset of str
-        Those of them that are whole numbers.
+        Members among `arrays` that hold whole numbers.
     check_shapes : callable
-        Called with the shapes of the arrays by name, before any is unpacked; raises InputError.
+        Function of the shapes of the arrays by name, called before any array is unpacked; raises InputError.
     texts : tuple of str
         Members that hold short texts.
     optional : frozenset of str
-        Those of them that may be missing.
+        Members among `arrays` and `texts` that may be missing.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Format:
 
 
 def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any], version: int | None = None) -> None:
-    """Write arrays and texts into a file of some kind.
+    """Write arrays and texts to a file.
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
     kind : Format
     arrays : dict
     version : int, optional
-        The oldest one that has what is in these arrays; the newest by default.
+        The oldest version that supports these arrays; the newest by default.
 
     Raises
     ------
     InputError
         If the path is none, or does not end in .npz.
     FileError
-        If it cannot be written, or would be too large to be read again; an older file is then untouched.
+        If the file cannot be written, or would be too large to be read again; an older file is then unchanged.
     """
     target = Path(_expect_path(path))
     if target.suffix != ".npz":
@@ -117,15 +117,15 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
 
 
 def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, Any]], T]) -> T:
-    """Read what `write` wrote.
+    """Read a file written by `write`.
 
     Parameters
     ----------
     path : path
     kind : Format
     make : callable
-        Called with the arrays by name: int64 or float64 in C order, and arrays of texts. What it returns is returned;
-        what it finds wrong it raises as an InputError, which becomes a FileError that names the file.
+        Called with the arrays by name: int64 or float64 in C order, and arrays of texts. Its result is returned, and
+        its InputErrors become FileErrors that name the file.
 
     Raises
     ------
@@ -149,20 +149,20 @@ def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, A
 
 
 def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
-    """Numbers of a ``.npy`` file, each of whose bytes has to be what its header says.
+    """Read the numbers of a ``.npy`` file, whose size must match its header.
 
     Parameters
     ----------
     data : bytes
-        All of the file.
+        The whole file.
     name, what : str
-        Its name, and what it ought to hold, for messages: "an array of numbers".
+        Name of the file, and description of its expected content, such as "an array of numbers", for messages.
 
     Raises
     ------
     FileError
-        If it is no array of whole numbers, floats or booleans in NumPy's format, or longer or shorter than its header
-        says. Nothing is unpickled, and no memory is taken for numbers that are not there.
+        If it is not an array of whole numbers, floats or booleans in NumPy's format, or its length differs from its
+        header. Nothing is unpickled, and no memory is allocated for missing numbers.
     """
     if not data.startswith(MAGIC) or len(data) < len(MAGIC) + 2 or data[len(MAGIC)] not in LENGTH_BYTES:
         raise FileError(f"{name}: expected {what} as NumPy's save writes it, found something else")
@@ -177,7 +177,7 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
             )
         order: Any = "F" if header.fortran_order else "C"
         return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
-    except (ValueError, TypeError) as error:  # an InputError too; the others are of absurd types and shapes
+    except (ValueError, TypeError) as error:  # also an InputError; the others come from absurd types and shapes
         found = str(error).removeprefix(f"{name}: ")
         raise FileError(f"{name}: expected {what}, found something else ({found})") from None
 
@@ -190,11 +190,11 @@ def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, 
     try:
         with zipfile.ZipFile(_InSmallParts(stream, kind.what)) as archive:
             return make(_from_archive(archive, name, kind))
-    except (FileError, MemoryError):  # lack of memory is no fault of the file
+    except (FileError, MemoryError):  # lack of memory is not the file's fault
         raise
     except InputError as error:
         raise FileError(f"{name}: {error}") from None
-    except Exception as error:  # a damaged zip ends in any of a dozen exceptions, zlib's among them
+    except Exception as error:  # a damaged zip raises any of a dozen exceptions, including zlib's
         raise FileError(f"{name}: expected a loewner .npz, found something unreadable ({error})") from None
 
 
@@ -234,7 +234,7 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format) -> dict[str
     told |= {text: _texts(archive, infos[f"{text}.npy"]) for text in texts}
     if _text(archive, infos["digest.npy"]) != digest(told):
         raise FileError(f"{name}: the content does not match its checksum; the file is damaged or was altered")
-    for member in kind.arrays:  # other systems count in other integers
+    for member in kind.arrays:  # integer types differ between systems
         told[member] = np.ascontiguousarray(told[member], dtype=np.int64 if member in kind.integers else np.float64)
     return told
 
@@ -254,7 +254,7 @@ def digest(arrays: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class _Header:
-    """What a member says about its numbers."""
+    """Type and shape of a member's numbers."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -266,7 +266,7 @@ class _Header:
 
 
 class _InSmallParts:
-    """A file that gives out little at a time: whoever asks for more has believed a size that the file states."""
+    """A file that limits the size of a read: a larger request relies on a size that the file states."""
 
     def __init__(self, stream: IO[bytes], what: str) -> None:
         self._stream, self._what = stream, what
@@ -281,7 +281,7 @@ class _InSmallParts:
 
 
 def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
-    """Read the first bytes of a member; its length must be what they say."""
+    """Read the first bytes of a member, and check that they agree with its length."""
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or info.flag_bits & 0x1:
         raise InputError(f"{info.filename}: expected a member stored or deflated, found another method")
     with archive.open(info) as member:
@@ -290,7 +290,7 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
 
 def _header_of(member: IO[bytes], info: zipfile.ZipInfo) -> _Header:
     start = member.read(10)
-    # Later versions of the format are for names and types that no array here has.
+    # Later versions of the format are only needed for names and types that do not occur here.
     if len(start) < 10 or start[:8] != MAGIC + b"\x01\x00":
         raise InputError(f"{info.filename}: expected an array in NumPy's format 1.0, found something else")
     length = int.from_bytes(start[8:], "little")
@@ -304,7 +304,7 @@ def _header_of(member: IO[bytes], info: zipfile.ZipInfo) -> _Header:
 
 
 def _parsed(text: bytes, name: str, letters: str) -> _Header:
-    """What a header says, if it is that of a plain array whose type has one of these letters."""
+    """Parse the header of a plain array, whose type must have one of these letters."""
     found = HEADER.fullmatch(text)
     if found is None:
         raise InputError(f"{name}: expected the header of a plain array, found {text[:100]!r}")
@@ -329,7 +329,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> 
                 raise InputError(f"{info.filename}: expected {header.nbytes} bytes, found {at}")
             data[at : at + len(part)] = np.frombuffer(part, dtype=np.uint8)
             at += len(part)
-        member.read(1)  # the end: now the archive's own checksum is looked at
+        member.read(1)  # at the end the archive's own checksum is verified
     return data.view(header.dtype).reshape(header.shape, order=order)
 
 
@@ -356,10 +356,10 @@ def _version(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
 
 
 def _expect_path(path: Any) -> str:
-    """What the operating system can take for a path, as text."""
+    """Check that a path is valid for the operating system, and return it as text."""
     try:
         name = os.fspath(path)
-    except Exception:  # a TypeError, or what a path-like object of the caller's raises
+    except Exception:  # a TypeError, or an error from the caller's path-like object
         raise InputError(f"path: expected a path, found {type(path).__name__}") from None
     try:
         fits = b"\0" not in os.fsencode(name)
@@ -371,7 +371,7 @@ def _expect_path(path: Any) -> str:
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    """For `open`: a pipe that nobody writes to would keep us waiting."""
+    """Opener for `open` that does not block on a pipe without a writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 

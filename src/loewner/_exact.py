@@ -1,8 +1,8 @@
-"""Surfaces in whole numbers: what rounding keeps the kernels from telling.
+"""Settle pairs of surfaces in whole numbers where rounding keeps the kernels from deciding.
 
-Poses and corners are floats, so all corners that poses make of them are whole numbers of one small unit, and so are
-all determinants: their signs are certain. Python's integers do this; it takes a millisecond where a kernel takes a
-microsecond, and hardly any pair comes here.
+Poses and corners are floats, so all placed corners are whole multiples of one small unit, and so are all determinants,
+whose signs are therefore certain. With Python's integers this takes a millisecond instead of a kernel's microsecond,
+but hardly any pair needs it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 Vector: TypeAlias = tuple[int, int, int]
 
-# Open pairs of triangles that are looked at; with more the pair stays AMBIGUOUS, unless one of these meets.
+# Limit on the open pairs of triangles examined; with more, the pair stays AMBIGUOUS unless one of these meets.
 ROOM = 20_000
 
-# Directions of rays, no two of them near each other; a ray that meets an edge gives no answer.
+# Directions of rays, all well apart; a ray that meets an edge gives no answer.
 RAYS = (
     (1, 2, 3),
     (-3, 1, 2),
@@ -40,7 +40,7 @@ RAYS = (
     (3, -2, -11),
 )
 
-# What floats may miss where they only choose the triangles that a ray could meet, relative to all lengths.
+# Allowance, relative to all lengths, for rounding in the selection of triangles that a ray could meet.
 _GENEROUS = 1e-9
 
 
@@ -73,15 +73,15 @@ class Part:
         self.kind, self.radius, self.triangles, self.points = entries.exact_parts(pack, piece)
 
     def corners(self, triangle: int) -> Floats:
-        """Shape (3, 3)."""
+        """Corners of a triangle, shape (3, 3)."""
         return np.asarray(self.triangles[triangle].reshape(3, 3))
 
     def holds_part_of(self, other: Part, T: Floats, S: Floats) -> bool:
-        """Whether a connected part of another piece begins within this solid, or on its surface."""
+        """Whether a connected part of another piece has its first vertex within this solid, or on its surface."""
         return self.kind == columns.SOLID and any(self._holds(point, T, S) for point in other.points)
 
     def _holds(self, point: Floats, T: Floats, S: Floats) -> bool:
-        """Whether the solid at pose T holds a point of another body at pose S."""
+        """Whether the solid at pose T contains a point of another body at pose S."""
         corners = self.triangles[np.isfinite(self.triangles[:, 0])].reshape(-1, 3, 3)
         near = corners @ T[:3, :3].T + (T[:3, 3] - S[:3, 3]) - S[:3, :3] @ point
         middle = near.mean(axis=1)
@@ -99,7 +99,7 @@ class Part:
 
 
 def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]:
-    """Points at poses as whole numbers of a unit, and the unit in metres."""
+    """Points at poses as whole multiples of a unit, and the unit in metres."""
     turn = _digits([T[:3, :3] for T, _ in points])
     place = _digits([p for _, p in points])
     all_digits = max(turn + place, _digits([T[:3, 3] for T, _ in points]))
@@ -113,7 +113,7 @@ def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]
 
 
 def _digits(arrays: list[Floats]) -> int:
-    """Binary digits behind the point that all of some floats have at most."""
+    """Largest number of binary digits after the point in some floats."""
     numbers = np.concatenate([np.ravel(a) for a in arrays])
     numbers = numbers[numbers != 0]
     return max(0, 53 - int(np.frexp(numbers)[1].min())) if len(numbers) else 0
@@ -143,8 +143,8 @@ def cross(a: Vector, b: Vector) -> Vector:
 def meet(a: list[Vector], b: list[Vector]) -> bool:
     """Whether two triangles, segments or points have a point in common.
 
-    They have none exactly if an axis separates them strictly: a normal of the body of their differences, or of the
-    plane or line that this body is if it is flat.
+    They have none if and only if an axis separates them strictly: a normal of the set of their differences, or of its
+    plane or line if this set is flat.
     """
     return not any(
         max(dot(n, p) for p in a) < min(dot(n, p) for p in b) or max(dot(n, p) for p in b) < min(dot(n, p) for p in a)
@@ -221,7 +221,7 @@ def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | Non
 
 
 def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, Floats]) -> bool | None:
-    """Whether triangles wind around a point, by those that a ray from it crosses; None if it meets an edge."""
+    """Whether triangles wind around a point, from the ones that a ray crosses; None if the ray meets an edge."""
     T, triangles = surface
     (x, *corners), _ = placed([place, *((T, p) for p in triangles.reshape(-1, 3))])
     count = 0
@@ -232,7 +232,7 @@ def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, 
             continue
         volume = dot(a, cross(b, c))
         if 0 in signs:
-            # Also a triangle seen edge-on, which the ray may miss; and one that holds the point.
+            # This includes a triangle seen edge-on, which the ray may miss, and a triangle that contains the point.
             if volume == 0 and meet([(0, 0, 0)] * 3, [a, b, c]):
                 return True
             if _may_cross(ray, a, b, c):

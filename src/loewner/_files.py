@@ -1,4 +1,4 @@
-"""Files read whole within a limit, and written whole or not at all."""
+"""Read whole files up to a size limit, and write files atomically."""
 
 import os
 import stat
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from loewner.errors import FileError
 
-# Read at a time [bytes]: what a file's size says is no reason to ask for that much memory at once.
+# Bytes read at a time: a file's stated size is no reason to allocate that much memory at once.
 CHUNK = 1 << 24
 
-# What os.stat finds instead of a regular file.
+# Kinds of files other than regular ones.
 _KINDS = (
     (stat.S_ISDIR, "a directory"),
     (stat.S_ISFIFO, "a pipe"),
@@ -22,25 +22,26 @@ _KINDS = (
 
 
 def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
-    """Read a regular file whole.
+    """Read a whole regular file.
 
     Parameters
     ----------
     path : path
     what : str
-        What the file ought to be, for messages: "a mesh file".
+        Description of the expected file for messages, such as "a mesh file".
     limit : int
-        Most bytes that it may have.
+        Largest size in bytes.
 
     Raises
     ------
     FileError
-        If there is no such file, it cannot be opened or read, it is larger than `limit`, it changes while it is
-        read, or it is no regular file: a pipe would block, and a device need not end.
+        If the file does not exist, cannot be opened or read, is larger than `limit`, changes while it is read, or is
+        not a regular file: a pipe would block, and a device may never end.
     """
     name = shown(path)
     try:
-        # Opening a device can do something, so it is looked at first; and again when open, for it may have changed.
+        # Opening a device can have effects, so the file is checked before it is opened, and again when it is open,
+        # since it may have changed.
         _expect_regular(os.stat(path), name, what)
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
         with open(os.open(path, flags), "rb", buffering=0) as file:
@@ -67,7 +68,7 @@ def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """Write a path for a message: as it is, or escaped where a terminal could not print it."""
+    """Write a path for a message, escaped where a terminal could not print it."""
     name = os.fsdecode(path)
     return name if name.isprintable() else ascii(name)
 
@@ -80,19 +81,19 @@ def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name to write to; rename it to `path` when the block ends well.
+    """Provide a temporary name for writing, and rename it to `path` when the block ends without an error.
 
-    A link stays a link: what it leads to is written, as by a plain open.
+    A link stays a link: its target is written, as by a plain open.
 
     Raises
     ------
     FileError
-        If something other than a regular file has that name (renaming would take a device's or a pipe's name away, and
-        root may), or writing or renaming fails; an older file of that name is then untouched.
+        If something other than a regular file has this name (renaming would replace a device or a pipe, which root may
+        do), or writing or renaming fails; an older file of this name is then unchanged.
     """
     name = shown(path)
     target = _regular_or_new(Path(path), name)
-    # A plain open keeps the user's file mode; the suffix stays, since some writers go by it.
+    # A plain open respects the user's file mode; the suffix is kept, since some writers depend on it.
     temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
     try:
         yield temporary
@@ -107,9 +108,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _regular_or_new(path: Path, name: str) -> Path:
-    """Where a file of that name is, or would be, links followed."""
+    """Path of a file that exists or will be created, with links resolved."""
     try:
-        with suppress(FileNotFoundError):  # a new one; whether there can be one is told when it is written
+        with suppress(FileNotFoundError):  # a new file; errors are reported when it is written
             _expect_regular(os.stat(path), name, "the name of a file to write")
         return Path(os.path.realpath(path))
     except FileError:

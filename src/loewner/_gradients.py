@@ -1,8 +1,8 @@
 """Clearances and distances of a checker with their gradients, in the caller's number type.
 
-The common part of `loewner.jax` and `loewner.torch`: NumPy arrays of float32 or float64 in, the same out. The checker
-computes in float64, and every float32 number is also a float64 number, so the answer belongs to exactly the given
-configuration.
+This is the common part of `loewner.jax` and `loewner.torch`: NumPy arrays of float32 or float64 in, the same out. The
+checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to exactly the
+given configuration.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from loewner.errors import InputError
 from loewner.robots import CollisionChecker
 from loewner.robots.robot import expect_width
 
-# Configurations, and whether gradients are wanted, to values and gradients (anything where they are not).
+# From configurations, and whether gradients are requested, to values and gradients (which are otherwise arbitrary).
 Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
 
 
@@ -32,9 +32,9 @@ class Measure:
     ask: Ask
 
     def __call__(self, Q: NDArray[Any], gradient: bool) -> tuple[NDArray[Any], ...]:
-        """Values in metres, shape (...), of configurations, shape (..., dof); and their derivatives if wanted."""
+        """Values in metres, shape (...), of configurations, shape (..., dof), and their derivatives on request."""
         values, gradients = self.ask(Q, gradient)
-        with np.errstate(over="ignore"):  # of float32: infinite then
+        with np.errstate(over="ignore"):  # overflow of float32 gives infinity
             down = rounded_down(values, Q.dtype)
             return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
 
@@ -43,7 +43,7 @@ class Measure:
         expect_width(self.checker.robot, shape, "Q")
 
     def no_second_derivatives(self) -> InputError:
-        """The error for second derivatives: zeros would be wrong, and the mistake would go unnoticed."""
+        """The error for second derivatives: zeros would be wrong, and go unnoticed."""
         return InputError(
             f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
             "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"
@@ -51,7 +51,7 @@ class Measure:
 
 
 def clearance(checker: Any, softness: Any) -> Measure:
-    """`CollisionChecker.clearance` of this softness."""
+    """`CollisionChecker.clearance` with this softness."""
     checked, soft = _checker(checker), _validate.positive_scalar(softness, "softness")
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:

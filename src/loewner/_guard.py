@@ -1,9 +1,9 @@
-"""What may befall any call whatever its arguments are: an interrupt, and memory that runs out.
+"""Handle interrupts and exhausted memory, which can occur in any call regardless of its arguments.
 
-A signal's handler may raise (`KeyboardInterrupt` on Ctrl+C) while Numba turns a kernel's arrays into Python's. Numba
-goes on with the next one, and Python calls that a fault: SystemError, caused by a SystemError, caused by the
-KeyboardInterrupt. A caller's ``except Exception`` would then swallow the interrupt. Memory runs out in NumPy, in a
-kernel or in Qhull: a raw MemoryError. Guarded calls raise the interrupt itself, and `MemoryLimitError`.
+A signal's handler may raise (`KeyboardInterrupt` on Ctrl+C) while Numba converts a kernel's arrays to Python's. Numba
+continues with the next array, which Python reports as a SystemError, caused by a SystemError, caused by the
+KeyboardInterrupt. A caller's ``except Exception`` would then swallow the interrupt. If memory runs out in NumPy, in a
+kernel or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or `MemoryLimitError`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from loewner.errors import LoewnerError, MemoryLimitError
 
 T = TypeVar("T")
 
-# NumPy's complaint if an interrupt comes while Numba fetches the type of arrays: the interrupt itself is lost then.
+# NumPy's message if an interrupt occurs while Numba determines the type of arrays; the interrupt itself is then lost.
 LOST_INTERRUPT = "subtype is NULL in PyArray_NewFromDescr"
 
-# What `meant` looks into; a clause "except GUARDED" costs nothing unless one of them is raised.
+# Exceptions that `meant` inspects; a clause "except GUARDED" costs nothing unless one of them is raised.
 GUARDED = (SystemError, MemoryError)
 
 
 def meant(error: BaseException) -> BaseException:
-    """Return the exception that `error`, one of GUARDED, stands for; itself if there is none behind it."""
+    """Return the exception behind `error`, which is one of GUARDED, or `error` itself if there is none."""
     cause: BaseException | None = error
     while isinstance(cause, SystemError):
         cause = cause.__cause__
@@ -45,8 +45,8 @@ def meant(error: BaseException) -> BaseException:
 def guarded(thing: T) -> T:
     """Guard a function, or the constructor and all public methods that a class defines itself.
 
-    It adds a tenth of a microsecond to a call. Properties, and what queries of single configurations go through, are
-    left to be guarded one by one where they are worth it.
+    It adds a tenth of a microsecond to a call. Properties, and the fast path of queries of single configurations, are
+    guarded individually where it is worthwhile.
     """
     if not isinstance(thing, type):
         return cast(T, _guarded(thing))
@@ -61,7 +61,7 @@ def guarded(thing: T) -> T:
 
 
 def is_guarded(function: Any) -> bool:
-    """Tell whether a function or method went through `guarded`."""
+    """Whether a function or method has been wrapped by `guarded`."""
     return hasattr(function, "_guarded")
 
 

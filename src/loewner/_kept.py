@@ -1,4 +1,4 @@
-"""Values that an object computes once and keeps, the same for all threads."""
+"""Values that an object computes once and keeps, shared by all threads."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ T = TypeVar("T")
 
 
 class kept(cached_property[T]):
-    """A property that is computed when it is first needed, and kept.
+    """A property that is computed when it is first needed and then kept.
 
-    `functools.cached_property` has no lock from Python 3.12 on: of two threads that meet in it each gets a value of its
-    own, and that of one dies with the next word. Kernels get addresses of what is in such values. Here both may
-    compute, but the first value that is kept is the one that all get.
+    `functools.cached_property` has no lock from Python 3.12 on: two threads that compute a property at once get
+    different values, one of which is soon freed although kernels may have received addresses in it. Here both threads
+    may compute, but all of them get the first value that was kept.
 
     Parameters
     ----------
     func : callable
-        From the object to the value.
+        Function from the object to the value.
     """
 
     @overload
@@ -29,7 +29,8 @@ class kept(cached_property[T]):
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> kept[T] | T:
         if instance is None:
             return self
-        # From now on found before this: what an object has itself goes before what its class has but does not set.
+        # From now on the instance attribute is found first: it takes precedence over a non-data descriptor of the
+        # class.
         value: T = vars(instance).setdefault(self.func.__name__, self.func(instance))
         return value
 

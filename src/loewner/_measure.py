@@ -1,6 +1,6 @@
-"""Distances of pairs: the fast pass, then the careful searches for what that leaves.
+"""Distances of pairs: a fast pass, then careful searches for the remaining pairs.
 
-Queries of pairs and of crowds ask here.
+Queries of pairs and of crowds use it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from loewner._threads import in_shares
 from loewner._validate import Bools, Floats
 from loewner._workspaces import workspace
 
-# The smallest share of a batch that is worth handing to a thread.
+# The smallest number of pairs that is worth a thread of its own.
 CHUNK = 4096
 
-# What a pair takes in bytes: three numbers; measured exactly, one more, three vectors, a status and a flag.
+# Bytes per pair: three numbers; measured exactly, one more, three vectors, a status and a flag.
 BOUND_BYTES, EXACT_BYTES = 24, 106
 
 
@@ -27,11 +27,9 @@ class Measures(NamedTuple):
 
     Attributes
     ----------
-    lower, upper, estimate : ndarray, shape (n,)
-    distance : ndarray, shape (n,), or (0,) where only bounds are asked for
-    witness_a, witness_b, normal : ndarray, shape (n, 3), or (0, 3)
-    unsettled : ndarray of bool, shape (n,), or (0,)
-        Pairs whose distance could not be computed: it, the witnesses and the normal are NaN.
+    lower, upper, estimate : ndarray, shape (n,) distance : ndarray, shape (n,), or (0,) if only bounds are requested
+    witness_a, witness_b, normal : ndarray, shape (n, 3), or (0, 3) unsettled : ndarray of bool, shape (n,), or (0,)
+        Pairs whose distance could not be computed: distance, witnesses and normal are NaN.
     """
 
     lower: Floats
@@ -62,7 +60,7 @@ def measure(exact: bool, n: int, operands: Operands) -> Measures:
     lower, upper, estimate = numbers[:3]
     value = numbers[3] if exact else np.empty(0)
     if exact:
-        # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
+        # The bounds are proven and the value is computed, so clamp the value to the bounds.
         np.maximum(lower, np.minimum(value, upper, out=value), out=value)
     unsettled = status != 0
     value[unsettled] = vectors[:, unsettled] = np.nan

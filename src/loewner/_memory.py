@@ -1,7 +1,7 @@
-"""How much memory a call may still take: of this machine, of the process, of the container that it runs in.
+"""How much memory a call may still use, within the limits of the machine, the process and its container.
 
-What is too large is refused before it is allocated: on most systems an allocation beyond the memory there is succeeds,
-and the process, or another one, is killed when it is used.
+Requests that are too large are refused before anything is allocated: on most systems allocating more than the available
+memory succeeds, and this process or another one is killed when the memory is used.
 """
 
 import os
@@ -14,46 +14,46 @@ import numpy as np
 from loewner._native import library
 from loewner.errors import MemoryLimitError
 
-# Reading the limits takes as long as filling a few hundred kilobytes; requests below this [bytes] are not worth a look.
+# Reading the limits takes as long as filling a few hundred kilobytes, so requests below this [bytes] are not checked.
 LOOK = 2**26
 
-# What a process loads when it is first needed: kernels with OpenBLAS's buffers, and SciPy's hulls and linear programs.
+# Libraries that a process loads on first use: kernels with OpenBLAS's buffers, and SciPy's hulls and linear programs.
 KERNELS, SCIPY = "compiled kernels", "SciPy"
 
-# Address space [bytes] that they took when they were loaded, and some more. With the native library, and OpenBLAS for
-# the first body: 38 MiB, and SciPy 148. With Numba, and what it compiled: 180 MiB, and what it leaves of SciPy 45.
+# Measured address space [bytes] of these libraries, with a reserve. The native library and OpenBLAS for the first body
+# took 38 MiB, and SciPy 148 MiB. Numba and its compiled code took 180 MiB, and then the rest of SciPy 45 MiB.
 LIBRARY = {KERNELS: 64 * 2**20, SCIPY: 192 * 2**20}
 NUMBA = {KERNELS: 256 * 2**20, SCIPY: 64 * 2**20}
 
-# What OpenBLAS takes in a call [bytes], and arrays around it that are small: some tens of kilobytes, seen from outside.
+# Room for a call of OpenBLAS and the small arrays around it [bytes]; measured use was tens of kilobytes.
 BLAS = 2**21
 
 _ROOT = Path("/")
 
 
 def left(root: Path = _ROOT) -> tuple[int, str]:
-    """Bytes that can still be had, and which limit says so, as words that follow the number.
+    """Available memory in bytes, and the limit that determines it, as words that follow the number.
 
     Parameters
     ----------
     root : path
-        Where ``proc`` and ``sys`` are; another one is for tests.
+        Folder of ``proc`` and ``sys``; tests use another one.
     """
     return min([*_of_process(root), *_of_groups(root), *_of_machine(root)], default=(sys.maxsize, ""))
 
 
-_expected: set[str] = set()  # what was found to have place, and is loaded by now
+_expected: set[str] = set()  # libraries that were found to fit, and are loaded by now
 
 
 def expect_place(*names: str) -> None:
-    """Refuse to load KERNELS or SCIPY, the first time in a process, where they would not fit.
+    """Refuse to load KERNELS or SCIPY, the first time in a process, if they would not fit.
 
-    SciPy, OpenBLAS and LLVM end the process, or leave half a module behind, when they run out of address space.
+    SciPy, OpenBLAS and LLVM end the process, or leave a half-loaded module, when they run out of address space.
     """
     missing = [name for name in names if name not in _expected]
     if missing:
-        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # little of it is ever touched
-        there_is_room = there >= LIBRARY[KERNELS]  # to look for it
+        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # little of it is ever used
+        there_is_room = there >= LIBRARY[KERNELS]  # to look for the library
         sizes = NUMBA if there_is_room and library.level() is None else LIBRARY
         wanted = sum(sizes[name] for name in missing)
         if there < wanted:
@@ -65,7 +65,7 @@ def expect_place(*names: str) -> None:
 
 
 def expect_left(needed: int, what: str) -> None:
-    """Refuse work on `what` whose arrays take `needed` bytes at least, where they would not fit."""
+    """Refuse work on `what` whose arrays take at least `needed` bytes, if they would not fit."""
     if needed >= LOOK:
         there, which = min(left(), (physical(), " in this machine"))
         if needed > there:
@@ -75,20 +75,20 @@ def expect_left(needed: int, what: str) -> None:
 
 
 def expect_room_for_blas(needed: int = 0) -> None:
-    """Refuse to go on where hardly any address space is left beyond `needed` bytes.
+    """Refuse to continue if hardly any address space is left beyond `needed` bytes.
 
-    On several threads OpenBLAS asks for some more kilobytes in each call, and ends the process where it gets none.
+    On several threads OpenBLAS allocates a few more kilobytes in each call, and ends the process if this fails.
 
     Raises
     ------
     MemoryError
-        As NumPy does.
+        As raised by NumPy.
     """
     np.empty(BLAS + needed, dtype=np.uint8)
 
 
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:
-    """What `setrlimit` leaves: of the address space, and of private memory."""
+    """Address space and private memory left by `setrlimit`."""
     try:
         import resource
     except ImportError:  # no such limits on this system
@@ -101,10 +101,10 @@ def _of_process(root: Path) -> Iterator[tuple[int, str]]:
 
 
 def _of_groups(root: Path) -> Iterator[tuple[int, str]]:
-    """What the control groups that this process is in leave, from the innermost to the outermost.
+    """Memory left by the control groups of this process, from the innermost to the outermost.
 
-    A group is a folder, and the groups around it are the folders around that. Files that the system keeps in memory
-    count as used, but make place when it runs short.
+    A group is a folder, and its parents are the groups around it. Files that the system caches in memory count as used,
+    but are dropped when memory runs short.
     """
     for folder, top in _group_folders(root):
         for group in (folder, *folder.parents):
@@ -136,21 +136,21 @@ def _group_folders(root: Path) -> Iterator[tuple[Path, Path]]:
         if kind not in mine or (kind == "cgroup" and "memory" not in options.split(",")):
             continue
         top, path = root / mount.lstrip("/"), mine[kind]
-        # A container may see the path that the host knows it by, and only its own part of the tree.
+        # A container may see the host's path of its group, but only its own part of the tree.
         inside = path.relative_to(start) if path.is_relative_to(start) else PurePosixPath()
         folder = top / str(inside).lstrip("/")
         yield (folder if folder.is_dir() else top), top
 
 
 def _of_machine(root: Path) -> Iterator[tuple[int, str]]:
-    """Memory that is free, or can be made free without swapping."""
+    """Memory that is free, or can be freed without swapping."""
     for line in (_text(root / "proc/meminfo") or "").splitlines():
         if line.startswith("MemAvailable:"):
             yield int(line.split()[1]) * 1024, " free on this machine"
 
 
 def physical() -> int:
-    """Memory of the machine in bytes; where the system does not tell, what an address can reach."""
+    """Memory of the machine in bytes; if the system does not report it, the size of the address space."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -165,6 +165,6 @@ def _text(path: Path) -> str | None:
 
 
 def _number(path: Path) -> int | None:
-    """Content of a file with one number; None for "max", and where there is none."""
+    """Content of a file with one number; None for "max", or if there is no number."""
     text = (_text(path) or "").strip()
     return int(text) if text.isdigit() else None

@@ -1,6 +1,7 @@
-"""What is allowed and still mostly a slip: degrees for radians, millimetres for metres. Told once, in a warning.
+"""Warn once about values that are allowed but usually a mistake: degrees for radians, millimetres for metres.
 
-Thresholds are such that a warning is almost surely right: who means it reads one line, and nothing else changes.
+Thresholds are such that a warning is almost certainly right; if a value is intended, one line of text is the only
+effect.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-# A rotation in a file is written in one turn; half of two leaves a margin for any convention [rad].
+# A rotation in a file is written within one turn; two turns leave a margin for any convention [rad].
 LARGEST_RPY = 4 * math.pi
 
-# Limits beyond these are written by programs for none [rad or m]: 1e16, or the largest number that there is.
+# Larger limits are programs' way to write none [rad or m]: 1e16, or the largest float.
 FARTHEST_LIMIT = 1e6
 
 # Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
@@ -23,7 +24,7 @@ LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
 
 class _Listener(threading.local):
-    """Where the calling thread wants its warnings; Python's own way to catch them is one for all threads."""
+    """The calling thread's list for warnings; Python's own way to catch them affects all threads."""
 
     texts: list[str] | None = None
 
@@ -33,7 +34,7 @@ _listener = _Listener()
 
 @contextmanager
 def told_to(texts: list[str]) -> Iterator[None]:
-    """List what this thread is warned of here, instead of warning, until the block ends."""
+    """Collect this thread's warnings in a list, instead of issuing them, until the block ends."""
     before = _listener.texts
     _listener.texts = texts
     try:
@@ -43,7 +44,7 @@ def told_to(texts: list[str]) -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Warn whoever called the library, not the part of it that noticed."""
+    """Issue a warning at the line that called the library, not at the line within the library."""
     if _listener.texts is not None:
         _listener.texts.append(text)
         return
@@ -54,7 +55,7 @@ def warn(text: str) -> None:
 
 
 def doubt_about_size(radius: float, distance: float) -> str:
-    """Why a body of this radius [m], so far from the origin [m], may be in another unit; empty if nothing says so."""
+    """Why a body of this radius [m] at this distance from the origin [m] may be in another unit; empty if plausible."""
     if radius > LARGEST_RADIUS:
         return f"lengths in metres, found a body {2 * radius:.3g} m across; is it in millimetres?"
     if 0 < radius < SMALLEST_RADIUS:
@@ -65,6 +66,6 @@ def doubt_about_size(radius: float, distance: float) -> str:
 
 
 def doubt_about_rpy(rpy: Sequence[float]) -> str:
-    """Why roll, pitch and yaw may be in degrees; empty if nothing says so."""
+    """Why roll, pitch and yaw may be in degrees; empty if plausible."""
     most = max(abs(angle) for angle in rpy)
     return f"roll, pitch and yaw in radians, found {most:g}; is it in degrees?" if most > LARGEST_RPY else ""

@@ -1,4 +1,4 @@
-"""Intervals of proportions: how sure a share is that was counted."""
+"""Confidence intervals of counted proportions."""
 
 import math
 
@@ -18,5 +18,5 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     scale = 1.0 / (1.0 + z * z / total)
     middle = scale * (share + z * z / (2 * total))
     half = scale * z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    # The ends are exactly 0 and 1 at the ends; rounding must not put the share outside.
+    # For counts of 0 and all, one end is exactly 0 or 1; rounding must not put the share outside.
     return max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share))

@@ -1,8 +1,8 @@
-"""The threads' functions as PTX: what drivers of NVIDIA's GPUs compile for the GPU at hand.
+"""The threads' functions as PTX, which drivers of NVIDIA's GPUs compile for the GPU at hand.
 
-llvmlite's wheels have LLVM's back end for PTX. It takes the intermediate code that Numba makes of the library's own
-formulas; there is no second source, and nothing else to install. PTX that was built with the native library is used as
-it is. Otherwise it is made when it is first asked for, and kept as a sealed file beside the compiled kernels.
+llvmlite's wheels include LLVM's back end for PTX. It takes the intermediate code that Numba makes from the library's
+own formulas, so there is no second source, and nothing else to install. PTX that was built with the native library is
+used as it is. Otherwise it is made when it is first requested, and kept as a sealed file beside the compiled kernels.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from loewner._native.entries import expect_numba
 
 NAME = "threads.ptx.z"  # compressed by zlib, to a sixth
 
-# The oldest GPUs that it is for (Turing, 2018), and PTX that drivers from 2020 on understand.
+# The oldest supported GPUs (Turing, 2018), and a version of PTX that drivers from 2020 on support.
 OLDEST, VERSION = "sm_75", "ptx70"
 TRIPLE = "nvptx64-nvidia-cuda"
 
@@ -34,12 +34,12 @@ KERNELS = {
 
 @cache
 def text() -> bytes:
-    """PTX of all threads' functions: as it was built, as it was kept, or made now.
+    """PTX of all threads' functions, from the build, from the cache, or made now.
 
     Raises
     ------
     MissingExtraError
-        If it has to be made, and Numba is not installed.
+        If it must be made and Numba is not installed.
     """
     shipped = library.shipped(NAME)
     if shipped is not None:
@@ -58,9 +58,9 @@ def text() -> bytes:
 
 
 def _kept() -> Path | None:
-    """Where it is kept; None if the sources cannot be told, so that nobody would know what it was made from.
+    """Path of the cached PTX; None if the sources cannot be read, since its origin would then be unknown.
 
-    The folder is named by the kernels' sources and by Numba, the file by what else it is made from.
+    The folder is named by the kernels' sources and Numba's version, the file by its other inputs.
     """
     import hashlib
 
@@ -76,7 +76,7 @@ def _kept() -> Path | None:
 
 
 def _keep(path: Path, made: bytes) -> None:
-    """Write the file, if the disk lets us."""
+    """Write the file if possible."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _sealed.write(path, made)
@@ -105,12 +105,12 @@ def compiled() -> bytes:
 
 
 def _target(module: Any, machine: Any) -> None:
-    """Make a module one of the GPU's."""
+    """Set the GPU as a module's target."""
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
 
 
 def _kernel(function: Any, machine: Any) -> Any:
-    """Module of one kernel: Numba's intermediate code of a function, and what calls it with the thread's number."""
+    """Module of one kernel: Numba's intermediate code of a function, and a caller that passes the thread's number."""
     import llvmlite.binding as llvm
     from numba.core import types
 
@@ -123,7 +123,7 @@ def _kernel(function: Any, machine: Any) -> Any:
     module = llvm.parse_bitcode(found.library._final_module.as_bitcode())
     _target(module, machine)
     module.link_in(llvm.parse_assembly(_caller(function.py_func.__name__, inner, count, machine)))
-    # Functions made by several processes may share a name: none is seen from outside but the kernel.
+    # Functions made by several processes may share a name, so only the kernel is visible from outside.
     for symbol in (*module.functions, *module.global_variables):
         if not symbol.is_declaration and symbol.name != function.py_func.__name__:
             symbol.linkage = llvm.Linkage.internal
@@ -138,7 +138,7 @@ def _caller(name: str, inner: str, count: int, machine: Any) -> str:
     pointer = ir.IntType(8).as_pointer()
     module = ir.Module(name)
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
-    # As Numba calls: where to put the result, and what describes an exception; there is neither.
+    # Numba's calling convention has pointers to a result and to an exception; here there is neither.
     body = ir.Function(module, ir.FunctionType(half, [pointer, pointer] + [word] * count), inner)
     kernel = ir.Function(module, ir.FunctionType(ir.VoidType(), [word] * count), name)
     kernel.calling_convention = "ptx_kernel"

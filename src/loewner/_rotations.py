@@ -1,4 +1,4 @@
-"""Rotation matrices from what people and files write: quaternions, and roll, pitch and yaw."""
+"""Rotation matrices from the forms that users and files use: quaternions, and roll, pitch and yaw."""
 
 import math
 from collections.abc import Sequence
@@ -8,12 +8,12 @@ import numpy as np
 from loewner._validate import Floats
 from loewner.errors import PoseError
 
-# How far a written quaternion may be from unit length: three digits are enough to type.
+# Allowed deviation of a written quaternion from unit length: three digits are enough to type.
 QUATERNION_TOLERANCE = 1e-2
 
 
 def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
-    """Rotation of a unit quaternion, real part first, shape (3, 3); a length near 1 is made 1.
+    """Rotation of a unit quaternion, real part first, shape (3, 3); a length near 1 is normalised.
 
     Raises
     ------
@@ -46,9 +46,9 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 def to_rpy(R: Floats) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix: `from_rpy` gives it back, also where roll and yaw turn alike."""
+    """Roll, pitch and yaw of a rotation matrix, such that `from_rpy` restores it, also at gimbal lock."""
     yaw = math.atan2(R[1, 0], R[0, 0])
     s, c = math.sin(yaw), math.cos(yaw)
-    # What is left when the yaw is taken away, whichever it is where the pitch is a right angle.
+    # The remaining rotation without the yaw, which is arbitrary if the pitch is a right angle.
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return roll, math.atan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw

@@ -1,7 +1,7 @@
-"""Verdicts for listed pairs: the fast pass, then the fallback for what that leaves open, then whole numbers.
+"""Verdicts for listed pairs: a fast pass, then a fallback for the remaining pairs, then whole numbers.
 
-Queries of pairs and of crowds ask here; robots do for the configurations that their own block
-(`_kernels/robots/configurations.py`) leaves open.
+Queries of pairs and of crowds use it, and so do robots for configurations that their own kernels
+(`_kernels/robots/configurations.py`) leave open.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ def settle(mode: int, margin: float, first: int, last: int, operands: Operands, 
         Metres, >= 0.
     operands : Operands
     out : ndarray of int8
-        Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair: the caller must not take
-        it for anything else.
+        Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair; the caller must not treat
+        it as anything else.
 
     Returns
     -------
     ndarray of int64, shape (TIERS,), or None
-        How many piece pairs the fast pass settled by each tier. None if a pose is no rigid motion; nothing then holds.
+        Number of piece pairs that the fast pass settled by each tier. None if a pose is not a rigid motion; no result
+        is then valid.
     """
     tally = np.zeros(codes.TIERS, dtype=np.int64)
     if not entries.settle_range(mode, margin, first, last, *operands, out, tally, workspace(entries.workspace_size())):

@@ -1,4 +1,4 @@
-"""Numbers in text, divided by commas or by spaces: never by both, so that none goes missing unseen."""
+"""Numbers in text, separated by commas or by spaces but never by both, so that no missing number goes unnoticed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from loewner._validate import Floats, short
 from loewner.errors import FileError
 
-# How a line ends; a comment, which goes to the end of its line; the spaces of lines that hold no more, and a number.
+# Line ends; a comment, up to the end of its line; the spaces of an otherwise empty line; and a number.
 LINE_END, COMMENT = re.compile(r"\r\n|\r|\n"), re.compile("#[^\r\n]*")
 BLANK, CONTENT = re.compile(r"^[ \t]+(?=#|\r?$)", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 
@@ -22,12 +22,12 @@ def row(text: str, *, commas: bool | None = None) -> list[float]:
     ----------
     text : str
     commas : bool, optional
-        Whether commas divide the numbers, or spaces. Default: commas, if there is one.
+        Whether commas separate the numbers, or spaces. Default: commas if there is one.
 
     Raises
     ------
     ValueError
-        If there is no number between two of them, or something that is none; it says what was expected and found.
+        If a number is missing or malformed; the message gives the expected and the found content.
 
     Examples
     --------
@@ -43,14 +43,14 @@ def row(text: str, *, commas: bool | None = None) -> list[float]:
 
 
 def number(cell: str) -> float:
-    """What a cell holds; ValueError says what else it does."""
+    """The number in a cell; a ValueError describes any other content."""
     if not cell:
         raise ValueError("expected a number in each cell, found an empty one")
     if len(cell.split()) > 1 or "," in cell:
         raise ValueError(
             f"expected numbers divided by commas or by spaces, not by both, and no decimal commas, found {short(cell)}"
         )
-    try:  # Python would take "1_0" for ten, and digits of all the world's scripts
+    try:  # Python would accept "1_0" as ten, and digits of other scripts
         if cell.isascii() and "_" not in cell:
             return float(cell)
     except ValueError:
@@ -59,16 +59,17 @@ def number(cell: str) -> float:
 
 
 def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
-    """Numbers of a text of lines that are equally long; what follows a # is a comment.
+    """Read lines that have equally many numbers; # begins a comment.
 
     Parameters
     ----------
     data : bytes
-        All of a file.
+        Contents of a whole file.
     name : str
-        What it is called, for messages.
+        Name of the file, for messages.
     commas : bool
-        Whether commas divide the numbers of each line. Otherwise they do if there is one in any line, or else spaces.
+        Whether commas separate the numbers in each line. If false, they do so only if some line has one; otherwise
+        spaces do.
 
     Returns
     -------
@@ -77,7 +78,7 @@ def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
     Raises
     ------
     FileError
-        If a line has an empty cell or something that is no number, or another length; it says which line.
+        If a line has an empty or malformed cell, or another length; the message gives the line.
     """
     try:
         text = data.decode("ascii")
@@ -95,7 +96,7 @@ def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
 
 
 def _refuse_lines(text: str, name: str, commas: bool) -> None:
-    """Say which line is no row of numbers, or of another length than the first."""
+    """Refuse the first line that is not a row of numbers, or has another length than the first row."""
     length = 0
     for number, line in enumerate(LINE_END.split(text), 1):
         content = line.partition("#")[0]

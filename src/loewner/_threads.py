@@ -1,10 +1,10 @@
-"""Work in shares on several threads, for code that runs outside the interpreter lock: kernels and Qhull.
+"""Divide work among several threads, for code that runs outside the interpreter lock: kernels and Qhull.
 
-This module has its own threads instead of Numba's: compiling a parallel loop takes several times as long as the loop
-itself, and Numba's default threading layer aborts the process when two of a caller's threads enter it at once. The
-number of threads is also a separate setting, for each calling thread.
+This module has its own threads instead of Numba's: a parallel loop takes several times as long to compile as a plain
+one, and Numba's default threading layer aborts the process when two of a caller's threads enter it at once. The number
+of threads is also a separate setting for each calling thread.
 
-Only the main thread is interrupted, and at any line. So nothing on which other threads depend is counted there.
+Only the main thread is interrupted, possibly at any line, so it keeps no counts on which other threads depend.
 """
 
 import os
@@ -22,20 +22,21 @@ from loewner._validate import whole_number
 
 T = TypeVar("T")
 
-# Shares of `least` items that one thread alone takes at a time: each starts with cold caches, but the user must be able
-# to interrupt.
+# Number of `least` items that a single thread takes at a time: each share starts with cold caches, but the user must be
+# able to interrupt.
 ALONE = 16
 
-# What a share may take [s]: an interrupt is noticed between two of them, and the last one must not be waited for.
+# Target duration of a share [s]: an interrupt is noticed between two shares, and waiting for the last one must be
+# short.
 LONG = 0.1
 
 
-# Threads that one call may have at most: more than this are a slip, and each takes memory for its stack.
+# Limit on the threads of one call: more are probably a mistake, and each takes memory for its stack.
 MOST_THREADS = 1024
 
 
 class _Setting(threading.local):
-    """What the calling thread has set; nobody waits for anybody to read it, so that an interrupt leaves no lock."""
+    """The calling thread's setting; it is read without a lock, so an interrupt cannot leave one locked."""
 
     count: int | None = None
 
@@ -47,8 +48,8 @@ _setting = _Setting()
 def set_num_threads(n: int) -> None:
     """Set how many threads the calls of this thread may use; the settings of other threads do not change.
 
-    A batch is divided among at most this number of threads, including the calling one; small batches stay on that one.
-    Answers do not depend on the number.
+    A batch is divided among at most this number of threads, including the calling thread; small batches stay on that
+    thread. Answers do not depend on the number.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def set_num_threads(n: int) -> None:
 
     See Also
     --------
-    get_num_threads : The number in use, and its source if none is set.
+    get_num_threads : Returns the number in use, and describes the default.
 
     Examples
     --------
@@ -78,11 +79,11 @@ def set_num_threads(n: int) -> None:
 
 @guarded
 def get_num_threads() -> int:
-    """How many threads a call of this thread may use.
+    """Return the number of threads that calls of this thread may use.
 
-    The number is the one set by `set_num_threads` on this thread; otherwise the environment variable
-    ``LOEWNER_NUM_THREADS``; otherwise ``NUMBA_NUM_THREADS`` if that is a valid number; otherwise the number of
-    processors that this process may use. The environment is read once, at the first call that needs the number.
+    It is the number set by `set_num_threads` on this thread, else the environment variable ``LOEWNER_NUM_THREADS``,
+    else ``NUMBA_NUM_THREADS`` if that is a valid number, else the number of processors that this process may use. The
+    environment is read once, at the first call that needs the number.
 
     Returns
     -------
@@ -127,12 +128,12 @@ def _of_process() -> int:
 
 
 def _integer(text: str) -> int | str:
-    """The integer that a text is, or the text."""
+    """The integer in a text, or the text itself if it is not an integer."""
     return int(text) if re.fullmatch(r"\s*\d{1,18}\s*", text, re.ASCII) else text
 
 
 def _processors() -> int:
-    """How many processors this process may use."""
+    """Number of processors that this process may use."""
     process_cpu_count: Callable[[], int | None] | None = getattr(os, "process_cpu_count", None)  # from Python 3.13
     if process_cpu_count is not None:
         return process_cpu_count() or 1
@@ -142,7 +143,7 @@ def _processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Most items per share, `least` or more: each thread takes a few shares, so the last one is short."""
+    """Largest number of items per share, at least `least`: each thread takes a few shares, so the last one is short."""
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
@@ -156,11 +157,11 @@ def in_shares(
     most: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[T]:
-    """Results of run(first, last) over shares of 0..total, in order; up to `least` items run on this thread.
+    """Return the results of run(first, last) over shares of 0..total, in order; up to `least` items run on this thread.
 
-    This thread takes shares like the others: waiting for a thread to wake up costs as much as 1,000 pairs. Shares begin
-    with `least` items and grow to `most` (see `share`), or shrink, until their duration is right; progress(done, total)
-    receives the count. When this returns or raises, no thread is still running.
+    This thread takes shares like the others, since waiting for a thread to wake up costs as much as 1,000 pairs. Shares
+    begin with `least` items and grow to `most` (see `share`), or shrink, until their duration is right; progress(done,
+    total) receives the count. When this returns or raises, no thread is still running.
     """
     if total <= least:
         results = [run(0, total)]
@@ -172,7 +173,7 @@ def in_shares(
         finally:
             interrupt = None
             while True:
-                try:  # at once, without a call before it: an interrupt here must not leave anybody running
+                try:  # immediately, without a call before it: an interrupt here must not leave a thread running
                     work.close()
                     break
                 except BaseException as error:
@@ -186,7 +187,7 @@ def in_shares(
 
 
 class _Work(Generic[T]):
-    """Items that several threads share out among them."""
+    """Items that several threads divide among themselves."""
 
     def __init__(self, run: Callable[[int, int], T], total: int, size: int, largest: int) -> None:
         self._run, self._total, self._size, self._largest = run, total, size, largest
@@ -195,11 +196,11 @@ class _Work(Generic[T]):
         self._next = 0
         self._closed = False
         self._helping = 0
-        self._left: SimpleQueue[None] = SimpleQueue()  # one entry for each helper that left
+        self._left: SimpleQueue[None] = SimpleQueue()  # one entry for each helper that has finished
         self._errors: dict[int, BaseException] = {}  # likewise
 
     def take(self, progress: Callable[[int, int], None] | None = None) -> None:
-        """Run shares until there are none."""
+        """Run shares until none are left."""
         while True:
             with self._lock:
                 first, last = self._next, min(self._next + self._size, self._total)
@@ -218,7 +219,7 @@ class _Work(Generic[T]):
                 progress(last, self._total)
 
     def help(self) -> None:
-        """Take part, on a thread of its own."""
+        """Run shares on a helper thread."""
         with self._lock:
             if self._closed:
                 return
@@ -229,23 +230,24 @@ class _Work(Generic[T]):
         self._left.put(None)
 
     def close(self) -> None:
-        """Let nobody start another share, and wait for those who are in one."""
+        """Start no more shares, and wait for the helpers that are running one."""
         with self._lock:
             self._closed = True
         while self._helping:
             self._left.get()
 
     def in_order(self) -> list[T]:
-        """Return all results; or raise an interrupt, or else the first error by number of the item."""
+        """Return all results, or raise an interrupt if there was one, or else the error with the lowest item number."""
         if self._errors:
-            # Shares before the first that failed were begun before it, and are done: it is the same on any threads.
+            # All shares before the first failed one were begun earlier and are done, so this error does not depend on
+            # the threads.
             errors = [self._errors[first] for first in sorted(self._errors)]
             raise next((e for e in errors if not isinstance(meant(e), Exception)), errors[0])
         return [self._results[first] for first in sorted(self._results)]
 
 
 class _Helpers:
-    """Threads that wait for something to do. They end with the process: nobody leaves `in_shares` before they idle."""
+    """Threads that wait for work and end with the process; `in_shares` does not return before they are idle."""
 
     def __init__(self) -> None:
         self.started: list[threading.Thread] = []
@@ -265,19 +267,19 @@ def _forget_helpers() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_helpers)  # a child process has none of its parent's threads
+    os.register_at_fork(after_in_child=_forget_helpers)  # a child process does not have its parent's threads
 
 
 def _lend_a_hand(task: Callable[[], None], times: int) -> None:
-    """Have a task called on so many other threads, or on fewer, where no more can be started."""
+    """Run a task on the given number of other threads, or on fewer if no more can be started."""
     helpers = _helpers
-    # Without a lock: a signal's handler may ask for threads while this thread starts one, and would wait for itself.
-    # Two callers at once may start more than they need, which then idle.
+    # Without a lock: a signal's handler may request threads while this thread starts one, and would wait for itself.
+    # Two simultaneous callers may start more threads than needed, which then idle.
     while len(helpers.started) < times:
         thread = threading.Thread(target=helpers.serve, name="loewner", daemon=True)
         try:
             thread.start()
-        except RuntimeError:  # no memory for its stack: those that are there do it
+        except RuntimeError:  # no memory for its stack: the existing threads suffice
             times = len(helpers.started)
             break
         helpers.started.append(thread)

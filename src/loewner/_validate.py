@@ -1,7 +1,7 @@
-"""The border: array-likes in, checked C-order float64 arrays out, and the types that signatures share.
+"""Input validation: array-likes in, checked C-order float64 arrays out, and types shared by signatures.
 
-Arrays that come from here are finite float64 in C order. Poses are not always rigid: `one_pose` and
-``poses(check=False)`` leave their entries to the kernels, which go through them anyway and report a bad one.
+Returned arrays are finite float64 in C order. Poses are not always rigid: `one_pose` and ``poses(check=False)`` leave
+their entries to the kernels, which read them anyway and report a bad one.
 """
 
 import math
@@ -26,11 +26,11 @@ Ints = NDArray[np.int64]
 
 Bools = NDArray[np.bool_]
 
-# One value or an array: the number of axes of an argument decides, which its type does not show.
+# One value or an array, depending on an argument's number of axes, which its type does not show.
 FloatOrFloats = float | Floats
 BoolOrBools = bool | Bools
 
-# Likewise, where a type checker shall accept it as either.
+# Likewise, for results that a type checker should accept as either.
 OneOrMany = Any
 
 # The values of a dict of names.
@@ -39,30 +39,30 @@ Entry = TypeVar("Entry")
 # Names of two bodies or links.
 Pair = tuple[str, str]
 
-# What is called as progress(done, total).
+# A callback progress(done, total).
 Progress = Callable[[int, int], None]
 
-# Names that the message about an unknown one lists at most.
+# Largest number of names that the message about an unknown one lists.
 LISTED = 30
 
-# What a count may be at most: more fits into no array.
+# Largest count: no array can hold more.
 LARGEST_INTEGER = 2**63 - 1
-# Of random numbers: as many bits as NumPy's own seeds have.
+# Bits of a seed of random numbers, as for NumPy's own seeds.
 LARGEST_SEED = 2**128 - 1
 
-# Characters of a value that a message shows at most.
+# Largest number of characters of a value that a message shows.
 LONGEST = 120
-# Entries of an array that is written out in the repr of a result, at most.
+# Largest array that the repr of a result writes out, in entries.
 FEW = 6
 
-IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
+IDENTITY: Floats = np.eye(4)  # writable: for Numba a read-only array is another type, which needs another compilation
 
 
 def float_array(x: ArrayLike, name: str) -> Floats:
-    """Return `x` as a C-order float64 array; anything that is not real numbers is an error.
+    """Return `x` as a C-order float64 array; anything but real numbers is an error.
 
-    Numbers are integers and floats of any size and byte order, and objects that `real` takes; not booleans, complex
-    numbers, text, dates or masked entries.
+    Numbers are integers and floats of any size and byte order, and objects that `real` accepts, but not booleans,
+    complex numbers, text, dates or masked entries.
     """
     array = plain_array(x, name)
     if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.aligned:
@@ -71,12 +71,12 @@ def float_array(x: ArrayLike, name: str) -> Floats:
         return _numbers(array, name)
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, found dtype {array.dtype}")
-    with np.errstate(over="ignore"):  # of a longdouble: inf then, which is told as such
+    with np.errstate(over="ignore"):  # a longdouble may overflow to inf, which is reported as such
         return array.astype(np.float64, order="C")
 
 
 def integer_array(x: ArrayLike, name: str) -> Ints:
-    """Return `x` as a C-order int64 array; anything that is not integers of at most 63 bits is an error."""
+    """Return `x` as a C-order int64 array; anything but integers of at most 63 bits is an error."""
     array = plain_array(x, name)
     if array.dtype == np.object_ and array.size:
         entries = [whole_number(entry, name, -LARGEST_INTEGER) for entry in array.flat]
@@ -89,18 +89,18 @@ def integer_array(x: ArrayLike, name: str) -> Ints:
 
 
 def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
-    """An array of whatever `x` holds, unless entries are masked: those say that there is no number."""
+    """An array of the entries of `x`, of any type; masked entries, which mean missing numbers, are refused."""
     if isinstance(x, (np.ma.MaskedArray, list, tuple)):
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
                 raise InputError(f"{name}: expected numbers only, found masked entries")
-    if isinstance(x, (str, bytes, bytearray)):  # of the last, NumPy would make an array of its bytes
+    if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert the last one to an array of its bytes
         raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
     try:
         return np.asarray(x)
     except MemoryError:
         raise
-    except Exception as error:  # ragged, or an object of the caller's that fails to make an array of itself
+    except Exception as error:  # ragged, or the caller's object fails to convert itself to an array
         what = "a ragged sequence" if isinstance(x, (list, tuple)) else type(x).__name__
         raise InputError(
             f"{name}: expected an array of numbers, found {what} ({type(error).__name__}: {error})"
@@ -108,7 +108,7 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def _numbers(objects: NDArray[np.object_], name: str) -> Floats:
-    """Entries that are no NumPy numbers, such as fractions or integers beyond 64 bits, one by one."""
+    """Convert entries that are not NumPy numbers, such as fractions or integers beyond 64 bits, one by one."""
     array = np.empty(objects.shape)
     for index, entry in np.ndenumerate(objects):
         try:
@@ -119,7 +119,7 @@ def _numbers(objects: NDArray[np.object_], name: str) -> Floats:
 
 
 def shape_text(shape: Iterable[int | None | str]) -> str:
-    """Write a shape for people, with letters or dots where any length will do."""
+    """Write a shape for messages, with letters or dots for arbitrary lengths."""
     parts = ["n" if s is None else str(s) for s in shape]
     return "(" + ", ".join(parts) + ("," if len(parts) == 1 else "") + ")"
 
@@ -131,14 +131,14 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     ----------
     x : array_like
     name : str
-        What the caller calls it, for the message.
+        The caller's name for it, for the message.
     shape : tuple
         Expected shape; ``None`` or a letter matches any length, a leading ``"..."`` any batch shape.
 
     Raises
     ------
     InputError
-        With the shape expected and the one found, or the first entry that is not finite.
+        The message gives the expected and the found shape, or the first entry that is not finite.
     """
     array = float_array(x, name)
     tail = shape[1:] if shape and shape[0] == "..." else shape
@@ -163,16 +163,16 @@ def real(x: Any, name: str, *, least: str = "") -> float:
     ----------
     x : number
         An int or a float, of Python or NumPy; an array without axes; or an object that converts itself to a float, such
-        as a Fraction, a Decimal or a tensor. A boolean is no number, nor is text that reads like one.
+        as a Fraction, a Decimal or a tensor. Booleans and numbers in text are refused.
     name : str
-        What the caller calls it, for the message.
+        The caller's name for it, for the message.
     least : str
-        How the message goes on about the number expected; the caller checks that.
+        Continuation of the message about the expected number; the caller checks this condition.
 
     Raises
     ------
     InputError
-        If `x` is none, or neither finite nor within the range of a float.
+        If `x` is not a number, or is not finite, or exceeds the range of a float.
     """
     if isinstance(x, (bool, np.bool_, str, bytes, bytearray)) or not _maybe_a_number(x):
         raise InputError(f"{name}: expected a number, found {short(x)}")
@@ -188,15 +188,15 @@ def real(x: Any, name: str, *, least: str = "") -> float:
 
 
 def _maybe_a_number(x: Any) -> bool:
-    """Leave out arrays with axes or a mask, and NumPy's scalars of other kinds, some of which `float` takes."""
+    """Whether `float` may be tried; false for arrays with axes or a mask, and for NumPy's scalars of other kinds."""
     if isinstance(x, (np.ndarray, np.generic)):
         return x.ndim == 0 and x.dtype.kind in "fiuO" and not np.ma.is_masked(x)
     return True
 
 
 def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
-    """Check a finite number above zero (or not below it, with `zero`); see `real` for what a number is."""
-    if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # the usual case, quickly
+    """Check a finite number above zero (or not below it, with `zero`); see `real` for the accepted types."""
+    if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # a fast path for the usual case
         return x
     least = " >= 0" if zero else " > 0"
     value = real(x, name, least=least)
@@ -206,10 +206,10 @@ def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
 
 
 def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> int:
-    """Check an integer that is neither below `least` nor above `most`; a boolean is none."""
+    """Check an integer from `least` to `most`; a boolean is refused."""
     try:
         value = least - 1 if isinstance(x, bool) or np.ma.is_masked(x) else operator.index(x)
-    except Exception:  # a TypeError, or what an object of the caller's raises
+    except Exception:  # a TypeError, or an error from the caller's object
         value = least - 1
     if value < least:
         raise InputError(f"{name}: expected an integer >= {least}, found {short(x)}")
@@ -219,7 +219,7 @@ def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> 
 
 
 def flag(x: Any, name: str) -> bool:
-    """Check a choice between True and False; no other value is taken for either, such as the text 'no'."""
+    """Check a choice between True and False; other values, such as the text 'no', are refused."""
     if x is True or x is False:
         return bool(x)
     if isinstance(x, np.bool_):
@@ -229,32 +229,32 @@ def flag(x: Any, name: str) -> bool:
 
 def choice(x: Any, name: str, known: Collection[str]) -> str:
     """Check that `x` is one of the `known` names."""
-    if isinstance(x, str) and x in known:  # first, since an array compares by entries, and a list has no hash
+    if isinstance(x, str) and x in known:  # first, since arrays compare by entries, and lists have no hash
         return x
     raise UnknownNameError(f"{name}: expected one of {', '.join(known)}, found {short(x)}")
 
 
 def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
-    """Check something to go through, once, and go through it; text is no list of its letters."""
+    """Check an iterable and iterate over it once; text is not accepted as a list of its letters."""
     if isinstance(x, (str, bytes, bytearray)):
         raise InputError(f"{name}: expected {wanted}, found one text, {short(x)}")
     try:
         return list(x)
     except MemoryError:
         raise
-    except Exception:  # no iterable, or what an object of the caller's raises
+    except Exception:  # not iterable, or an error from the caller's object
         raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
 
 
 def callback(x: Any, name: str) -> Any:
-    """Check a function to call, or None."""
+    """Check a callable, or None."""
     if x is not None and not callable(x):
         raise InputError(f"{name}: expected a function or None, found {short(x)}")
     return x
 
 
 def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """Shape that batch shapes broadcast to; the error names those that do not."""
+    """Shape to which batch shapes broadcast; the error names shapes that do not broadcast."""
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
@@ -295,7 +295,7 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     T : array_like, shape (..., 4, 4), or None
         Homogeneous matrices; ``None`` is the identity.
     check : bool
-        False leaves the entries to whoever goes through them anyway.
+        False leaves the check of the entries to the kernels, which read them anyway.
 
     Raises
     ------
@@ -312,7 +312,7 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     if array.shape[-2:] != (4, 4):
         cure = "; T = np.eye(4), T[:3, :3] = rotation, T[:3, 3] = translation makes one"
         raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}{cure}")
-    if not array.flags.carray:  # read-only: to Numba another type, see above
+    if not array.flags.carray:  # read-only arrays are another type to Numba, see above
         array = array.copy()
     if check:
         rigid_motions(array, name)
@@ -320,7 +320,7 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
 
 
 def pose(T: ArrayLike | None, name: str) -> Floats:
-    """Check one rigid motion, shape (4, 4); ``None`` is the identity. The array returned is the caller's own."""
+    """Check one rigid motion, shape (4, 4), and return a new array; ``None`` is the identity."""
     checked = poses(T, name)
     if checked.shape != (4, 4):
         raise PoseError(f"{name}: expected shape (4, 4), found {shape_text(checked.shape)}")
@@ -352,19 +352,19 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
     ----------
     x : str or os.PathLike of str
     name : str
-        What the caller calls it, for the message.
+        The caller's name for it, for the message.
     wanted : str
-        What it is to be, for the message.
+        Description of the expected file, for the message.
 
     Raises
     ------
     InputError
-        If `x` is no text, is empty, or holds a NUL or what the file system cannot encode (lone surrogates other
-        than those with which Python itself writes names that are not UTF-8).
+        If `x` is not text, is empty, or contains a NUL or characters that the file system cannot encode (lone
+        surrogates, except for the ones with which Python itself represents names that are not UTF-8).
     """
     try:
         text = os.fspath(x)
-    except Exception as error:  # a path-like object of the caller's may raise anything
+    except Exception as error:  # the caller's path-like object may raise any error
         found = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
         raise InputError(f"{name}: expected {wanted}, found {short(x)}{found}") from None
     if not isinstance(text, str) or not text:
@@ -379,16 +379,16 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
 
 
 def short(x: Any) -> str:
-    """What a message shows of a value: its `repr`, cut where it is long, or its type if it has none."""
+    """A value as shown in messages: its `repr`, cut if it is long, or its type if it has none."""
     try:
         text = repr(x)
-    except Exception:  # an object of the caller's, or an integer of more digits than Python writes
+    except Exception:  # the caller's object, or an integer with more digits than Python writes
         text = f"{type(x).__name__}, which cannot be shown"
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 20]} ... ({type(x).__name__})"
 
 
 def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
-    """Make the error about a name that is none of the `known` ones: it lists them, and the nearest first."""
+    """Make the error about a name that is not among the `known` ones, which it lists, nearest first."""
     import difflib  # for this message only
 
     listed = list(known)
@@ -412,7 +412,7 @@ class Named(dict[str, Entry]):
 
 
 def brief(record: Any) -> str:
-    """Write a result for people: numbers as they are, long arrays by their shapes, on a few lines at most."""
+    """Write a result in a readable form: numbers in full, long arrays by their shapes, in a few lines."""
     parts = []
     for entry in fields(record):
         value = getattr(record, entry.name)
@@ -426,7 +426,7 @@ def brief(record: Any) -> str:
 
 
 def fits_memory(needed: int, what: str) -> None:
-    """Refuse results of `needed` bytes that do not fit into the machine's memory, or into a limit on this process."""
+    """Refuse results of `needed` bytes that exceed the machine's memory or a limit on this process."""
     there, which = physical_memory(), ""
     if needed >= _memory.LOOK:
         there, which = min((there, which), _memory.left())

@@ -1,4 +1,4 @@
-"""Memory that kernels write to: each thread has its own, and uses it again for the next query."""
+"""Memory to which kernels write: each thread has its own, and reuses it for the next query."""
 
 import threading
 
@@ -8,7 +8,7 @@ from loewner._kernels.columns import CACHE_LINE
 
 
 class Memory:
-    """A piece of memory for kernels to write to, which begins at a cache line; one thread uses it at a time."""
+    """A block of memory to which kernels write, aligned to a cache line; one thread uses it at a time."""
 
     def __init__(self, size: int) -> None:
         self._raw = np.empty(size + CACHE_LINE, dtype=np.uint8)
@@ -18,8 +18,8 @@ class Memory:
 
 class _Own(threading.local):
     def __init__(self) -> None:
-        # All that were made, the largest last. A signal handler may ask for more between another query's look and its
-        # use, so none is given back before the thread ends; together they are at most twice the largest.
+        # All blocks made so far, the largest last. A signal handler may request more between another query's lookup and
+        # its use, so no block is freed before the thread ends; together they are at most twice the largest.
         self.made = [Memory(0)]
 
 

@@ -1,4 +1,4 @@
-"""Closed parts of a mesh: separated where they share edges, oriented outward, cavities with their parts."""
+"""Split a mesh into closed parts: separated at shared edges, oriented outward, each with its cavities."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from loewner._validate import Floats, Ints
 from loewner.protrusion import Solid
 
-# Triangles at this angle to each other about an edge lie on one another [rad]: single precision, and some.
+# Triangles at a smaller angle about an edge [rad] count as coincident: somewhat above single precision.
 SAME_ANGLE = 1e-5
 
-# Corners of a part that tell whether it lies in another one.
+# Number of corners of a part that decide whether it lies in another part.
 WITNESSES = 64
 
 
@@ -23,9 +23,9 @@ class ClosedPart:
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Counter-clockwise seen from outside the solid; the triangles of cavities, seen from within the cavity.
+        Counter-clockwise seen from outside the solid, which for a cavity is from within the cavity.
     volume : float
-        Volume without the cavities, in cubic metres.
+        Volume minus the cavities, in cubic metres.
     """
 
     triangles: Ints
@@ -36,7 +36,7 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
     """Split a mesh into closed parts; None if its surface has a border, or changes its orientation.
 
     Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part in which
-    it lies; if it lies in none, it was inside out and is reversed.
+    it lies; if it lies in no part, it was inside out and is reversed.
     """
     neighbours = _neighbours(vertices, triangles)
     if neighbours is None:
@@ -51,7 +51,7 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
     order = np.argsort(label, kind="stable")
     surfaces = np.split(triangles[order], np.cumsum(np.bincount(label, minlength=count))[:-1])
     volumes = [volume(vertices, surface) for surface in surfaces]
-    if sum(volumes) < 0:  # turned inside out as a whole
+    if sum(volumes) < 0:  # the whole mesh is inside out
         surfaces, volumes = [surface[:, ::-1] for surface in surfaces], [-v for v in volumes]
 
     solids = [k for k in range(count) if volumes[k] >= 0]
@@ -81,12 +81,12 @@ def volume(vertices: Floats, triangles: Ints) -> float:
 
 
 def _neighbours(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
-    """Pairs of triangles that bound the same solid at an edge; None if some edge of a triangle has no other."""
+    """Pairs of triangles that bound the same solid at an edge; None if an edge has only one triangle."""
     count, span = len(triangles), int(triangles.max()) + 1
     start, end = triangles.T.reshape(-1), np.roll(triangles, -1, axis=1).T.reshape(-1)
     forth = start < end
     key = np.minimum(start, end) * span + np.maximum(start, end)
-    # Sorted by edge, and the triangles that go along it before those that go back.
+    # Sorted by edge, with the triangles that run forward along it before the triangles that run backward.
     order = np.lexsort((~forth, key))
     first = np.flatnonzero(np.r_[True, np.diff(key[order]) != 0])
     uses = np.diff(np.r_[first, len(order)])
@@ -102,7 +102,7 @@ def _neighbours(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
 
 
 def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np.ndarray) -> tuple[Ints, Ints]:
-    """Pair the triangles about an edge so that solid lies between the two of each pair."""
+    """Pair the triangles about an edge so that the solid lies between the two of each pair."""
     start, end = triangles[of[0], corner[0]], triangles[of[0], (corner[0] + 1) % 3]
     low, high = sorted((int(start), int(end)))
     axis = vertices[high] - vertices[low]
@@ -110,8 +110,8 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     arms = vertices[triangles[of, (corner + 2) % 3]] - vertices[low]
     angle = np.arctan2(arms @ np.cross(axis, side), arms @ side)
-    # Counter-clockwise about the edge, solid begins at a triangle that goes back along it and ends at one that goes
-    # forth; where two lie on one another, what ends comes before what begins.
+    # Counter-clockwise about the edge, the solid begins at a triangle that runs backward along it and ends at one that
+    # runs forward; where two coincide, ends come before beginnings.
     rank = np.argsort(angle)
     place = np.empty(len(of), dtype=np.int64)
     place[rank] = np.cumsum(np.r_[0, np.diff(angle[rank]) > SAME_ANGLE])
@@ -120,7 +120,7 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     rank = np.lexsort((~forth, place))
     depth = np.cumsum(np.where(forth[rank], -1, 1))
     rank = np.roll(rank, -(int(depth.argmin()) + 1))
-    # Whatever began first ends first: with parts that overlap, either way of pairing leaves closed surfaces.
+    # First begun, first ended: with overlapping parts, either way of pairing leaves closed surfaces.
     return of[rank[~forth[rank]]], of[rank[forth[rank]]]
 
 

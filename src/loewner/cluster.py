@@ -1,9 +1,9 @@
-"""Work on several processes or machines, with Dask: fits of mesh corpora, and checkers on large arrays.
+"""Fit mesh corpora and run checkers on large arrays, on several processes or machines, with Dask.
 
 Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
 
-A task uses one thread. Dask starts as many tasks at a time as a worker has threads; calls that each used all
-processors, as they do elsewhere, would compete with one another.
+A task uses one thread. Dask starts as many tasks at a time as a worker has threads, so calls that use all processors,
+as they do elsewhere, would compete with one another.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ __all__ = ["Fitted", "certify_edges", "collide", "distance", "fit"]
 # How long a scheduler may take to answer [s].
 PATIENCE = 10
 
-# Files that are handed to the scheduler in one message.
+# Number of files sent to the scheduler in one message.
 AT_A_TIME = 4096
 
-# How often the same work is requested, if it is cancelled while the scheduler lives.
+# How often the same work is requested if it is cancelled while the scheduler is alive.
 ATTEMPTS = 4
 
-# Records are a few hundred bytes, and a name of 255 letters at most.
+# A record takes a few hundred bytes, and a name of at most 255 letters.
 LARGEST_RECORD = 2**16
 
-# A mesh of such a file may be in other files, which its own bytes do not tell.
+# Such a file may refer to other files for its mesh, so its own bytes do not identify the mesh.
 LINKING = (".gltf", ".glb")
 
 HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker ADDRESS --nworkers auto`"
@@ -64,11 +64,11 @@ class Fitted:
     Attributes
     ----------
     done : dict of Path to Path
-        Meshes and the files of their bodies that this call made.
+        Meshes whose bodies this call made, with the files of the bodies.
     skipped : dict of Path to Path
-        Likewise, files that already existed, of the same mesh and with the same options.
+        Likewise for files that already existed for the same mesh and options.
     failed : dict of Path to str
-        The reason of failure for each of the others.
+        The reason of failure for each remaining mesh.
     warned : dict of Path to tuple of str
         Warnings of `Body.from_mesh` for meshes that were fitted or skipped: holes, for instance, or an unusual size.
 
@@ -110,7 +110,7 @@ def fit(
     Parameters
     ----------
     paths : iterable of path
-        Mesh files. The workers read them, and write the bodies, under the same names, so several machines need shared
+        Mesh files. The workers read them and write the bodies under the same paths, so several machines need shared
         folders. A path that is given twice counts once.
     client : distributed.Client or str
         Client of the cluster, or the address of its scheduler.
@@ -118,17 +118,17 @@ def fit(
         Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``. Beside it,
         ``part.fit.json`` records its mesh and options.
     root : path, optional
-        A folder that contains all meshes: below `out`, bodies are then in the same folders as their meshes below
-        `root`. Default: all bodies are in `out` itself.
+        A folder that contains all meshes; bodies then go to the same subfolders of `out` as their meshes have in
+        `root`. Default: all bodies go to `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
-        As for `Body.from_mesh`: a `tolerance` is in metres.
+        As for `Body.from_mesh`; `tolerance` is in metres.
     progress : callable, optional
         Called as ``progress(done, total)`` after each file.
 
     Returns
     -------
     Fitted
-        It lists files that could not be fitted, which raise no error.
+        Files that could not be fitted are listed and raise no error.
 
     Raises
     ------
@@ -194,14 +194,14 @@ def _checked_options(
     Raises
     ------
     InputError
-        If it would refuse them. It is asked, for a body that it takes no time to fit: nobody wants to hear the same of
-        each of a thousand files.
+        If `Body.from_mesh` would refuse them. They are tried once on a tiny body, so that a bad option is reported once
+        and not for each file.
     """
     options = {
         "decompose": decompose, "tol": tol, "scale": scale, "cover": cover, "tolerance": tolerance,
         "threshold": threshold, "max_pieces": max_pieces, "seed": seed,
     }  # fmt: skip
-    with told_to([]), suppress(GeometryError):  # too small or too large a body for this scale; meshes need not be
+    with told_to([]), suppress(GeometryError):  # the scale may suit meshes and not the tiny body
         Body.from_mesh(TETRAHEDRON, **options)
     return {
         "decompose": bool(decompose),
@@ -216,7 +216,7 @@ def _checked_options(
 
 
 def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
-    """Where the body of each mesh goes.
+    """The file of the body of each mesh.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
 
 
 def _below(mesh: Path, root: Path | None) -> Path:
-    """Name of a mesh, with the folders that lead to it from the root."""
+    """Path of a mesh relative to the root."""
     if not mesh.name:
         raise InputError(f"paths: expected paths of files, found {shown(mesh)!r}")
     if root is None:
@@ -250,7 +250,7 @@ def _below(mesh: Path, root: Path | None) -> Path:
 
 
 def _absolute(path: Path) -> Path:
-    """The same file for a process in another folder."""
+    """Absolute path, valid for a process in another folder."""
     return Path(os.path.abspath(path))
 
 
@@ -261,11 +261,11 @@ def _make_folder(folder: Path) -> None:
         raise FileError(f"{shown(folder)}: expected a folder, could not make it ({error.strerror or error})") from None
 
 
-# -- what a worker does ---------------------------------------------------------------------------
+# -- workers --------------------------------------------------------------------------------------
 
 
 def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> Outcome:
-    """Make the body of a mesh, unless it is there: the task of a worker. A file's errors are its result."""
+    """Make the body of a mesh unless it exists: the task of a worker, which returns a file's errors as its result."""
     with at_most(1):
         return outcome_of(Path(mesh), lambda: _body_of(Path(mesh), Path(target), options, run))
 
@@ -279,13 +279,14 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
     del data
     record = _record(target)
     if record is not None and (alone or record.get("run") == run) and wanted.items() <= record.items():
-        # Another worker may have made it for this same call, and died before it could say so.
+        # Another worker may have made it for this call, and died before it could report it.
         status = "done" if record.get("run") == run else "skipped"
         return Outcome(status, warnings=tuple(map(str, record.get("warnings", ()))))
     warnings: list[str] = []
     with told_to(warnings):
         body = Body.from_mesh(mesh, **options)
-    # Old and new record differ in the checksum of the body: whenever a worker dies here, neither fits the other's body.
+    # The old and the new record differ in the body's checksum: even if a worker dies here, no record matches a wrong
+    # body.
     body.save(target)
     made = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
     with replacing(_record_path(target)) as temporary:
@@ -294,12 +295,12 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
 
 
 def _record(target: Path) -> dict[str, Any] | None:
-    """What was written beside a body about it; None if there is none, or it is about another one."""
+    """The record beside a body; None if it does not exist or belongs to another body."""
     try:
         record = json.loads(read_regular(_record_path(target), "a record", LARGEST_RECORD))
         if isinstance(record, dict) and record.get("body_sha256") == _checksum_of_body(target):
             return record
-    except (FileError, ValueError, RecursionError):  # not there, or damaged
+    except (FileError, ValueError, RecursionError):  # missing or damaged
         pass
     return None
 
@@ -316,13 +317,13 @@ def _checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-# -- what the client does -------------------------------------------------------------------------
+# -- client ---------------------------------------------------------------------------------------
 
 
 def _outcomes(
     client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
 ) -> dict[Path, Outcome]:
-    """Have the workers make all bodies, and wait for them; what is cancelled meanwhile is requested again.
+    """Have the workers make all bodies, and wait for them; cancelled work is requested again.
 
     Raises
     ------
@@ -357,7 +358,7 @@ def _request(
     run: str,
     report: Callable[[Path, Outcome], None],
 ) -> None:
-    """Report the outcomes of meshes, but for what is cancelled; whatever ends the wait ends the work."""
+    """Report the outcomes of meshes, except for cancelled ones; if the wait ends early, so does the work."""
     futures = client.map(
         _fit_one,
         [str(_absolute(mesh)) for mesh in targets],
@@ -367,7 +368,7 @@ def _request(
         pure=False,
         batch_size=AT_A_TIME,
     )
-    # An outcome that somebody still holds is kept by the worker that made it, and made again if that one dies.
+    # A worker keeps an outcome as long as a reference to it exists; if the worker dies, the outcome is computed again.
     waiting = dict(zip(futures, targets, strict=True))
     del futures
     try:
@@ -378,15 +379,15 @@ def _request(
             if outcome is not None:
                 report(mesh, outcome)
     except BaseException:
-        with suppress(Exception):  # the scheduler may be what went away
+        with suppress(Exception):  # perhaps the scheduler itself is gone
             client.cancel(list(waiting))
         raise
 
 
 def _outcome(future: Any, mesh: Path) -> Outcome | None:
-    """What a worker returned, or why none could; None if that was cancelled, or the scheduler cannot be reached."""
+    """Result of a worker, or its error; None if it was cancelled or the scheduler cannot be reached."""
     try:
-        outcome: Outcome = future.result()  # that of a worker that died meanwhile is made again, and waited for
+        outcome: Outcome = future.result()  # the outcome of a worker that has died is computed again, and waited for
     except _distributed().KilledWorker:
         return Outcome(
             "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
@@ -401,14 +402,14 @@ def _outcome(future: Any, mesh: Path) -> Outcome | None:
 
 
 def _reconnected(client: Any) -> bool:
-    """Tell whether the scheduler is there, once a client that has lost it has found it again or given up."""
+    """Whether the scheduler is available, after a client that lost it has reconnected or given up."""
     while client.status == "connecting":
         time.sleep(0.05)
     return bool(client.status == "running")
 
 
 def _as_called(text: str, mesh: Path) -> str:
-    """What a worker says of a file, with the name that the caller has for it."""
+    """A worker's message about a file, with the caller's name for the file."""
     there = f"{shown(_absolute(mesh))}: "
     return f"{shown(mesh)}: {text.removeprefix(there)}" if text.startswith(there) else text
 
@@ -429,19 +430,19 @@ def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, Outcome]) -> Fit
 
 @contextmanager
 def _connected(client: Any) -> Iterator[Any]:
-    """A client that can be used; one made for an address is closed in the end.
+    """A usable client; a client made for an address is closed at the end.
 
     Raises
     ------
     InputError
-        If it is neither a client that is open nor the address of a scheduler.
+        If it is neither an open client nor the address of a scheduler.
     """
     distributed = _distributed()
     if isinstance(client, str):
         try:
-            distributed.comm.resolve_address(client)  # what is no address: a client would be left half made
+            distributed.comm.resolve_address(client)  # not an address, which would leave a client half initialised
             made = distributed.Client(client, timeout=PATIENCE, set_as_default=False)
-        except Exception as error:  # whatever a protocol raises: most are ValueError or OSError
+        except Exception as error:  # any error of a protocol; most are ValueError or OSError
             raise InputError(
                 f"client: expected the address of a Dask scheduler, as tcp://host:8786, found "
                 f"{_validate.short(client)} ({error}); {HOW_TO_START}"
@@ -564,9 +565,9 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
 
     Notes
     -----
-    As for `collide`. A motion takes tens of times as long as a configuration: about a thousand motions per chunk are
-    suitable. Values change linearly: a roadmap moves joints that turn without limits the shorter way around, so add
-    whole turns to `Q1` there.
+    As for `collide`. A motion takes tens of times as long as a configuration, so about a thousand motions per chunk are
+    suitable. Values change linearly, but a roadmap moves joints that turn without limits the shorter way around: add
+    whole turns to `Q1` for these joints.
 
     Examples
     --------
@@ -586,7 +587,7 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
 def _by_chunks(
     task: Callable[..., Any], dtype: Any, checker: CollisionChecker, arrays: dict[str, Any], **more: Any
 ) -> Any:
-    """What a task says of each chunk, the last axis of which is a configuration's."""
+    """Apply a task to each chunk; the last axis of a chunk holds the entries of a configuration."""
     da, delayed = _dask_array()
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {_validate.short(checker)}")
@@ -598,8 +599,9 @@ def _by_chunks(
             f"expected Q0 and Q1 of one shape, found {' and '.join(str(Q.shape) for Q in arrays.values())}"
         )
     first = first.rechunk({-1: -1})
-    # As bytes: a copy of this moment, whose checksum names it. The task that unpacks them is sent once, its result to
-    # each worker that has a chunk; a checker that is in a task's arguments would be sent with each task.
+    # The checker is sent as bytes, a copy of its current state that is named by its checksum. The task that unpacks
+    # them is sent once, and its result to each worker that has a chunk; a checker among a task's arguments would be
+    # sent with each task.
     packed = pickle.dumps(checker, protocol=pickle.HIGHEST_PROTOCOL)
     there = delayed(pickle.loads)(packed, dask_key_name=f"loewner-checker-{_checksum(packed)[:32]}")
     return da.map_blocks(

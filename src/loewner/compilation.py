@@ -1,4 +1,4 @@
-"""Compile ahead of first use, on all cores, the kernels that queries otherwise compile at their first call."""
+"""Compile kernels ahead of first use, on all cores; otherwise a query compiles its kernels when it is first called."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from loewner import _validate
 from loewner._native import entries, library
 from loewner.errors import FileError
 
-# Modules below `loewner._kernels`, or the first letters of their names, by the part that their entries belong to.
+# Modules below `loewner._kernels`, or prefixes of their names, by the part to which their entries belong.
 _MODULES = {
     "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pieces.rigid"),
     "crowds": ("trees.boxes",),
@@ -27,17 +27,17 @@ _MODULES = {
 }
 PARTS = tuple(_MODULES)
 
-# What one process compiles, since most of it is the same; those that take longest first.
+# Parts that share most of their code and are compiled by one process; the longest groups come first.
 _TOGETHER = (("verdicts", "crowds", "robots"), ("fits", "surfaces"), ("distances", "estimates", "paper"))
 
-POLL = 0.1  # seconds between looks at the processes
+POLL = 0.1  # seconds between polls of the processes
 
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
     """Compile kernels for this machine now, in as many processes as are useful.
 
-    Kernels that have been compiled before are only looked up, which takes some seconds. Where the native library is in
-    use there is nothing to compile.
+    Kernels that have been compiled before are only looked up, which takes a few seconds. If the native library is in
+    use, there is nothing to compile.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class _Group:
 
     def __init__(self, names: list[str], folder: Path) -> None:
         self.names = names
-        # Files, not pipes: nobody has to read them in time, and a full pipe would stop the process.
+        # Files, not pipes: a pipe that is not read in time fills up and blocks the process.
         self._told, self._said = folder / f"{names[0]}.out", folder / f"{names[0]}.err"
         environment = {**os.environ, "LOEWNER_QUIET": "1"}
         command = [sys.executable, "-c", _code(names)]
@@ -106,19 +106,19 @@ class _Group:
             self.process = subprocess.Popen(command, env=environment, stdout=told, stderr=said)
 
     def done(self) -> int:
-        """How many parts are done."""
+        """Number of parts that are done."""
         return sum(line in self.names for line in self._told.read_text(encoding="utf-8", errors="replace").splitlines())
 
     def check(self) -> None:
-        """Raise what the process ended with."""
+        """Raise the error with which the process ended, if any."""
         if self.process.returncode:
             what, why = ", ".join(self.names), self._said.read_text(encoding="utf-8", errors="replace").strip()[-2000:]
             raise FileError(f"the kernels for {what} could not be compiled:\n{why}")
 
 
 def _code(names: list[str]) -> str:
-    # This package, wherever it lies. And Numba makes millions of small objects that stay: looking through them for
-    # garbage takes a sixth of the time.
+    # The child imports this copy of the package. Numba makes millions of small permanent objects, and collecting
+    # garbage among them would take a sixth of the time.
     return f"""
 import gc, sys
 sys.path.insert(0, {str(Path(__file__).parent.parent)!r})

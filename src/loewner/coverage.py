@@ -1,4 +1,4 @@
-"""Parts of a mesh's surface that convex pieces leave uncovered: measured with a proven bound, covered on request.
+"""Measure, with a proven bound, the parts of a mesh's surface that convex pieces leave uncovered, and cover them.
 
 A decomposition cuts corners, and the missing corners would be free. Its pieces are therefore grown until they contain
 the whole surface.
@@ -14,9 +14,9 @@ from loewner._validate import Floats, Ints
 from loewner.polytopes import Polytope
 from loewner.triangles import halved, longest_edges, squared_distances
 
-# What sticks out of the nearest piece by more than GROWTH is cut into cells, down to CELL_SIZE; both
-# are relative to the diagonal of the mesh's box. So a piece grows by 0.1 % of it over a face and by
-# 0.25 % over an edge that it shares with another piece.
+# Parts that stick out of the nearest piece by more than GROWTH are cut into cells, down to CELL_SIZE; both are relative
+# to the diagonal of the mesh's box. A piece thus grows by 0.1 % of the diagonal over a face and by 0.25 % over an edge
+# that it shares with another piece.
 GROWTH = 0.001
 CELL_SIZE = 0.0025
 
@@ -48,11 +48,11 @@ class Covering:
     samples : int
         Number of points of the surface that were tested, including all mesh vertices.
     max_protrusion : float
-        Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres: to the
-        solid that a closed mesh bounds (all points with a winding number other than 0), or to the surface itself of a
-        mesh that is not closed. It is within 1 % of the true value, or 1e-4 of the diagonal of the mesh's box, unless
-        the mesh is so large that the search was stopped. NaN in files of bodies that were written before this value
-        existed.
+        Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres. For a
+        closed mesh it is the distance to the enclosed solid (all points with a winding number other than 0), for other
+        meshes the distance to the surface. It is within 1 % of the true value, or 1e-4 of the diagonal of the mesh's
+        box, unless the mesh is so large that the search was stopped. NaN in files of bodies that were written before
+        this value existed.
 
     Examples
     --------
@@ -103,18 +103,17 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
 def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float) -> tuple[Floats, Ints, int]:
     """Cells of the surface that lie in no single piece.
 
-    A triangle lies in a convex piece if its corners do. One that lies in none is halved across
-    its longest edge until it does, sticks out by no more than `growth`, or has no edge longer
-    than `cell_size`.
+    A triangle lies in a convex piece if its corners do. A triangle that lies in no piece is halved across its longest
+    edge until its parts do, stick out by no more than `growth`, or have no edge longer than `cell_size`.
 
     Returns
     -------
     cells : ndarray, shape (k, 3, 3)
-        Corners of what is left.
+        Corners of the remaining cells.
     owner : ndarray of int, shape (k,)
-        The piece that each cell sticks out of least.
+        Index of the piece to which each cell is closest.
     samples : int
-        Points tested.
+        Number of points tested.
     """
     rest, owners, samples = [np.empty((0, 3, 3))], [np.empty(0, dtype=np.int64)], 0
     while len(triangles):
@@ -131,7 +130,7 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
 
 
 def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Floats, Ints]:
-    """For each cell the piece it sticks out of least, and a lower bound on how far (<= 0: it lies inside)."""
+    """For each cell the closest piece, and a lower bound on how far it sticks out of it (<= 0: it is inside)."""
     worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
     for j, hull in enumerate(hulls):
         box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)
@@ -153,7 +152,7 @@ def _excess(points: Floats, hull: Polytope) -> Floats:
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Greatest over the cells of the least over the pieces of the distance of the cell's farthest corner."""
+    """Maximum over the cells of the minimum over the pieces of the distance of the cell's farthest corner."""
     points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
     corner = index.reshape(-1, 3)
     corner = corner[_coverage(points, corner, hulls)[0] > 0]
@@ -161,7 +160,7 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
         return 0.0
     least = np.full(len(corner), np.inf)
     for hull in hulls:
-        # A piece that is farther by the lower bound than another one is by distance is not needed.
+        # A piece whose lower bound exceeds another piece's distance is not needed.
         near = _excess(points, hull)[corner].max(axis=1) < least
         used = np.unique(corner[near])
         distance = np.full(len(points), np.inf)
@@ -173,7 +172,7 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
 def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
     """Distance of points to a convex piece, 0 inside.
 
-    The nearest point lies on a face that the point sees; with `slack`, rounding hides none of them.
+    The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.
     """
     distance = np.zeros(len(points))
     chunk = max(1, 500_000 // len(hull.simplices))

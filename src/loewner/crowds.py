@@ -1,4 +1,4 @@
-"""Which of many bodies meet, and how deep: a broad phase over their boxes, then verdicts for the remaining pairs."""
+"""Pairs of many bodies that meet, and their depths: a broad phase over boxes, then verdicts for the remaining pairs."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import ConvergenceError, InputError, PoseError
 
-# The smallest share of a crowd that is worth handing to a thread.
+# The smallest number of bodies that is worth a thread of its own.
 CHUNK = 4096
 
-# Candidate pairs that are found before they are settled, in addition to the most that one group of boxes can have.
+# Candidate pairs collected before they are settled, in addition to the most that one group of boxes can have.
 CANDIDATES = 65536
 
-# A body takes two corners of its box; its keys, sorted, and its place in the order; and its share of the groups' boxes.
+# A body takes two corners of its box; its sorted keys and its place in the order; and its share of the groups' boxes.
 BODY_BYTES = 128
 
-# A pair that is found takes a key, its copies when all are put together, and the two numbers that are returned.
+# A pair found takes a key, the key's copies when all are concatenated, and the two numbers that are returned.
 PAIR_BYTES = 40
 
-# If it is measured, its rows once more, and what its distance takes.
+# A measured pair takes its rows once more, and its distance.
 DEPTH_BYTES = 16 + EXACT_BYTES
 
 MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
@@ -114,7 +114,7 @@ def overlapping_pairs(
     bodies : Bodies, or Body
         n bodies, or one body that is placed at each of n poses.
     T_world : array_like, shape (n, 4, 4), or None
-        Poses of the bodies; translation in metres. None: all in their own frames.
+        Poses of the bodies; translation in metres. None is the identity for all.
     margin : float
         In metres; bodies at this distance or less count as colliding.
     method : {"exact", "certified"}
@@ -127,7 +127,7 @@ def overlapping_pairs(
     -------
     ndarray of int64, shape (m, 2), or Overlaps
         Numbers i < j of the bodies, each pair once, in lexicographic order. Pairs that are not listed are proven free.
-        With ``depth=True`` an `Overlaps`, whose `pairs` these are.
+        With ``depth=True`` an `Overlaps` with these as its `pairs`.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Float
 
 
 def _asked(count: int, rows: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Operands:
-    """Operands of queries about listed pairs: both are the same bodies, one step from row to row, or one for all."""
+    """Operands of queries about listed pairs: the same bodies twice, with one row for each body or one row for all."""
     plan = np.array([[count], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
     packed, T = operands
     return plan, rows, packed.handle, T, packed.handle, T
@@ -222,7 +222,7 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tup
 
 
 def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tuple[Floats, Ints, Ints]:
-    """Groups of boxes, where each level of them starts, and the order of the bodies in the lowest."""
+    """Groups of boxes, the start of each level of groups, and the order of the bodies in the lowest level."""
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
 
     def box(first: int, last: int) -> None:
@@ -243,9 +243,9 @@ def _settled(
     operands: tuple[Packed, Floats],
     counts: list[int],
 ) -> Ints:
-    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j.
+    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, encoded as i n + j.
 
-    How many they are is added to `counts`, which all threads share.
+    Their number is added to `counts`, which all threads share.
     """
     n = len(tree[2])
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
@@ -272,7 +272,7 @@ def _settled(
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
-    """An answer that arithmetic could not settle is an exception, never a guess."""
+    """Raise an exception for answers that arithmetic could not settle, never a guess."""
     unsettled = np.flatnonzero(out == codes.AMBIGUOUS)
     if len(unsettled):
         pair = int(a[unsettled[0]]), int(b[unsettled[0]])

@@ -1,7 +1,7 @@
-"""Two ellipsoids: do they overlap, and where do they come closest?
+"""Overlap, contact function and near points of two ellipsoids.
 
 Every function takes two `Ellipsoids`, single or batches, whose batch shapes broadcast. Only the difference of the
-centers enters, so a far-away world frame costs no digits, and all quantities are relative to the ellipsoids' own size.
+centers is used, so a far-away world frame costs no digits, and all quantities are relative to the ellipsoids' own size.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class NearPoints:
     Attributes
     ----------
     point_1, point_2 : ndarray, shape (..., 3)
-        On the first and on the second ellipsoid, in metres. If an overlap was found, both are the same point, which
+        Points on the first and on the second ellipsoid, in metres. If an overlap was found, both are one point that
         lies in both ellipsoids.
     distance : ndarray, shape (...)
         ``|point_2 - point_1|``, in metres; 0 where an overlap was found.
@@ -66,7 +66,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape (...)
-        In plain float64 arithmetic; for proven answers see `loewner.classify`.
+        Decided in plain float64 arithmetic; for proven answers see `loewner.classify`.
 
     Raises
     ------
@@ -137,14 +137,14 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     E1, E2 : Ellipsoids
         In 3-D; batches broadcast.
     method : {"lin-han", "rimon-boyd", "center-line"}
-        "lin-han": the true nearest points, to `angle`. "rimon-boyd": on each ellipsoid the point that the other's level
-        surfaces touch first. "center-line": the points where the segment between the centers crosses the surfaces. The
-        last two are closed forms whose distance is never below the true one, and "center-line" detects an overlap only
-        on its segment.
+        "lin-han": the true nearest points, to within `angle`. "rimon-boyd": on each ellipsoid the point that the
+        other's level surfaces touch first. "center-line": the points where the segment between the centers crosses the
+        surfaces. The last two are closed forms whose distance is never below the true one; "center-line" detects an
+        overlap only on this segment.
     angle : float
         For "lin-han": at both points the outward normal and the direction to the other point differ by at most this
-        many radians. 0.01 is the paper's; 1e-8 gives the distance to about 1e-16 of its size or the rounding of
-        float64, whichever is larger. An overlap so shallow that the angle is reached first is returned as a small
+        many radians. The paper uses 0.01; 1e-8 gives the distance to about 1e-16 of its size or the rounding of
+        float64, if that is larger. An overlap so shallow that the angle is reached first is returned as a small
         distance.
 
     Returns
@@ -158,7 +158,7 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     UnknownNameError
         If the method is not one of the three.
     ConvergenceError
-        If a pair did not reach `angle`; then no results are returned for any pair.
+        If a pair did not reach `angle`; no results are then returned for any pair.
 
     References
     ----------
@@ -197,8 +197,8 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
 class PairArrays:
     """Two checked ellipsoids as a flat batch in kernel form.
 
-    Lengths are divided by a power of two near the pair's size, which rounds nothing and keeps
-    squares and cubes of them in the range of float64.
+    Lengths are divided by a power of two near the pair's size, which rounds nothing and keeps their squares and cubes
+    in the range of float64.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ class PairArrays:
         self.c1 = self._flat(E1.center, n)
         F1, F2 = self._flat(E1.factor, n, n), self._flat(E2.factor, n, n)
         largest = np.maximum(np.abs(F1).max(axis=(1, 2), initial=0.0), np.abs(F2).max(axis=(1, 2), initial=0.0))
-        self.scale = np.ldexp(1.0, np.minimum(np.frexp(largest)[1], 1023))  # 2^1024 is beyond the floats
+        self.scale = np.ldexp(1.0, np.minimum(np.frexp(largest)[1], 1023))  # 2^1024 overflows
         with np.errstate(over="ignore"):
             self.offset = (self._flat(E2.center, n) - self.c1) / self.scale[:, None]
         if not np.isfinite(self.offset).all():

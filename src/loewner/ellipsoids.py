@@ -1,4 +1,4 @@
-"""Ellipsoids, one or a batch, in any dimension: E = {c + F u : |u| <= 1}, Q = F Fᵀ."""
+"""Ellipsoids in any dimension, single or in batches: E = {c + F u : |u| <= 1}, Q = F Fᵀ."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Ellipsoids:
     Notes
     -----
     The `inner` ellipsoids of bodies include points: a surface without a radius has no inside, so its factor is zero.
-    Their semi-axes and volumes are 0, they support and contain only their center, and they remain points when they are
-    moved. Functions of two ellipsoids refuse points.
+    Their semi-axes and volumes are 0, they contain only their center, which is also their support point in every
+    direction, and they remain points when they are moved. Functions of two ellipsoids refuse points.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class Ellipsoids:
 
     @classmethod
     def from_shape_matrix(cls, center: ArrayLike, shape_matrix: ArrayLike) -> Ellipsoids:
-        """Build from Q, E = {x : (x-c)ᵀ Q⁻¹ (x-c) <= 1}.
+        """Build from a shape matrix Q: E = {x : (x-c)ᵀ Q⁻¹ (x-c) <= 1}.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Ellipsoids:
         half, other = (
             Q / 2,
             np.swapaxes(Q, -1, -2) / 2,
-        )  # halves, since whole ones may add up to more than a float holds
+        )  # halves, since the sum of whole numbers may overflow
         if Q.size and np.abs(half - other).max() > 1e-9 * np.abs(half).max():
             raise GeometryError("shape_matrix: expected a symmetric matrix, found Q != Qᵀ")
         try:
@@ -146,7 +146,7 @@ class Ellipsoids:
         batch = _validate.broadcast({"center": c.shape[:-1], "semi_axes and rotation": F.shape[:-2]})
         return cls(np.broadcast_to(c, (*batch, c.shape[-1])), np.broadcast_to(F, (*batch, *F.shape[-2:])))
 
-    # -- what it is ---------------------------------------------------------------------------
+    # -- properties ---------------------------------------------------------------------------
 
     @property
     def dim(self) -> int:
@@ -168,7 +168,7 @@ class Ellipsoids:
             raise BodyIndexError("one ellipsoid cannot be indexed; a batch can")
         try:
             c, F = self.center[index], self.factor[index]
-        except Exception as error:  # an IndexError, or what an object of the caller's raises
+        except Exception as error:  # an IndexError, or an error from the caller's object
             raise BodyIndexError(
                 f"expected an index into a batch of shape {_validate.shape_text(self.batch_shape)}, "
                 f"found {_validate.short(index)} ({error})"
@@ -218,7 +218,7 @@ class Ellipsoids:
         with np.errstate(over="ignore"):
             return np.exp(self.log_volume)
 
-    # -- what it answers ----------------------------------------------------------------------
+    # -- queries ------------------------------------------------------------------------------
 
     def support(self, direction: ArrayLike) -> Floats:
         """Point of each ellipsoid farthest along a direction.
@@ -244,7 +244,7 @@ class Ellipsoids:
         w = np.einsum("...ji,...j->...i", _near_one(self.factor, (-2, -1))[0], _near_one(d, (-1,))[0])
         w = _near_one(w, (-1,))[0]
         length = np.linalg.norm(w, axis=-1, keepdims=True)
-        length[length == 0] = 1.0  # no float is as short as the way from the center to the support
+        length[length == 0] = 1.0  # the distance from the center to the support point underflows
         return np.asarray(self.center + np.einsum("...ij,...j->...i", self.factor, w / length))
 
     def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -267,16 +267,16 @@ class Ellipsoids:
         p = _validate.finite_array(points, "points", ("...", self.dim))
         batch = _validate.broadcast({"points": p.shape[:-1], "the batch": self.batch_shape})
         F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
-        with np.errstate(over="ignore", invalid="ignore"):  # what is beyond the floats is outside
+        with np.errstate(over="ignore", invalid="ignore"):  # points whose coordinates overflow are outside
             x = np.broadcast_to(p - self.center, (*batch, self.dim))
-            # What stands for the inner ellipsoid of a surface is its center alone.
+            # A point, as the inner ellipsoid of a surface, contains only its center.
             point = np.asarray(~F.any(axis=(-2, -1)))
             F = np.asarray(np.where(point[..., None, None], np.eye(self.dim), F), dtype=np.float64)
             u = np.linalg.solve(F, x[..., None])[..., 0]
             return np.asarray(np.where(point, ~x.any(axis=-1), (u * u).sum(axis=-1) <= 1.0))
 
     def bounding_box(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner of the axis-aligned box, each of shape (..., n).
+        """Lower and upper corners of the axis-aligned bounding box, each of shape (..., n).
 
         Returns
         -------
@@ -292,7 +292,7 @@ class Ellipsoids:
         half = np.ldexp(np.sqrt((F**2).sum(axis=-1)), exponent[..., 0])
         return self.center - half, self.center + half
 
-    # -- how it moves -------------------------------------------------------------------------
+    # -- motions ------------------------------------------------------------------------------
 
     def transformed(self, T: ArrayLike | None) -> Ellipsoids:
         """Move by rigid motions of 3-space.
@@ -379,6 +379,6 @@ def trusted(center: Floats, factor: Floats) -> Ellipsoids:
 
 
 def _near_one(x: Floats, axes: tuple[int, ...]) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.int_]]]:
-    """`x` over a power of two near its largest entry along `axes`, which rounds nothing, and the power's exponent."""
+    """`x` divided by a power of two near its largest entry along `axes`, without rounding, and the power's exponent."""
     exponent = np.frexp(np.abs(x).max(axis=axes, keepdims=True, initial=0.0))[1]
     return np.ldexp(x, -exponent), exponent

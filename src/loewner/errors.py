@@ -1,4 +1,4 @@
-"""Every error that `loewner` raises on purpose, each a child of `LoewnerError`.
+"""Every error that `loewner` raises on purpose, each a subclass of `LoewnerError`.
 
 Each also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
 """
@@ -63,7 +63,7 @@ class PoseError(InputError):
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate; nothing is returned instead of a guess.
+    """An iteration did not reach its certificate; an error is raised instead of returning a guess.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 
 
 class MemoryLimitError(InputError, MemoryError):
-    """A call would take more memory than is available, or than a limit on this process leaves; split the call.
+    """A call would take more memory than is available or than the process may use; split the call.
 
     The limits of the machine, of the process (``ulimit -v``, that is RLIMIT_AS) and of its container (control groups)
     count. Results that are too large are refused before anything is computed, and the message states their size.
@@ -113,7 +113,7 @@ class MemoryLimitError(InputError, MemoryError):
 
 
 class PlanningError(LoewnerError, RuntimeError):
-    """There is no motion to return: start or goal is not free, or no path was found; the message gives the reason.
+    """Planning failed: start or goal is not free, or no path was found; the message gives the reason.
 
     Examples
     --------
@@ -185,7 +185,7 @@ class UnknownNameError(LoewnerError, KeyError):
 
 
 class BodyIndexError(LoewnerError, IndexError):
-    """There is no body of this number.
+    """There is no body with this number.
 
     Examples
     --------
@@ -212,5 +212,5 @@ class MissingExtraError(LoewnerError, ImportError):
 
 
 def installing(extra: str) -> str:
-    """How to install an optional part, for messages: by name, or in a clone of the sources."""
+    """The command that installs an optional part, for messages: by name, or in a clone of the sources."""
     return f'pip install "loewner[{extra}]", or pip install ".[{extra}]" in a clone'

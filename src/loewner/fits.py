@@ -1,4 +1,4 @@
-"""Löwner–John ellipsoids: the largest inside a polytope (`mvie`), the smallest around points (`mvce`).
+"""Löwner–John ellipsoids: the largest inside a polytope (`mvie`) and the smallest around points (`mvce`).
 
 Every fit has a `gap`, a computed bound on log(volume / optimal volume) of the returned ellipsoid itself, after it was
 scaled so that containment holds in spite of rounding. A fit that misses its tolerance is an error.
@@ -38,14 +38,14 @@ from loewner.polytopes import (
 
 # The paper's tolerance: volumes within a factor e^0.0001.
 DEFAULT_TOLERANCE = 1e-4
-# The kernel for half-spaces is tried where `_large_fits` did not get there, if it costs some seconds at most.
+# If `_large_fits` did not converge, the kernel for half-spaces is tried, provided it takes a few seconds at most.
 MANY_FOR_KERNEL = 1e10
 # Below this the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
 
-# `_large_fits` is the quicker way to the outer ellipsoid from this dimension on; from the next one on where the points
-# times the fourth power of the dimension are this many. To the inner one it is where the half-spaces times the third
-# power of the dimension are as many as the last number. Measured: docs/design/fits.md.
+# `_large_fits` is faster for the outer ellipsoid from HIGH_DIMENSION on, and from MIDDLE_DIMENSION on if the points
+# times the fourth power of the dimension reach MANY_POINTS. For the inner ellipsoid it is faster if the half-spaces
+# times the third power of the dimension reach MANY_HALFSPACES. Measured: docs/design/fits.md.
 HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4e5
 
 
@@ -62,9 +62,9 @@ class Fit:
     iterations : int
         Number of steps of the interior point and, in high dimension, of the preceding ascent.
     weights : ndarray, shape (m,), or None
-        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller, >= 0
-        with sum 1. The points' weighted mean and covariance nearly equal the ellipsoid's center and its shape matrix
-        divided by the dimension.
+        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller; weights
+        are >= 0 with sum 1. The points' weighted mean and covariance nearly equal the ellipsoid's center and its shape
+        matrix divided by the dimension.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def mvce(
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number
-        A prescribed center, such as ``center=0`` for the origin. Then n points that span the space with it suffice. By
+        A prescribed center, such as ``center=0`` for the origin; n points that span the space with it then suffice. By
         default the center is chosen to make the ellipsoid smallest.
     weights : bool
         Also return the points' weights, an optimal design for experiments at these points.
@@ -110,14 +110,14 @@ def mvce(
     Returns
     -------
     Fit
-        The ellipsoid contains every point exactly as stored, whatever the rounding.
+        The ellipsoid as stored contains every point exactly, in spite of rounding.
 
     Raises
     ------
     InputError
         If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        If there are fewer than n + 1 points, or all lie in a flat; a given center counts as one more point.
+        If there are fewer than n + 1 points, or all lie in a hyperplane; a given center counts as one more point.
     ConvergenceError
         If the requested gap was not reached.
 
@@ -125,10 +125,10 @@ def mvce(
     -----
     The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
     with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. This
-    needs memory for a few numbers per point for an eighth of the points, and up to 0.8 GB for the interior point. The
-    paper's reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
+    needs memory for a few numbers for every eighth point, and up to 0.8 GB for the interior point. The paper's
+    reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
-    The weights form a D-optimal design for a linear model with a constant term, whose experiments are the points: they
+    The weights form a D-optimal design, with the points as experiments, for a linear model with a constant term: they
     maximise the determinant of the information matrix (Titterington), to within twice the gap in its logarithm. With
     ``center=0`` the model has no constant term.
 
@@ -204,8 +204,8 @@ def mvie(
     Returns
     -------
     Fit
-        The ellipsoid exactly as stored is inside every half-space as given, or inside the hull of the points, whatever
-        the rounding.
+        The ellipsoid as stored lies exactly inside every given half-space, or inside the hull of the points, in spite
+        of rounding.
 
     Raises
     ------
@@ -218,9 +218,9 @@ def mvie(
 
     Notes
     -----
-    Zhang and Gao's method. In high dimension, or with very many half-spaces, it works on a subset: half-spaces that
-    turn out to cut the ellipsoid join it, and distant ones leave it. With a given center the ellipsoid is the polar of
-    the smallest one around the polar points, which `mvce` finds.
+    The method is due to Zhang and Gao. In high dimension, or with very many half-spaces, it works on a subset:
+    half-spaces that turn out to cut the ellipsoid are added, and distant ones are removed. With a given center the
+    ellipsoid is the polar of the smallest one around the polar points, which `mvce` finds.
 
     References
     ----------
@@ -246,7 +246,7 @@ def mvie(
         raise InputError("center: expected half-spaces A, b with it, found no b")
     points = _validate.finite_array(A, "points", ("m", "n"))
     check_enough(points, "points")
-    if points.shape[1] == 1:  # Qhull wants a plane at least; an interval is its own two half-spaces
+    if points.shape[1] == 1:  # Qhull requires at least two dimensions; an interval is its own two half-spaces
         return _mvie_of_halfspaces(
             np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance, reporter
         )
@@ -277,7 +277,7 @@ def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, report
     center, factor, lam, iterations = large_inner.largest_inside(A, b, x, frame, tol, reporter)
     factor, gap = large_inner.proven(A, b, center, factor, lam)
     if gap > tol and m * n**4 <= MANY_FOR_KERNEL:
-        # Half-spaces that nearly agree leave the working set without digits, which the kernel has.
+        # Nearly equal half-spaces exhaust the precision of the working set; the kernel has more.
         around, low = np.empty(n), np.empty((n, n))
         code, reached, more = entries.fit_halfspaces(A, b, x, tol, FLATNESS, around, low, direction)
         if code == 0:
@@ -291,14 +291,14 @@ def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Repo
     if not (slack > 0).all():
         i = int(slack.argmin())
         raise GeometryError(f"center: expected a point inside every half-space, found row {i} at slack {slack[i]:.3g}")
-    with np.errstate(over="ignore"):  # infinite is too large, and told so
+    with np.errstate(over="ignore"):  # infinite numbers are reported as too large
         polar, origin = A / slack[:, None], np.zeros(A.shape[1])
     check_size(float(np.abs(polar).max()), "A, b about the center, rows by slacks")
     try:
         _, around, _, iterations, weights = large_outer.smallest_around(
             polar, max(0.5 * tol, SMALLEST_TOLERANCE), origin, reporter
         )
-    except GeometryError:  # the polar points are in a flat
+    except GeometryError:  # the polar points lie in a hyperplane
         raise center_error(codes.UNBOUNDED, A, origin) from None
     factor, gap = large_inner.proven(A, b, center, lower_root(inverse_of(around)), weights / slack, balanced=False)
     return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
@@ -313,7 +313,7 @@ def fit_pieces(
     tol: float = DEFAULT_TOLERANCE,
     progress: Progress | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Inner and outer ellipsoids of many 3-D pieces, compiled and on all threads.
+    """Fit inner and outer ellipsoids of many 3-D pieces, on all threads.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def fit_pieces(
     Raises
     ------
     GeometryError, ConvergenceError
-        The error has the index of the piece.
+        The error names the index of the piece.
     """
     tolerance, progress = checked_tolerance(tol), _validate.callback(progress, "progress")
     V = _validate.finite_array(vertices, "vertices", (None, 3))
@@ -404,7 +404,7 @@ def certified_fit(
     weights: Floats | None = None,
     reporter: Reporter | None = None,
 ) -> Fit:
-    """Wrap a kernel's result, unless its gap is above the tolerance."""
+    """Wrap a kernel's result; raise if its gap is above the tolerance."""
     if not gap <= tol:
         raise ConvergenceError(
             f"{name}: reached a gap of {gap:.3g} in log-volume, expected {tol:g}; a thin body far from the origin "

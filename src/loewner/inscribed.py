@@ -12,7 +12,7 @@ from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.polytopes import writeable
 
-# The least closed surface is that of a tetrahedron.
+# The smallest closed surface is a tetrahedron.
 FEWEST_TRIANGLES = 4
 
 
@@ -26,8 +26,8 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
         In metres.
     triangles : array_like of int, shape (t, 3)
         Vertices of each triangle, at least four triangles. The mesh is assumed to be closed, with triangles that are
-        consistent at their common edges; this is not checked here. It may intersect itself, have several parts,
-        cavities and triangles without area, and be inside out as a whole.
+        consistent at their common edges; this is not checked. It may intersect itself, have several parts, cavities and
+        triangles without area, and be inside out as a whole.
     count : int
         The largest number of ellipsoids.
 
@@ -45,9 +45,9 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
 
     Notes
     -----
-    Points are inside if the surface winds around them, in either direction. No triangle meets an ellipsoid exactly as
-    stored, whatever the rounding, and one of its points is inside, so all of it is. The size of the ellipsoids is not
-    proven to be optimal. The first is close to the largest one where the solid is convex.
+    Points are inside if the surface winds around them, in either direction. In spite of rounding, no triangle meets a
+    stored ellipsoid, and one of its points is inside, so all of it is inside. The size of the ellipsoids is not proven
+    to be optimal; in a convex solid the first is close to the largest one.
 
     References
     ----------

@@ -116,7 +116,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
-    """A measure as a function for JAX: values by one callback; with their gradients, where those are wanted, by one."""
+    """A measure as a function for JAX: one callback returns the values, or the values with their gradients."""
     jax = _jax()
 
     @jax.custom_jvp
@@ -130,7 +130,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
     @values.defjvp
     def once(primals: Any, tangents: Any) -> Any:
         found, gradients = with_gradients(*primals)
-        return found, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent: JAX transposes it by itself
+        return found, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent, so JAX transposes it itself
 
     @with_gradients.defjvp
     def twice(primals: Any, tangents: Any) -> Any:
@@ -145,7 +145,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
 
 
 def _checked(Q: Any, measure: Measure) -> Any:
-    """Configurations as an array of JAX that is exactly what was given."""
+    """Configurations as a JAX array with exactly the given numbers."""
     jax = _jax()
     if not isinstance(Q, (jax.Array, np.ndarray)):
         raise InputError(f"Q: expected an array of JAX or NumPy, found {_validate.short(Q)}")
@@ -164,7 +164,7 @@ def _checked(Q: Any, measure: Measure) -> Any:
 
 
 def _called(measure: Measure, Q: Any, gradient: bool) -> Any:
-    """Values, and gradients if they are wanted: at once where Q has values already, else when it has, by a callback."""
+    """Values, with gradients on request: computed now if Q has concrete values, otherwise later in a callback."""
     jax = _jax()
 
     def call(Q: Any) -> Any:

@@ -1,6 +1,6 @@
-"""Triangle meshes in, convex pieces out.
+"""Load triangle meshes and split them into convex pieces.
 
-A file is read whole or refused: half a mesh would be free where the whole mesh collides.
+A file is read completely or refused: half a mesh would be free where the whole mesh collides.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Surfaces(Protocol):
     """The part of a `trimesh.Scene` that this module uses: it can be joined."""
 
     def to_mesh(self) -> Surface:
-        """All its meshes as one."""
+        """All meshes of the scene as one."""
 
 
 class Loaded(Protocol):
@@ -58,25 +58,25 @@ class Loaded(Protocol):
 
     @property
     def bounds(self) -> ArrayLike | None:
-        """Corners of the box around it."""
+        """Corners of the bounding box."""
 
 
 Source = str | PathLike[str] | Surface | Surfaces | Loaded | tuple[ArrayLike, ArrayLike]
 
 SUFFIXES = mesh_files.SUFFIXES
 
-# A closed mesh this close to its convex hull, in volume, is taken for its hull. Collision meshes
-# that are hulls, then simplified and stored in float32, are off by up to 1e-3.
+# A closed mesh this close to its convex hull in volume is replaced by its hull. Collision meshes that are simplified
+# hulls stored in float32 are off by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
 
-# A mesh smaller or larger than that across [m] causes a warning: hardly any body is, except one in another unit. Meshes
-# of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
+# A mesh smaller or larger than this across [m] causes a warning: hardly any body is, unless it is in another unit.
+# Landscapes are an exception, for which the warning can be filtered; a part of 0.5 m read as 500 m is not noticed.
 USUAL_SIZES = (1e-4, 1e3)
 
-# The tolerance of a mesh with holes where none is given, as a share of the diagonal of its box.
+# Default tolerance for a mesh with holes, as a share of the diagonal of its box.
 OPEN_TOLERANCE = 0.02
 
-# CoACD takes numbers of pieces and seeds of 31 bits.
+# CoACD takes numbers of pieces and seeds with 31 bits.
 LARGEST_NUMBER = 2**31 - 1
 
 
@@ -138,7 +138,7 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
         source = SimpleNamespace(vertices=source[0], faces=source[1])
     try:
         mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
-    except Exception as error:  # of a scene that somebody put together; trimesh has no errors of its own
+    except Exception as error:  # from a scene made by the caller; trimesh has no errors of its own
         raise GeometryError(
             f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
         ) from None
@@ -158,7 +158,7 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
 
 
 def _ask_about_units(vertices: Floats, name: str) -> None:
-    """Warn of a size that looks like another unit of length; `vertices` are scaled already."""
+    """Warn of a size that suggests another unit of length; `vertices` are already scaled."""
     size = float(np.ptp(vertices, axis=0).max())
     if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
         unit, factor = ("in millimetres", 0.001) if size > 1 else ("scaled to metres twice", 1000)
@@ -211,8 +211,8 @@ def convex_pieces(
     seed : int
         Seed of CoACD's search.
     progress : callable, optional
-        Called as ``progress(done, total)`` after each step, with a share that never decreases; where planes cut, a step
-        is a hundredth of the surface.
+        Called as ``progress(done, total)`` after each step, with a share that never decreases; if planes cut the mesh,
+        a step is a hundredth of its surface.
 
     Returns
     -------
@@ -223,13 +223,13 @@ def convex_pieces(
     Raises
     ------
     FileError, GeometryError, MissingExtraError
-        As `load`; GeometryError also for a flat mesh.
+        As for `load`; GeometryError also for a flat mesh.
 
     Warns
     -----
     UserWarning
-        If a mesh to decompose has holes: its inside is then not solid. If the mesh, scaled, is more than 1000 m or less
-        than 0.1 mm across: it may be in another unit than metres. If the pieces stick out by more than `tolerance`.
+        If a mesh to decompose has holes: its inside is then not solid. If the scaled mesh is more than 1000 m or less
+        than 0.1 mm across: it may not be in metres. If the pieces stick out by more than `tolerance`.
 
     Notes
     -----
@@ -237,10 +237,10 @@ def convex_pieces(
     piece of a convex part (its volume equals its hull's, to 1e-3) is its hull. A part of negative volume is a cavity of
     the part in which it lies.
 
-    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in none
-    is halved until its parts do, or nearly, or are smaller than 0.25 % of the mesh's diagonal. With `cover`, such a
-    remainder is added to the nearest piece. Without it, the distance to a convex piece is a convex function, so it is
-    greatest at a corner of the remainder.
+    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
+    piece is halved until its parts do, or nearly do, or are smaller than 0.25 % of the mesh's diagonal. With `cover`,
+    the remaining parts are added to the nearest piece. Without it, their distance is measured at their corners, where
+    it is greatest, since the distance to a convex piece is a convex function.
 
     References
     ----------
@@ -295,7 +295,7 @@ def _path(source: str | PathLike[str]) -> Path:
 
 
 def _naming(fit: Callable[..., T]) -> Callable[..., T]:
-    """Make every error about a shape begin with the name of the mesh."""
+    """Prefix every error about a shape with the name of the mesh."""
 
     @wraps(fit)
     def call(source: Source, **options: Any) -> T:
@@ -333,9 +333,9 @@ def convex_polytopes(
     name = name_of(source)
     vertices, triangles = scaled_mesh(source, scale)
     vertices, triangles = _welded(vertices, triangles)
-    parts = closed_parts(vertices, triangles) or []  # none of a mesh that is not closed
+    parts = closed_parts(vertices, triangles) or []  # empty for a mesh that is not closed
     if parts:
-        triangles = np.concatenate([part.triangles for part in parts])  # turned the right way out
+        triangles = np.concatenate([part.triangles for part in parts])  # with outward orientation
     mesh_volume = sum(part.volume for part in parts) if parts else np.nan
     solid = Solid(vertices[triangles], closed=bool(parts))
     hull = Polytope.from_points(vertices)
@@ -358,7 +358,7 @@ def convex_polytopes(
             "them, take its triangles as they are, exact and in milliseconds (Body.from_surface, --model surface), or "
             "take its convex hull (decompose=False, --hull)"
         )
-        if within is None:  # CoACD would first make it solid, which takes minutes, and sticks out farther
+        if within is None:  # CoACD would first make it solid: slow, and farther off
             within = OPEN_TOLERANCE * _size(vertices)
     if within is None:
         pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
@@ -368,7 +368,7 @@ def convex_polytopes(
         surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
         cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
         pieces = [cell.hull for cell in cells]
-        # Each cell lies in its hull already; there is nothing to grow.
+        # Each cell already lies in its hull; nothing has to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
         _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
@@ -395,7 +395,7 @@ def _protrusion(pieces: list[Polytope], solid: Solid) -> float:
 
 
 def _excess_volume(hulls: list[Polytope], whole: float) -> float:
-    """By what share of the mesh's volume the pieces exceed it; NaN if it has none."""
+    """Excess of the pieces' volume as a share of the mesh's volume; NaN if the mesh has none."""
     return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
 
 
@@ -457,7 +457,7 @@ def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
 
 
 def _has_holes(triangles: Triangles) -> bool:
-    """Whether a surface ends somewhere: closed parts may share edges, and triangles may be turned over."""
+    """Whether a surface has a border: closed parts may share edges, and triangles may be reversed."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     return bool((counts % 2).any())
@@ -472,7 +472,7 @@ def _is_hull_of(part: ClosedPart, hull: Polytope) -> bool:
 
 
 def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -> list[Polytope]:
-    """Hull of each closed part, `hull` if there is one only; none at all if a part is flat."""
+    """Hull of each closed part, `hull` if there is only one part; no hulls if a part is flat."""
     if len(parts) == 1:
         return [hull]
     try:
@@ -482,7 +482,7 @@ def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -
 
 
 def _interruptible(work: Callable[[], T]) -> T:
-    """Return work() of foreign code that may take minutes, and raise an interrupt at once.
+    """Run foreign code that may take minutes, and raise an interrupt at once.
 
     The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and the result is
     discarded.
@@ -522,7 +522,7 @@ def _coacd_by_parts(
     pieces = [hull for hull, left in zip(hulls, curved, strict=True) if not left]
     size = _size(vertices)
     for k, part in enumerate(part for part, left in zip(parts, curved, strict=True) if left):
-        # An even share of the pieces that are left; a threshold is relative to the whole mesh.
+        # An even share of the remaining pieces; a threshold is relative to the whole mesh.
         share = None if most is None else (most - len(pieces)) // (sum(curved) - k)
         corners, own = np.unique(part.triangles, return_inverse=True)
         relative = min(1.0, threshold * size / _size(vertices[corners]))
@@ -533,9 +533,9 @@ def _coacd_by_parts(
 
 
 def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
-    """Join pieces until there are no more than a limit, those first whose common box is smallest.
+    """Join pieces, beginning with the smallest common box, until their number is within a limit.
 
-    CoACD keeps parts apart that are not connected, independent of the limit.
+    CoACD keeps unconnected parts apart regardless of the limit.
     """
     pieces = list(pieces)
     while most is not None and len(pieces) > most:
@@ -561,7 +561,7 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
         try:
             hulls.append(Polytope.from_points(np.asarray(points) * size + middle))
         except GeometryError:
-            continue  # a flat sliver; covering gives its part of the surface to a neighbour, and measures it
+            continue  # a flat sliver; covering assigns its part of the surface to a neighbour, and measures it
     if not hulls:
         raise GeometryError(
             "mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull"

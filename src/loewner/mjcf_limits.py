@@ -12,13 +12,13 @@ from loewner import _validate
 from loewner._files import read_regular, shown
 from loewner.errors import FileError
 
-# What a model may have at most: bytes of each file, files that it includes, and copies that its replicas make. The time
-# of compiling grows with the square of the copies: so many take some seconds, and have more pairs than a checker takes.
+# Limits on a model: bytes of each file, included files, and copies made by replicas. The time to compile grows with the
+# square of the copies: this many take a few seconds, and have more pairs than a checker accepts.
 MOST_BYTES = 2**26
 MOST_INCLUDES = 100
 MOST_COPIES = 4096
 
-# Samples of a height field, and bytes that MuJoCo takes for each of them while it compiles.
+# Limit on the samples of a height field, and bytes that MuJoCo uses for each while it compiles.
 BYTES_A_SAMPLE = 64
 
 # Elements that name files, and the attributes in which <compiler> names folders for them.
@@ -28,18 +28,18 @@ FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 @dataclass
 class _Model:
-    """What was seen of a model so far.
+    """The parts of a model read so far.
 
     Attributes
     ----------
     folder : Path
-        Of the main file.
+        Folder of the main file.
     copies : int
-        That replicas and composites make, nested ones multiplied.
+        Number of copies made by replicas and composites, multiplied for nested ones.
     folders : set of str
-        In which <compiler> says that files are.
+        Folders of files, as given by <compiler>.
     files : list of tuple of Path and str
-        What names a file, and how.
+        Files that name other files, with the names.
     included : int
     """
 
@@ -69,7 +69,7 @@ def check_limits(file: Path) -> None:
 
 
 def _look(file: Path, model: _Model, copies: int) -> None:
-    """Look at one file; it is included in a place that is copied so many times."""
+    """Read one file, which is included at a place that is copied the given number of times."""
     data = read_regular(file, "an MJCF file", MOST_BYTES)
     parser = expat.ParserCreate()
     within = [copies]
@@ -96,7 +96,7 @@ def _look(file: Path, model: _Model, copies: int) -> None:
             model.included += 1
             if model.included > MOST_INCLUDES:
                 raise fault(f"at most {MOST_INCLUDES} included files", "more")
-            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo looks beside the main file
+            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches beside the main file
                 if os.path.lexists(folder / name):
                     _look(folder / name, model, within[-1])
                     break

@@ -1,4 +1,4 @@
-"""Bodies, joints and contacts of an MJCF file: compiled by MuJoCo, then read from its model.
+"""Bodies, joints and contacts of an MJCF file, compiled by MuJoCo and then read from its model.
 
 MuJoCo handles the format best (defaults, includes, frames, replicas, composites), so it reads the file, and this module
 reads MuJoCo's model. Robots and scenes are made from the result.
@@ -22,11 +22,11 @@ from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
 from loewner.mjcf_limits import check_limits
 
-# A plane of MuJoCo is a half-space. It becomes a cube of this edge [m] below the plane, about the plane's center: the
-# largest that the doubts about units let pass.
+# A plane of MuJoCo is a half-space. It becomes a cube with this edge [m] below the plane, about the plane's center: the
+# largest that causes no warning about units.
 PLANE_EDGE = 1000.0
 
-# Pairs of parts that a model may have: far more than any has.
+# Limit on the pairs of parts of a model: far more than any model has.
 MOST_PAIRS = 2**22
 
 
@@ -40,7 +40,7 @@ class MjcfJoint:
     kind : str
         "hinge", "slide", "ball" or "free".
     anchor, axis : ndarray, shape (3,)
-        In the frame of its body; the axis of unit length.
+        In the frame of the joint's body; the axis has unit length.
     lower, upper : float
         Limits of a hinge [rad] or slide [m]; infinite where there are none, and for other joints.
     reference : float
@@ -66,14 +66,14 @@ class MjcfPart:
 
 @dataclass(frozen=True, eq=False)
 class MjcfBody:
-    """A body, in the frame of its parent; the world is the first one, and its own parent.
+    """A body, in the frame of its parent; the world is the first body, and its own parent.
 
     Attributes
     ----------
     name : str
     parent : int
     T_parent_body : ndarray, shape (4, 4)
-        Pose with its joints at their references.
+        Pose with the body's joints at their references.
     joints : tuple of MjcfJoint
     parts : tuple of MjcfPart
         In the frame of the body. The first has the name of the body; in the world, each has the name of its only geom.
@@ -102,7 +102,7 @@ class MjcfModel:
     related_pairs : frozenset
         Sorted pairs of names of parts that MuJoCo skips because they are rigidly joined, or are parent and child.
     excluded_pairs : frozenset
-        Pairs that it skips because of the file: <exclude>, contype and conaffinity.
+        Pairs that MuJoCo skips because of the file: <exclude>, contype and conaffinity.
     keyframes : dict
         Name to qpos.
     """
@@ -176,7 +176,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
 
 
 def _compiled(file: Path) -> tuple[Any, Any]:
-    """MuJoCo, and what it makes of the file."""
+    """MuJoCo, and its compiled model of the file."""
     try:
         import mujoco
     except ImportError:
@@ -184,13 +184,13 @@ def _compiled(file: Path) -> tuple[Any, Any]:
     check_limits(file)
     try:
         return mujoco, mujoco.MjModel.from_xml_path(os.fspath(file))
-    except Exception as error:  # a ValueError as a rule; of its own code, and of memory, anything
+    except Exception as error:  # usually a ValueError, but its own code or a lack of memory may raise any error
         found = " ".join(str(error).split())
         raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
 
 
 class _Names:
-    """Names of bodies, joints and geoms, each once among its kind; what has none is called by its kind and number."""
+    """Names of bodies, joints and geoms, unique within their kind; unnamed ones are named by kind and number."""
 
     def __init__(self, mujoco: Any, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
@@ -199,7 +199,7 @@ class _Names:
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
-        """Name of a part: the body's, or for another part, and in the world, that of its first geom."""
+        """Name of a part: the body's for its first part, otherwise, and in the world, the name of its first geom."""
         if body and not number:
             return self.bodies[body]
         name = self.geoms[geoms[0]] if not body else f"{self.bodies[body]}/{self.geoms[geoms[0]]}"
@@ -210,7 +210,7 @@ class _Names:
 
 
 def _named(names: list[str], kind: str) -> list[str]:
-    """The names, with one made for what has none."""
+    """The names, with new names for unnamed entries."""
     taken, found = set(names), []
     for number, name in enumerate(names):
         made = name or f"{kind}{number}"
@@ -221,7 +221,7 @@ def _named(names: list[str], kind: str) -> list[str]:
 
 
 def _placed(mujoco: Any, model: Any) -> list[Floats]:
-    """Poses of all bodies in the world, joints at their references."""
+    """Poses of all bodies in the world, with joints at their references."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return [_pose(data.xpos[body], data.xquat[body]) for body in range(model.nbody)]
@@ -258,9 +258,9 @@ def _joint(model: Any, names: _Names, joint: int) -> MjcfJoint:
 
 
 def _classes(model: Any) -> dict[int, tuple[int, ...]]:
-    """For each geom that can collide at all, what decides with which others.
+    """For each geom that can collide, the class that determines with which others.
 
-    Geoms of one body and one class make one part. A geom of the world, and one that a <pair> names, is alone in its.
+    Geoms of one body and one class form one part. A geom of the world, or one that a <pair> names, forms a part alone.
     """
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     classes: dict[int, tuple[int, ...]] = {}
@@ -286,7 +286,7 @@ def _union(bodies: list[Body]) -> Body:
 
 
 def _geom_body(mujoco: Any, model: Any, names: _Names, geom: int, file: Path, tol: float) -> Body:
-    """What a geom is, in the frame of its body."""
+    """Body of a geom, in the frame of its MuJoCo body."""
     try:
         shape = _shape(mujoco.mjtGeom, model, geom, tol)
         T_body_geom = _pose(model.geom_pos[geom], model.geom_quat[geom])
@@ -296,7 +296,7 @@ def _geom_body(mujoco: Any, model: Any, names: _Names, geom: int, file: Path, to
 
 
 def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
-    """What a geom is, in its own frame; MuJoCo gives radii, half lengths and semi-axes."""
+    """Body of a geom, in its own frame; MuJoCo gives radii, half lengths and semi-axes."""
     kind, (x, y, z) = int(model.geom_type[geom]), model.geom_size[geom].tolist()
     if kind == kinds.mjGEOM_SPHERE:
         return Body.sphere(x)
@@ -324,7 +324,7 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
 
 
 def _terrain(model: Any, field: int) -> Body:
-    """A height field, about the middle of its grid: rows go along y, columns along x, and heights are shares of one."""
+    """A height field, about the middle of its grid: rows run along y, columns along x, and heights are from 0 to 1."""
     rows, columns, first = (int(a[field]) for a in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr))
     half_x, half_y, highest, below = model.hfield_size[field].tolist()
     shares = np.array(model.hfield_data[first : first + rows * columns], dtype=np.float64).reshape(rows, columns)
@@ -335,24 +335,24 @@ def _terrain(model: Any, field: int) -> Body:
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:
-    """Vertices of a mesh that MuJoCo collides: those of its convex hull, or of what `maxhullvert` left of it."""
+    """Vertices of a mesh with which MuJoCo collides: its convex hull's, or the ones left by `maxhullvert`."""
     first, count, graph = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr))
     vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
     if graph < 0:
         return vertices
     on_hull = int(model.mesh_graph[graph])
-    start = graph + 2 + on_hull  # behind the numbers of vertices and faces, and where the edges of each vertex are
+    start = graph + 2 + on_hull  # after the numbers of vertices and faces, and the positions of each vertex's edges
     used: Ints = model.mesh_graph[start : start + on_hull]
     return vertices[used]
 
 
-# -- pairs that MuJoCo does not look at ----------------------------------------------------------------
+# -- pairs that MuJoCo does not check ------------------------------------------------------------------
 
 
 def _left_out(
     mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
 ) -> tuple[frozenset[Pair], frozenset[Pair]]:
-    """Pairs of parts that MuJoCo leaves out, by kinship and by what the file says (its documentation: "Collision")."""
+    """Pairs of parts that MuJoCo skips, by kinship and by the file (see "Collision" in its documentation)."""
     parts = list(part_names)
     if len(parts) * (len(parts) - 1) // 2 > MOST_PAIRS:
         raise InputError(f"{file}: expected at most {MOST_PAIRS} pairs of parts that collide, found {len(parts)} parts")
@@ -374,7 +374,7 @@ def _left_out(
 
 
 def _related(model: Any, a: int, b: int, parents_meet: bool) -> bool:
-    """Whether two bodies are rigidly joined, or parent and child; the world is no parent in this sense."""
+    """Whether two bodies are rigidly joined, or parent and child; the world does not count as a parent."""
     a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
     if a == b:
         return True

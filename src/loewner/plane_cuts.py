@@ -1,7 +1,7 @@
-"""Convex pieces that stick out of a mesh by no more than a tolerance, by cutting it with planes.
+"""Cut a mesh with planes into convex pieces that stick out of it by no more than a tolerance.
 
 The hull of the surface on one side of a plane contains the solid on that side, since the extreme points of a solid's
-section lie on its surface. So the pieces contain the mesh without being grown, as their triangles show.
+section lie on its surface. So the pieces contain the mesh without being grown; their triangles prove it.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from loewner.triangles import cut, squared_distances, unit_normals
 # How near the bound on a piece's protrusion comes to its value before the piece is cut.
 ACCURACY = 0.25
 
-# Planes tried for a cut: of so many faces near the deepest point, so many around the shortest way from there to the
-# mesh, and across the axes.
+# Numbers of planes tried for a cut: of faces near the deepest point, around the shortest segment from there to the
+# mesh, and perpendicular to the axes.
 FACES, TURNS = 6, 4
 
-# Of more triangles than these, so many random ones stand for a cell while planes are compared.
+# A cell with more triangles than this is represented by this many random ones while planes are compared.
 MANY = 1024
 
-# Random points of a hull's surface that stand for it while planes and merges are compared.
+# Number of random points that represent a hull's surface while planes and merges are compared.
 SAMPLES = 48
 
 # A part with less than this share of a piece's volume is no progress.
 LEAST_SHARE = 1e-4
 
-# A flat part of a surface becomes a plate, whose sides are this share of the tolerance from it. A closed surface has
-# such parts where planes cut off all that is behind a face.
+# A flat part of a surface becomes a plate, whose sides are at this share of the tolerance from it. A closed surface has
+# such parts where planes cut off everything behind a face.
 PLATE = 0.25
 
-# Pieces in all, where the caller sets no limit: a tolerance that needs more is one below the mesh's own accuracy.
+# Default limit on the number of pieces: a tolerance that needs more is below the mesh's own accuracy.
 MOST = 2000
 
 
-# What a cut takes, in triangles that one plane cuts; OVERHEAD is what hulls and distances of a few take. With a limit
-# on work, cells are cut as long as WORK lasts: some ten seconds of one core.
+# The work of a cut, in units of one triangle cut by one plane; OVERHEAD is the work for hulls and distances of a few
+# triangles. Cells are cut until WORK is used up, about ten seconds on one core.
 OVERHEAD, WORK = 1000, 8_000_000
 
 # Cells that stick out by less than this share of the largest bound wait until the others are cut.
 FARTHEST = 0.5
 
-# Cells are cut, joined and cut again at most so often, where a limit on the number of pieces leaves room for it.
+# Cells are cut, joined and cut again at most this often, if a limit on the number of pieces leaves room for it.
 PASSES = 20
 
 
@@ -63,9 +63,9 @@ class Cell:
     bound : float
         In metres; infinite before it is measured.
     deepest : ndarray, shape (3,)
-        The point of the hull found to stick out most.
+        The point of the hull that was found to stick out most.
     whole : bool
-        Whether nothing is found to stick out, or no plane makes progress.
+        Whether nothing was found to stick out, or no plane makes progress.
     """
 
     triangles: Floats
@@ -75,7 +75,7 @@ class Cell:
     whole: bool = False
 
     def is_out(self, tolerance: float) -> bool:
-        """Whether it sticks out too far and may be cut."""
+        """Whether the cell sticks out too far and may be cut."""
         return self.bound > tolerance and not self.whole
 
 
@@ -88,7 +88,7 @@ def pieces_within(
     Parameters
     ----------
     parts : list of ndarray, each of shape (t, 3, 3)
-        Corners of triangles: closed parts with their cavities, or the one surface that is not closed.
+        Corners of triangles, either of closed parts with their cavities or of a single surface that is not closed.
     solid : Solid
         The whole mesh.
     tolerance : float
@@ -96,7 +96,7 @@ def pieces_within(
     most : int, optional
         Limit on the number of cells; the cells that stick out most are cut first.
     progress : callable, optional
-        Called as ``progress(done, total)``: the share of the surface in pieces that need no more cuts.
+        Called as ``progress(done, total)`` with the share of the surface in pieces that need no more cuts.
     work : float
         Limit on the work for cuts; see `WORK`.
     """
@@ -119,13 +119,13 @@ def pieces_within(
 
 @dataclass
 class _Progress:
-    """How much of the surface is done, told in hundredths and never less than before."""
+    """Report the finished share of the surface in hundredths, never decreasing."""
 
     tell: Progress | None
     told: int = 0
 
     def look(self, cells: list[Cell], tolerance: float) -> None:
-        """Tell how much of the surface is in cells that are not to be cut any more."""
+        """Report the share of the surface in cells that need no more cuts."""
         if self.tell is None:
             return
         areas = [float(np.linalg.norm(_normals(cell.triangles), axis=1).sum()) for cell in cells]
@@ -134,7 +134,7 @@ class _Progress:
         self.tell(self.told, 100)
 
     def end(self) -> None:
-        """Tell that all is done, whatever is left as it is."""
+        """Report completion, even if some cells remain uncut."""
         if self.tell is not None:
             self.tell(100, 100)
 
@@ -143,7 +143,7 @@ def _cut_up(
     cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: _Progress,
     rng: np.random.Generator, work: float,
 ) -> tuple[list[Cell], float]:  # fmt: skip
-    """Cut cells that stick out too far until none does, or a limit is reached; and how much work is left."""
+    """Cut cells that stick out too far until none does, or a limit is reached; also return the remaining work."""
     while True:
         cells = _measured(cells, solid, tolerance)
         progress.look(cells, tolerance)
@@ -171,7 +171,7 @@ def _work(cell: Cell) -> int:
 
 
 def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
-    """The same with bounds on how far they stick out, and where."""
+    """Cells with bounds on how far they stick out, and the deepest points."""
     new = [k for k, cell in enumerate(cells) if not np.isfinite(cell.bound)]
     if new:
         found = protrusions([cells[k].hull for k in new], solid, floor=tolerance, relative=ACCURACY)
@@ -184,7 +184,7 @@ def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
 
 
 def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
-    """Two parts of a cell, by the plane that leaves the least to stick out; None if no plane makes progress."""
+    """Two parts of a cell, cut by the plane that leaves them sticking out least; None if no plane makes progress."""
     some = cell
     if len(cell.triangles) > MANY:
         with suppress(GeometryError):
@@ -193,7 +193,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
     planes, options, shares = [], [], []
     for plane in _planes(cell, solid, plate):
         if np.ptp(corners @ plane[0]) < plate:
-            continue  # both halves would stick out as far, up to that width, and be cut like that without end
+            continue  # both halves would stick out equally far, up to that width, and be cut in this way without end
         halves = _halves(some.triangles, plane, solid, plate)
         if halves is None:
             continue
@@ -212,7 +212,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
 
 
 def _halves(triangles: Floats, plane: tuple[Floats, float], solid: Solid, plate: float) -> list[Cell] | None:
-    """What is on either side of a plane; None if that is nothing, or a line."""
+    """The parts on both sides of a plane; None if one is empty or a line."""
     ones = np.ones(len(triangles))
     below, _, above, _ = cut(triangles, ones[:, None] * plane[0], ones * plane[1], solid.rounding)
     try:
@@ -230,7 +230,7 @@ def _cell(triangles: Floats, plate: float) -> Cell:
 
 
 def _hull(points: Floats, plate: float) -> Polytope:
-    """Hull of points; of flat ones, a plate with its sides so far from them."""
+    """Hull of points; for flat points, a plate with its sides at this distance from them."""
     try:
         return Polytope.from_points(points)
     except GeometryError:
@@ -241,7 +241,7 @@ def _hull(points: Floats, plate: float) -> Polytope:
 
 
 def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]]:
-    """Planes that may cut off what sticks out, as unit normals and offsets."""
+    """Planes that may cut off the protruding part, as unit normals and offsets."""
     deepest = cell.deepest
     _, nearest = solid.signed_distances(deepest[None])
     out = deepest - _foot(deepest, solid.triangles[nearest[0]])
@@ -264,7 +264,7 @@ def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]
             break
         if faces[k].any() and all(abs(faces[k] @ other) < 0.999 for other in chosen):
             chosen.append(faces[k])
-            # From a surface that is not closed, the face itself is cut off, with a little of what it borders on.
+            # For a surface that is not closed, the face itself is cut off, with a little of its neighbours.
             below = 0.0 if solid.closed else 2 * plate
             planes.append((faces[k], float(faces[k] @ cell.triangles[k, 0]) - below))
     return planes
@@ -321,7 +321,7 @@ def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Ge
 def _joinable(
     cells: list[Cell], old: list[int], new: list[int], solid: Solid, tolerance: float, rng: np.random.Generator
 ) -> dict[tuple[int, int], Joined]:
-    """Pairs with a new cell whose common hull is not found to stick out too far."""
+    """Pairs with a new cell whose common hull was not found to stick out too far."""
     found = dict[tuple[int, int], Joined]()
     within = np.array([k for k in (*old, *new) if cells[k].bound <= tolerance], dtype=np.int64)
     if len(within) == 0:
@@ -335,7 +335,7 @@ def _joinable(
             try:
                 hull = Polytope.from_points(np.concatenate([hull.vertices for hull in hulls]))
             except GeometryError:
-                continue  # two plates in one plane, say, whose thickness is all rounding
+                continue  # for example two plates in one plane, whose thickness is only rounding
             found[pair] = Joined(hull, _volume(hull) - sum(map(_volume, hulls)))
     if found:
         samples = _samples([joined.hull for joined in found.values()], rng)
@@ -345,7 +345,7 @@ def _joinable(
 
 
 def _samples(hulls: list[Polytope], rng: np.random.Generator) -> Floats:
-    """Random points of the hulls' surfaces, as many of each."""
+    """Random points of the hulls' surfaces, equally many for each."""
     chosen = np.empty((len(hulls), SAMPLES, 3, 3))
     for k, hull in enumerate(hulls):
         corners, normals = _faces(hull)
@@ -367,6 +367,6 @@ def _faces(hull: Polytope) -> tuple[Floats, Floats]:
 
 
 def _normals(triangles: Floats) -> Floats:
-    """Normals of triangles, twice as long as these are large; np.cross takes ten times as long for a few."""
+    """Normals of triangles, with length twice the area; np.cross takes ten times as long for a few."""
     (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -1,4 +1,4 @@
-"""Figures, with matplotlib: bodies, pairs, robots in scenes; and counts or measurements about them.
+"""Draw bodies, pairs, robots in scenes, and counts or measurements about them, with matplotlib.
 
 matplotlib is imported only when a function here is called: ``pip install "loewner[plots]"``.
 """
@@ -28,7 +28,7 @@ INNER, OUTER = "#228833", "#777777"
 NEAR = "#111111"
 SCENE, COLLIDING = "#bbbbbb", "#cc3311"
 
-# Of curves, in turn; they differ in lightness too, and each has a marker of its own.
+# Colours of curves, in turn; they also differ in lightness, and each has its own marker.
 CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
 LEVEL = "#555555"
 # The fields of `Settled`: free in blue, colliding in orange, darker where the test costs more.
@@ -144,7 +144,7 @@ def pair(
     _draw(ax, a, Ta, COLOURS[0], ellipsoids)
     _draw(ax, b, Tb, COLOURS[1], ellipsoids)
     _frame(ax, np.concatenate([_corners(a, Ta), _corners(b, Tb)]))
-    # Look across the line between the two, so that neither hides the other.
+    # View perpendicular to the line between the two, so that neither hides the other.
     way = _corners(b, Tb).mean(axis=0) - _corners(a, Ta).mean(axis=0)
     ax.view_init(elev=15, azim=np.degrees(np.arctan2(way[1], way[0])) - 90)
     verdict = Verdict(int(classify(a, Ta, b, Tb)))
@@ -163,7 +163,7 @@ def pair(
 
 
 def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) -> Any:
-    """Draw a robot in its scene; colliding parts are red, and the title gives the number of colliding pairs.
+    """Draw a robot in its scene, with colliding parts in red and the number of colliding pairs in the title.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        If `checker` is not a checker, or as for `CollisionChecker.collide`.
+        If `checker` is not a checker, and as for `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -279,7 +279,7 @@ def costs(
     Parameters
     ----------
     sizes : array_like, shape (k,)
-        Numbers above zero, in the order in which the points are joined.
+        Positive numbers, in the order in which the points are joined.
     seconds : mapping of str to array_like, shape (k,) or ()
         Time per item in seconds, under its name in the legend; NaN where nothing was measured. A single number does not
         depend on the size and becomes a dashed horizontal line.
@@ -337,14 +337,14 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
     Parameters
     ----------
     counts : mapping of str to mapping of str to (int, int)
-        For each rule and each family: the number of right answers, and the number of all answers.
+        For each rule and each family, the number of right answers and the number of all answers.
     ax : matplotlib axes, optional
         Axes to draw into; a new figure by default.
 
     Returns
     -------
     matplotlib axes
-        Families from top to bottom, one line and dot for each rule; a family without answers by a rule gets neither.
+        Families from top to bottom, each with a line and a dot for every rule that has answers.
 
     Raises
     ------
@@ -385,7 +385,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
         asked = {name: pair for name, pair in found.items() if pair[1] > 0}
         share = np.array([right / total for right, total in asked.values()])
         low, high = np.array([wilson(*pair) for pair in asked.values()]).reshape(-1, 2).T
-        # Rules side by side within half the space of a family.
+        # The rules of a family share half of its space side by side.
         at = np.array([families.index(name) for name in asked]) + 0.5 * ((k + 0.5) / len(checked) - 0.5)
         colour, marker = CURVES[k % len(CURVES)]
         ends = 100 * np.array([share - low, high - share])
@@ -400,7 +400,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
 
 
 def save(figure: Any, path: str | os.PathLike[str]) -> Path:
-    """Write a matplotlib figure (or the figure of axes), whole or not at all; the same figure gives the same bytes.
+    """Write a matplotlib figure (or the figure of axes) atomically; the same figure always gives the same bytes.
 
     Parameters
     ----------
@@ -432,18 +432,18 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
         raise InputError(f"figure: expected a matplotlib figure or axes, found {type(figure).__name__}")
     from matplotlib import rc_context
 
-    # SVG alone would carry the date, and names drawn at random.
+    # By default SVG contains the date and random names.
     metadata = {"Date": None} if target.suffix == ".svg" else None
     with replacing(target) as temporary, rc_context({"svg.hashsalt": "loewner"}):
         try:
             figure.savefig(temporary, dpi=120, bbox_inches="tight", metadata=metadata)
-        except ValueError as error:  # a suffix that matplotlib does not know
+        except ValueError as error:  # a suffix that matplotlib does not support
             raise FileError(f"{target}: could not be written ({error})") from None
     return target
 
 
 def _axes(given: Any) -> Any:
-    """Axes in space: those given, or new ones."""
+    """3-D axes: the given ones or new ones."""
     if given is None:
         return _figure(6, 6).add_subplot(projection="3d")
     if getattr(given, "name", None) != "3d" or not hasattr(given, "add_collection3d"):
@@ -452,7 +452,7 @@ def _axes(given: Any) -> Any:
 
 
 def _flat_axes(given: Any) -> Any:
-    """Axes in the plane: those given, or new ones."""
+    """2-D axes: the given ones or new ones."""
     if given is None:
         return _figure(6, 4).add_subplot()
     if getattr(given, "name", None) != "rectilinear" or not hasattr(given, "barh"):
@@ -465,7 +465,7 @@ def _colour(x: Any) -> Any:
 
     try:
         known = isinstance(x, (str, tuple)) and is_color_like(x)
-    except Exception:  # what an object of the caller's raises
+    except Exception:  # an error from the caller's object
         known = False
     if not known:
         raise InputError(f"colour: expected a colour of matplotlib, found {_validate.short(x)}")
@@ -482,12 +482,12 @@ def _figure(width: float, height: float) -> Any:
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtraError(f"figures need matplotlib: {installing('plots')}") from None
-    # Not through pyplot: that would keep every figure alive and choose a window system.
+    # Without pyplot, which would keep every figure alive and choose a window system.
     return Figure(figsize=(width, height))
 
 
 def _named(x: Any, name: str) -> Mapping[Any, Any]:
-    """Check a mapping that has something in it."""
+    """Check a mapping, which must not be empty."""
     if not isinstance(x, Mapping):
         raise InputError(f"{name}: expected a mapping by name, found {type(x).__name__}")
     if not x:
@@ -508,7 +508,7 @@ def _tiers_of(group: Any, name: Any) -> dict[str, int]:
 
 
 def _times(x: Any, name: str, count: int) -> Floats:
-    """One time, or one for each size; NaN for what was not measured."""
+    """One time, or one for each size; NaN where nothing was measured."""
     times = _validate.float_array(x, f"seconds[{name!r}]")
     if times.shape not in ((), (count,)):
         found = _validate.shape_text(times.shape)
@@ -522,10 +522,10 @@ def _times(x: Any, name: str, count: int) -> Floats:
 
 
 def _counted(x: Any, name: str) -> tuple[int, int]:
-    """How many were right, of how many."""
+    """Number of right answers, and number of all answers."""
     try:
         right, total = (_validate.whole_number(n, name, 0) for n in x)
-    except Exception:  # other than two of them, or what an object of the caller's raises
+    except Exception:  # not two numbers, or an error from the caller's object
         raise InputError(f"{name}: expected two whole numbers (right, asked), found {_validate.short(x)}") from None
     if right > total:
         raise InputError(f"{name}: expected right <= asked, found {right} of {total}")
@@ -543,7 +543,7 @@ def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None
         for fitted, line, width in ((body.outer, OUTER, 0.4), (body.inner, INNER, 0.6)):
             moved = fitted.transformed(T)
             for center, factor in zip(moved.center, moved.factor, strict=True):
-                if not factor.any():  # a point: a surface has nothing inside
+                if not factor.any():  # a point: a surface has no inside
                     continue
                 ax.add_collection3d(Line3DCollection(center + _WIRES @ factor.T, colors=line, linewidths=width))
 
@@ -588,4 +588,4 @@ def _frame(ax: Any, corners: Floats) -> None:
     ax.set_box_aspect((1, 1, 1))
     ax.locator_params(nbins=3)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        axis.labelpad = 12  # clear of the ticks' numbers
+        axis.labelpad = 12  # clear of the tick labels

@@ -1,4 +1,4 @@
-"""A convex polytope in any dimension: its vertices and its faces, from points or from half-spaces."""
+"""Convex polytopes in any dimension: vertices and faces, from points or from half-spaces."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ from loewner.errors import GeometryError, InputError
 # SciPy's hulls and linear programs are imported where they are used: together they take longer than all of `loewner`.
 
 
-# Hulls or pieces that a thread takes at a time, at least and at most: a progress report every 10 to 50 ms.
+# Smallest and largest number of hulls or pieces that a thread takes at a time: a progress report every 10 to 50 ms.
 LEAST_SHARE, BLOCK = 16, 512
 
-# A set of points is flat if its width in some direction is at most this times its length. Below it float64
-# coordinates of a turned body no longer carry a shape: four digits are left at this aspect, none at 1e-16.
+# A set of points is flat if its width in some direction is at most this times its length. Below it float64 coordinates
+# of a rotated body no longer resolve its shape: four digits remain at this aspect, none at 1e-16.
 FLATNESS = 1e-12
 EPS = float(np.finfo(float).eps)
-# From this many points in 3-D on, those inside the hull of a sample are left out: of a fiftieth of the points, within
-# these numbers. It is not worth while if more than this share of the sample are its vertices. Nor is it done if that
-# hull has a face this near to its middle, relative to the size of all points. The hull is shrunk by this share.
+# From this many points in 3-D on, points inside the hull of a sample are left out. The sample has a fiftieth of the
+# points, within these limits. The step is not worthwhile if more than this share of the sample are vertices of its
+# hull. Nor is it done if the hull has a face this near to its middle, relative to the size of all points. The hull is
+# shrunk by this share.
 MANY_POINTS, LEAST_SAMPLE, MOST_SAMPLE = 20_000, 1_000, 20_000
 WORTHWHILE, SHALLOW, SHRINK = 0.5, 1e-3, 1e-6
-# Points that a kernel looks at between two chances to be interrupted: some 10 ms.
+# Points that a kernel examines between two checks for an interrupt: about 10 ms.
 POINTS_AT_ONCE = 2**18
-# Lengths are squared on the way, and flatness is judged twelve orders below them.
+# Lengths are squared in between, and flatness is judged twelve orders of magnitude below them.
 SMALLEST, LARGEST = 1e-140, 1e140
 
 
@@ -168,7 +169,7 @@ def check_enough(points: Floats, name: str, least_dim: int = 1, given: Floats | 
     least = n + 1 if given is None else n
     if m < least:
         raise GeometryError(f"{name}: expected at least {least} points in dimension {n}, found {m}")
-    check_size(max(float(points.max()), -float(points.min())), name)  # no copy of a million points for their sizes
+    check_size(max(float(points.max()), -float(points.min())), name)  # avoids a copy of a million points
 
 
 def check_size(size: float, name: str) -> None:
@@ -178,15 +179,15 @@ def check_size(size: float, name: str) -> None:
 
 
 def writeable(array: NDArray[Any]) -> NDArray[Any]:
-    """Return `array`, or a copy if it is read-only: to Numba that is another type, compiled all over again."""
+    """Return `array`, or a copy if it is read-only, which for Numba is another type that needs another compilation."""
     return array if array.flags.writeable else array.copy()
 
 
 def flat_error(name: str, points: Floats) -> GeometryError:
-    """Describe how flat the points are, and in how many directions they do extend.
+    """Describe how flat the points are, and in how many directions they extend.
 
-    The kernels stop at the first direction without a width, which need not be the last: a sheet across the first
-    direction tried has none there. So the directions are found anew, the widest first.
+    The kernels stop at the first direction without a width, although others may follow: a sheet perpendicular to the
+    first direction has no width there. So the directions are found anew, the widest first.
     """
     n = points.shape[1]
     offsets = points - points[0]
@@ -206,7 +207,7 @@ def flat_error(name: str, points: Floats) -> GeometryError:
 
 
 def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
-    """Half-spaces with rows of length about 1 (scaled by powers of two, so exactly), empty rows dropped."""
+    """Half-spaces without empty rows, scaled exactly, by powers of two, to rows of length about 1."""
     rows = _validate.finite_array(A, "A", ("m", "n"))
     bounds = _validate.finite_array(b, "b", (len(rows),))
     if rows.shape[1] < 1 or len(rows) < 1:
@@ -217,7 +218,7 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
         i = int(np.flatnonzero(nothing & (bounds < 0))[0])
         raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
     scale = -np.frexp(size[~nothing])[1]
-    with np.errstate(over="ignore"):  # infinite is too large, and told so
+    with np.errstate(over="ignore"):  # infinite numbers are reported as too large
         scaled = np.ldexp(bounds[~nothing], scale)
     farthest = float(np.abs(scaled).max(initial=0.0))
     if farthest and not SMALLEST <= farthest <= LARGEST:
@@ -230,10 +231,11 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
-    """Point with A x < b for certain: the origin, or the point of largest least slack.
+    """Point that certainly satisfies A x < b: the origin, or the point with the largest minimum slack.
 
-    That is a linear program. A solver's tolerance is absolute, about 1e-7 of the data, so it is solved again around its
-    own answer, magnified, until the slack clearly exceeds rounding (Gleixner, Steffy and Wolter 2016).
+    The latter is a linear program. A solver's tolerance is absolute, about 1e-7 of the data, so the program is
+    magnified about its solution and solved again until the slack clearly exceeds rounding (Gleixner, Steffy and Wolter
+    2016).
 
     Raises
     ------
@@ -247,7 +249,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     from scipy.optimize import linprog
 
-    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # of a cone, or of one point, every scale is its own
+    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # a cone, or a single point, has no scale of its own
     least, noise = -np.inf, 0.0
     for _ in range(4):
         slack = b - A @ x
@@ -264,7 +266,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
         slack = b - A @ x
         least = float(slack.min())
         noise = float((4 * n * EPS * (np.abs(b) + np.abs(A) @ np.abs(x))).max())
-        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last: flat, and without rounding
+        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last: exactly flat
             break
         magnify = min(magnify * 1e6, 1.0 / max(abs(least), noise))
     distance = (b - A @ x) / np.linalg.norm(A, axis=1)
@@ -282,10 +284,10 @@ def interior_point(A: Floats, b: Floats) -> Floats:
 
 
 def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
-    """Say that the polytope goes on for ever, and which way."""
+    """Make the error for an unbounded polytope, which names a direction in which it is unbounded."""
     if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
-    if not direction.any():  # the normals do not span the space: any vector they are all orthogonal to
+    if not direction.any():  # the normals do not span the space: any vector that is orthogonal to all of them
         direction = np.linalg.svd(A)[2][-1]
     way = np.array2string(direction / np.linalg.norm(direction), precision=3, suppress_small=True)
     return GeometryError(f"A, b: unbounded: no half-space limits the direction {way}")
@@ -332,14 +334,14 @@ def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
 
 
 def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
-    """Which of many points in 3-D may be vertices of their hull; the others are inside the hull of these for certain.
+    """Points in 3-D that may be vertices of the hull of all; the others are certainly inside the hull of these.
 
-    They are inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left out if a·(y - c) is less
-    than 1 - `shrink` for each. The smallest a·(v - c) over a face's own vertices v is 1, so that no vertex is left out,
-    and by the lemma of docs/containment.md their hull holds the point in these coordinates. They are off by at most
-    5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c) by no more than 5 u B |y| / s, s the least distance of
-    a face from c. Both the point and the vertices move: 10 of the 128 that `shrink` has. Its first term is far above
-    the rounding of the products, which is less than 20 u |y| / s.
+    Those are inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left out if a·(y - c) is less
+    than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1, so no vertex is left out,
+    and by the lemma of docs/containment.md the hull of the vertices contains the point in these coordinates. The
+    coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c) by at most 5 u B |y| /
+    s, where s is the least distance of a face from c. Both the point and the vertices move: this takes 10 of the 128 in
+    `shrink`. Its first term is far above the rounding of the products, which is less than 20 u |y| / s.
     """
     found = _hull_of_sample(coordinates)
     if found is None:
@@ -362,11 +364,11 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
 
 
 def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """The mean of its vertices, and the normals of its faces with their distances from that; None if of no use.
+    """Mean of the vertices of a sample's hull, and face normals with distances from the mean; None if it is useless.
 
-    The sample has the ends along the axes, so that its hull is not much smaller than that of all points. A point is as
-    likely to be beyond the hull of a random sample as one of the sample is to be its vertex (Efron 1965,
-    doi:10.1093/biomet/52.3-4.331), so that the sample tells whether it is worth while to ask all points.
+    The sample includes the extreme points along the axes, so that its hull is not much smaller than the hull of all
+    points. A point is as likely to be outside the hull of a random sample as a point of the sample is to be its vertex
+    (Efron 1965, doi:10.1093/biomet/52.3-4.331), so the sample shows whether testing all points is worthwhile.
     """
     from scipy.spatial import QhullError
 
@@ -377,7 +379,7 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
     sample, unit = coordinates[chosen], np.eye(3)
     try:
         simplices, neighbors, equations = _qhull(sample)
-    except QhullError:  # flat to rounding, which all points need not be
+    except QhullError:  # the sample is flat to rounding; the points need not be
         return None
     code, _, used, face_of, normals, _ = entries.finish_hull(sample, unit, sample, simplices, neighbors, equations)
     if code != 0 or used.sum() > WORTHWHILE * len(sample):
@@ -398,7 +400,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many 3-D hulls, packed: each `start` array gives the rows start[i]:start[i+1] of hull i in its arrays.
+    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of the arrays that belong to a `start` array.
 
     Attributes
     ----------
@@ -465,7 +467,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     Raises
     ------
     InputError, GeometryError
-        As `Polytope.from_points`; the message begins with the name of the set.
+        As for `Polytope.from_points`; the message begins with the name of the set.
     """
 
     def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints]]:
@@ -479,7 +481,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     return Hulls._packed(list(chain.from_iterable(shares)))
 
 
-# Corners of the box of half edge lengths 1, and of its faces and triangles those that Qhull finds, in its order.
+# Corners of the box with half edge lengths 1, and its faces and triangles as Qhull finds them, in its order.
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _BOX_NORMALS = np.array([[0, 0, -1], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 _BOX_TRIANGLES = np.array(
@@ -491,7 +493,7 @@ _BOX_TRIANGLES = np.array(
 
 
 def box_hull(half: Floats, name: str) -> Hulls:
-    """Hull of the corners of a box about the origin along the axes, as `hulls` finds it, without Qhull.
+    """Hull of the corners of an axis-aligned box about the origin, as `hulls` finds it, without Qhull.
 
     Parameters
     ----------
@@ -503,12 +505,12 @@ def box_hull(half: Floats, name: str) -> Hulls:
     Raises
     ------
     InputError, GeometryError
-        As `Polytope.from_points` of the corners.
+        As for `Polytope.from_points` with the corners.
     """
     check_size(float(half.max()), name)
     corners = _CORNERS * half
     edges = 2 * half
-    # The kernel's test of the corners: the axes in turn, each against the longest edge so far.
+    # As the kernel tests the corners: the axes in turn, each against the longest edge so far.
     if not (edges > np.maximum(FLATNESS * np.maximum.accumulate(edges), 6 * EPS * half.max())).all():
         raise flat_error(name, corners)
     return Hulls._packed([(corners, _BOX_NORMALS, np.abs(_BOX_NORMALS) @ half, _BOX_TRIANGLES)])

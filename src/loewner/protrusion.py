@@ -1,4 +1,4 @@
-"""How far convex pieces stick out of a mesh: a proven bound, by branch and bound over the pieces' surfaces."""
+"""Bound how far convex pieces stick out of a mesh, with proof, by branch and bound over the pieces' surfaces."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from loewner._workspaces import workspace
 from loewner.polytopes import Polytope
 from loewner.triangles import cut, halved, longest_edges, squared_distances, unit_normals
 
-# What is looked for ends when the bound is this near to a value that was found: a share of the value, or of the
-# diagonal of the mesh's box.
+# The search ends when the bound is this near to a value that was found: a share of the value, or of the diagonal of the
+# mesh's box.
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
-# Distances and heights are rounded by less than this share of the diagonal, and this one of the largest coordinate.
+# Rounding errors of distances and heights are below these shares of the diagonal and of the largest coordinate.
 ROUNDING = 1e-12  # derived 9e-15, certified.md B44
 COORDINATES = 1e-14
 
-# Cells looked at in all, after which the bound that there is counts; in one go; and, where nothing was found to stick
-# out, until that is known down to rounding.
+# Limits on the number of cells: in all, after which the current bound is returned; in one step; and, if nothing was
+# found to stick out, until this is known down to rounding.
 WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
 
-# A cell is cut along the edges of the triangle that it lies in, unless its edges are this many times as long.
+# A cell is cut along the edges of the triangle in which it lies, unless its own edges are this many times as long.
 COARSE = 4.0
 
-# Cubes are asked for the triangles in their reach if they are no larger than this share of the diagonal.
+# The triangles within reach of a cube are tested if the cube is no larger than this share of the diagonal.
 LARGEST_LOOKED_INTO = 0.1
 
-# Triangles face into one half-space if their normals have this much in common with a direction, which is looked for in
-# so many steps.
+# Triangles face one half-space if the products of their normals with some direction are at least this; the search for
+# this direction takes this many steps.
 FACING, FACING_STEPS = 1e-6, 6
 
-# Where triangles are looked at from both sides, and from how far, as a share of the diagonal.
+# Points at which triangles are tested from both sides, and the distance of the tests as a share of the diagonal.
 SEEN_AT = np.array([[1, 1, 1], [2.4, 0.3, 0.3], [0.3, 2.4, 0.3], [0.3, 0.3, 2.4]]) / 3
 LOOKED_ASIDE = 1e-7
 
-# Points in one call of a kernel, between which an interrupt is noticed.
+# Points in one call of a kernel; interrupts are noticed between calls.
 CHUNK = 16_384
 
 
@@ -52,7 +52,7 @@ class Solid:
     Parameters
     ----------
     triangles : ndarray, shape (t, 3, 3)
-        Corners. For a closed mesh, counter-clockwise seen from outside.
+        Corners, for a closed mesh counter-clockwise seen from outside.
     closed : bool
         Whether the mesh has an inside: all points with a winding number other than 0.
     size : float, optional
@@ -60,8 +60,8 @@ class Solid:
 
     Notes
     -----
-    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its middle and scaled by a power of
-    two to a size near 1, so that they round relative to its size and single precision suffices for its boxes.
+    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its center, scaled by a power of two
+    to a size near 1, so that rounding is relative to its size and single precision suffices for its boxes.
     """
 
     def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
@@ -82,16 +82,16 @@ class Solid:
         self._normals = self.normals[self._numbers]
 
     def _framed(self, points: Floats) -> Floats:
-        """Points as kernels see them."""
+        """Points in the coordinates of kernels."""
         framed: Floats = (points - self._middle) * self._scale
         return np.ascontiguousarray(framed)
 
     def _asked(self, framed: Floats) -> tuple[int, float]:
-        """The tree, and a sum of lengths that no coordinate exceeds."""
+        """The tree, and a sum of lengths that bounds all coordinates."""
         return self._tree.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
-        """Distance of points to the surface, negative inside, and the triangle nearest to each."""
+        """Distances of points to the surface, negative inside, and the triangle nearest to each point."""
         distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
@@ -100,7 +100,7 @@ class Solid:
             entries.nearest_triangles(*self._asked(framed), framed, some, places[k : k + CHUNK], memory)
         distances /= self._scale
         if self.closed:
-            clear = np.flatnonzero(distances > self.rounding)  # on the surface, either sign will do
+            clear = np.flatnonzero(distances > self.rounding)  # on the surface, either sign is valid
             distances[clear[self.winding_numbers(points[clear]) != 0]] *= -1
         return distances, self._numbers[places]
 
@@ -108,7 +108,7 @@ class Solid:
         """Whether all triangles within reach of a point face one half-space.
 
         A surface that is not closed has two outer sides, unless the point and its surroundings are known to be
-        `outside` of it: then the point's own side counts.
+        `outside`: then only the point's own side counts.
         """
         answers = np.zeros(len(points), dtype=bool)
         if self.closed and not self._turned_alike:
@@ -128,9 +128,9 @@ class Solid:
 
     @kept
     def _turned_alike(self) -> bool:
-        """Whether each triangle has the solid on its inner side, as far as four points of each tell.
+        """Whether each triangle has the solid on its inner side, judged by four of its points.
 
-        Where a cavity reaches out of the part that it belongs to, a triangle may have the solid on its outer side.
+        Where a cavity extends beyond its part, a triangle may have the solid on its outer side.
         """
         seen = self.normals.any(axis=1)
         points = SEEN_AT @ self.triangles[seen]
@@ -198,17 +198,17 @@ def protrusions(
 
     Notes
     -----
-    The distances of two points to the solid differ by at most the distance between the points. So a triangle of a
-    piece's boundary has a bound: the distance of its center, negative inside, plus the radius about it. The distance to
-    a single triangle of the mesh is convex, so it is greatest at a corner: this gives another bound, and the smaller
+    The distances of two points to the solid differ by at most the distance between the points. A triangle of a piece's
+    boundary therefore has a bound: the distance of its center, negative inside, plus the radius about it. The distance
+    to a single triangle of the mesh is convex, so it is greatest at a corner, which gives another bound; the smaller
     one counts. A triangle whose bound is above the required one is halved, or cut along the edges of the mesh's
     triangle in which it nearly lies, which settles that part.
 
-    Inside a piece, in a cavity or a groove that it fills, the distance may be greater still, at a local maximum. There
-    the directions from the nearest points of the surface surround the point, and each is a combination of outward
-    normals of triangles at its nearest point. So a cube has no local maximum if all triangles within reach face one
-    half-space. Other cubes have the bound above, or are divided. The same holds for all cubes of a mesh in which
-    triangles have the solid on their outer side, for instance where a cavity reaches out of its part.
+    Inside a piece, in a cavity or a groove that it fills, the distance may have a greater local maximum. There the
+    directions from the nearest points of the surface surround the point, and each is a combination of outward normals
+    of triangles at its nearest point. So a cube has no local maximum if all triangles within reach face one half-space.
+    Other cubes have the bound above, or are divided; so are all cubes if some triangles of the mesh have the solid on
+    their outer side, for instance where a cavity extends beyond its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
@@ -222,7 +222,7 @@ def protrusions(
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
         if floor > 0:
             accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
-        # Whether a piece is below the floor is to be known, however near it comes; by how much it is above is not.
+        # It must be decided whether a piece is below the floor, however near it comes, but not by how much it is above.
         near = np.where(best > floor, best * (1 + relative), best)
         return np.maximum(floor, np.maximum(near, best + accuracy))
 
@@ -237,7 +237,7 @@ def protrusions(
 def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
     """Bound how far the hulls of closed parts stick out, each measured against its own part.
 
-    Other parts, which may touch this one or lie in it, would interfere, so each is placed far from the others.
+    Other parts, which may touch this part or lie in it, would interfere, so each is placed far from the others.
     """
     size = max(float(np.linalg.norm(np.ptp(hull.vertices, axis=0))) for hull in hulls)
     edge = round(np.ceil(len(parts) ** (1 / 3)))
@@ -253,7 +253,7 @@ def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
 
 @dataclass
 class _Search:
-    """Branch and bound over cells of the pieces: what was found and what is proven, and two kinds of cells."""
+    """Branch and bound over two kinds of cells of the pieces, with the values found and the bounds proven."""
 
     hulls: list[Polytope]
     solid: Solid
@@ -263,10 +263,10 @@ class _Search:
     targets: Callable[[int], Floats]
 
     def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
-        """Look at cells, those of the greatest bounds first, and at the parts of those that remain.
+        """Examine cells, beginning with the greatest bounds, and then the parts of the unsettled ones.
 
-        `limit` is what is known of each cell. `look` takes cells, owners, limits and the work so far, and returns the
-        parts of those that are not settled, whose parts they are, and the bounds of all of the cells.
+        `limit` is the known bound of each cell. `look` takes cells, owners, limits and the work so far, and returns the
+        parts of unsettled cells, the index of each part's cell, and the bounds of all cells.
         """
         work = 0
         while len(cells) and work < WORK:
@@ -276,7 +276,7 @@ class _Search:
                 now, later = order[:AT_ONCE], order[AT_ONCE:]
             work += len(now)
             parts, origin, bound = look(cells[now], owner[now], limit[now], work)
-            # Those that waited may have been settled by what was found.
+            # Values found meanwhile may have settled waiting cells.
             over = limit[later] <= self.targets(work)[owner[later]]
             np.maximum.at(self.bounds, owner[later[over]], limit[later[over]])
             later = later[~over]
@@ -310,7 +310,7 @@ class _Search:
         return parts, rest[origin], bound
 
     def inside(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
-        """Cubes, as middles and half edges, which may hold local maxima of distance in the pieces."""
+        """Cubes, given by centers and half edges, that may contain local maxima of distance in the pieces."""
         middles, half = cells[:, :3], cells[:, 3]
         radius = np.sqrt(3.0) * half
         height = np.empty(len(cells))
@@ -337,7 +337,7 @@ class _Search:
 
 
 def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tuple[Floats, Ints, Floats]:
-    """Parts of cells, the cell that each comes from, and a bound for the part of each cell that is settled."""
+    """Parts of cells, the cell from which each comes, and a bound for the settled part of each cell."""
     length, edge = longest_edges(cells)
     mesh, normals = solid.triangles[nearest], solid.normals[nearest]
     height = np.abs(np.einsum("ijk,ik->ij", cells - mesh[:, :1], normals)).max(axis=1) + solid.rounding
@@ -353,14 +353,14 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
         parts.append(outside)
         origins.append(of[beyond])
         of = of[within]
-    # A cell that stands on an edge of the triangle may lie in the plane that cuts along it: nothing is inside then.
+    # A cell perpendicular to an edge of the triangle may lie in the plane that cuts along it: nothing is inside then.
     cut_up = np.zeros(len(cells), dtype=bool)
     cut_up[of] = True
     keep = [cut_up[origin] for origin in origins]
     whole = np.flatnonzero(~cut_up)
     parts = [part[k] for part, k in zip(parts, keep, strict=True)] + [halved(cells[whole], edge[whole])]
     origins = [origin[k] for origin, k in zip(origins, keep, strict=True)] + [whole, whole]
-    # Distance to one triangle is convex: greatest at a corner of what is inside.
+    # The distance to one triangle is convex: it is greatest at a corner of the part inside.
     far = squared_distances(inside.reshape(-1, 3), solid.triangles[np.repeat(nearest[of], 3)])
     bound = np.zeros(len(cells))
     np.maximum.at(bound, of, np.sqrt(far.reshape(-1, 3).max(axis=1)) + solid.rounding)
@@ -368,7 +368,7 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
 
 
 def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
-    """Whether points lie over the insides of triangles."""
+    """Whether points lie above the interiors of triangles."""
     above = np.ones(len(points), dtype=bool)
     for k in range(3):
         edge = triangles[:, (k + 1) % 3] - triangles[:, k]

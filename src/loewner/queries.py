@@ -1,4 +1,4 @@
-"""Do two bodies collide, and how far apart are they? Verdicts and results for one pair or a million."""
+"""Verdicts, collisions and distances of bodies, for one pair or a million."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from loewner._validate import BoolOrBools, Bools, FloatOrFloats, Floats, Ints, O
 from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import ConvergenceError, InputError, PoseError
 
-if TYPE_CHECKING:  # at runtime, defaults of type variables are of Python 3.13
+if TYPE_CHECKING:  # defaults of type variables need Python 3.13 at runtime
     from typing_extensions import TypeVar
 
     Number = TypeVar("Number", default=FloatOrFloats, covariant=True)
@@ -33,13 +33,13 @@ else:
 
     Number, Exact, Vector = TypeVar("Number"), TypeVar("Exact"), TypeVar("Vector")
 
-# Value of a result's fields that were not requested: None, for type variables that may stand for it.
+# Value of a result's fields that were not requested: None, typed so that it fits their type variables.
 NOTHING: Any = None
 
-# Bytes that a pair takes in `collide`: a verdict and two flags. In a list of pairs: two numbers.
+# Bytes per pair in `collide`: a verdict and two flags. In a list of pairs: two numbers.
 COLLIDE_BYTES, LIST_BYTES = 3, 16
 
-# Where a body or several are, as users give it.
+# Poses of a body or several, as users give them.
 Poses = ArrayLike | None
 
 Verdicts = NDArray[np.int8]
@@ -75,7 +75,7 @@ VerdictOrVerdicts = Verdict | Verdicts
 
 @dataclass(frozen=True, eq=False)
 class Distance(Generic[Number, Exact, Vector]):
-    """Distances in metres, each of the batch's shape; negative is a penetration depth.
+    """Distances in metres, each of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
     pieces a negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
@@ -118,10 +118,11 @@ class Distance(Generic[Number, Exact, Vector]):
     def wrench(self) -> Vector:
         """Derivative of the distance with respect to b's motion, shape (..., 6), or None without ``exact=True``.
 
-        A unit force along the normal at the witness and its moment about the world's origin [m]. If b moves by a twist,
-        which is the velocity of its point at the world's origin and an angular velocity, the distance changes by the
-        product of twist and wrench; if a moves, by minus that product. Where the witnesses are not unique (parallel
-        faces or edges) the distance has a kink, and this is the derivative for one choice of witnesses.
+        It consists of a unit force along the normal at the witness and its moment about the world's origin [m]. If b
+        moves by a twist (the velocity of its point at the world's origin and its angular velocity), the distance
+        changes by the product of twist and wrench; if a moves, by minus that product. Where the witnesses are not
+        unique (parallel faces or edges) the distance has a kink, and this is the derivative for one choice of
+        witnesses.
 
         Examples
         --------
@@ -147,7 +148,7 @@ Measured = Distance[Number, Number, Floats]
 
 
 class _Pairs(NamedTuple):
-    """Operands of a query, broadcast, as the kernels take them."""
+    """Operands of a query, broadcast, in the form that the kernels take."""
 
     shape: tuple[int, ...]
     total: int
@@ -158,13 +159,13 @@ class _Pairs(NamedTuple):
 
     @property
     def operands(self) -> Operands:
-        """Plan, rows, pack and poses of a, pack and poses of b, as the kernels take them."""
+        """Plan, rows, pack and poses of a, pack and poses of b, in the order that the kernels take."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
 
 def _of_mesh(source: Any) -> str:
-    """What to do about a mesh where a body is expected, for the message."""
+    """Advice about a mesh where a body is expected, for the message."""
     return "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(source, "faces") else ""
 
 
@@ -202,16 +203,16 @@ def expect_bodies(a: Any, b: Any) -> None:
 
 
 class Plan(NamedTuple):
-    """Which bodies at which poses make the pairs of a batch.
+    """The bodies and poses that make up the pairs of a batch.
 
     Attributes
     ----------
     shape : tuple of int
     total : int
     steps : ndarray of int64, shape (5, d)
-        See `settle_range` of the kernels: a shape that is left of the batch's, and strides of a, Ta, b and Tb in rows.
+        See `settle_range` of the kernels: the merged shape of the batch, and strides of a, Ta, b and Tb in rows.
     rows : ndarray of int64, shape (2, total) or (2, 0)
-        Rows of pairs that are listed by number.
+        Rows of a and b, if the pairs are listed by number.
     """
 
     shape: tuple[int, ...]
@@ -293,9 +294,9 @@ def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
 
 
 def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
-    """Merge neighbouring axes that every operand walks through evenly; mostly one axis is left.
+    """Merge neighbouring axes along which every operand has an even stride; usually one axis remains.
 
-    Returns the plan: the shape that is left, then the strides of each operand, one row each.
+    Returns the plan: the merged shape, then the strides of each operand, one row each.
     """
     axes: list[list[int]] = []
     for d, length in enumerate(shape):
@@ -369,10 +370,12 @@ def classify(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies must keep: FREE then means farther apart than `margin`, COLLIDING within it.
+        Distance in metres that the bodies must keep: FREE then means farther apart than `margin`, and COLLIDING means
+        within it.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i (a single body or pose
-        serves all rows). Nothing is copied. For all of n with all of m: ``np.indices((n, m)).T``, result (m, n).
+        serves all rows). Nothing is copied. To compare all of n with all of m, pass ``np.indices((n, m)).T``; the
+        result has shape (m, n).
 
     Returns
     -------
@@ -502,7 +505,7 @@ def collide(
 
 @guarded
 def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
-    """Whether bodies collide: exactly, or by the estimate."""
+    """Whether bodies collide, exactly or by the estimate."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
     unsettled = out == Verdict.AMBIGUOUS
@@ -631,7 +634,7 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:
-    """An answer that arithmetic could not settle is an exception, never a guess."""
+    """Raise an exception for answers that arithmetic could not settle, never a guess."""
     indices = np.flatnonzero(unsettled)
     raise ConvergenceError(
         f"{query}: {len(indices)} of {unsettled.size} pairs could not be settled, the first at flat index "

@@ -1,8 +1,8 @@
 """Scenes: named bodies in the world, bodies attached to a robot's links, allowed contacts, and margins.
 
 A `Scene` changes between two queries: bodies are added, moved, grasped and put down by name. The bodies themselves
-never change, so each change costs a few dictionary entries and no new fit. A scene has no robot. Names of links are not
-checked here, but by `CollisionChecker`, which pairs the scene with a robot.
+never change, so each change costs a few dictionary entries and no new fit. A scene has no robot: names of links are
+checked by `CollisionChecker`, which pairs the scene with a robot.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
 from loewner.queries import Bounds, Distance, Measured
 
-# One name, a pair, or in the place of a name None for any link.
+# One name or a pair, where None in place of a name means any link.
 MarginKey = tuple[str | None, ...]
 
-# Held while a scene changes or is copied, for microseconds each. One for all scenes: none has to be kept out of copies
-# and pickles, and a process that forks meanwhile has one to see to.
+# Held for microseconds while a scene changes or is copied. All scenes share one lock, so that copies and pickles need
+# not exclude it, and a process that forks has only one to reset.
 _CHANGING = threading.RLock()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING.release)
@@ -44,8 +44,8 @@ class Contact:
     name_a, name_b : str
         Names of bodies of a scene, or of links of a robot.
     distance : float
-        In metres; a negative value is the depth of the deepest two pieces. It is positive only for two that are within
-        their margin (or apart by rounding alone: touching is colliding).
+        In metres; a negative value is the depth of the deepest two pieces. It is positive only for two bodies within
+        their margin (or apart by rounding alone: touching counts as colliding).
     witness_a, witness_b : ndarray, shape (3,)
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
@@ -70,13 +70,13 @@ class Contact:
 
     @classmethod
     def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
-        """One contact per pair of names, from as many exact distances.
+        """Make one contact per pair of names, from exact distances.
 
         Parameters
         ----------
         names : iterable of pairs of str
         found : Distance
-            As many pairs as names, computed with ``exact=True``.
+            One distance per pair of names, computed with ``exact=True``.
 
         Returns
         -------
@@ -85,7 +85,7 @@ class Contact:
         Raises
         ------
         InputError
-            If the numbers of pairs of names and of exact distances differ.
+            If the number of names differs from the number of exact distances.
         """
         if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
             raise InputError(f"found: expected exact distances of a row of pairs, found {_validate.short(found)}")
@@ -134,9 +134,9 @@ class Scene:
 
     Notes
     -----
-    A scene is iterated over by name, in the order in which the bodies were added. Its own queries (`pairs`, `collide`,
-    `distance`) are about the static bodies in the world; the pose of a body that is attached to a link depends on a
-    robot's configuration.
+    Iterating over a scene yields names, in the order in which the bodies were added. Its own queries (`pairs`,
+    `collide`, `distance`) are about the static bodies in the world; the pose of a body that is attached to a link
+    depends on a robot's configuration.
 
     Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
     state. A body that is probably not in metres causes a warning when it is added, once per scene.
@@ -197,13 +197,13 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the static bodies in the world, in the same order: all except the attached ones."""
+        """Names of the static bodies in the world, in the same order: all bodies except the attached ones."""
         with _CHANGING:
             return tuple(name for name in self._bodies if name not in self._attachments)
 
     @property
     def static_bodies(self) -> Bodies:
-        """The bodies of `static_names`, packed; the same object until `structure_version` grows."""
+        """The bodies of `static_names`, packed; the same object until `structure_version` increases."""
         with _CHANGING:
             packed, version = self._packed, self._structure_version
             standing = [self._bodies[name] for name in self.static_names]
@@ -213,7 +213,7 @@ class Scene:
 
     @property
     def static_poses(self) -> Floats:
-        """Poses in the world of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
+        """World poses of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
             return np.array([self._poses[name] for name in self.static_names]).reshape(-1, 4, 4)
 
@@ -231,11 +231,11 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except `move`, which leaves all other prepared data valid."""
+        """A number that grows with every change except `move`, after which all other prepared data stays valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
-        """Pose in the world of a body, shape (4, 4), as a new array.
+        """Pose of a body in the world, shape (4, 4), as a new array.
 
         Parameters
         ----------
@@ -305,7 +305,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the name is taken or not a text, `body` is not a body, or the margin is negative or not finite.
+            If the name is taken or not a string, `body` is not a body, or the margin is negative or not finite.
         PoseError
             If the pose is not a rigid motion.
 
@@ -357,7 +357,7 @@ class Scene:
             del self._bodies[self._known(name)]
             self._poses.pop(name, None)
             self._attachments.pop(name, None)
-            # A body that later comes under the same name must not inherit leave to touch.
+            # A body that is later added under the same name must not inherit permission to touch.
             self._allowed = {pair for pair in self._allowed if name not in pair}
             self._end_contacts(name)
             self._margins = {key: margin for key, margin in self._margins.items() if name not in key}
@@ -392,7 +392,7 @@ class Scene:
             raise InputError(f"body of {_validate.short(name)}: expected loewner.Body, found {type(body).__name__}")
         with _CHANGING:
             self._bodies[self._known(name)] = body
-            T = self._poses.get(name)  # none on a link
+            T = self._poses.get(name)  # None for a body on a link
             self._changed()
         if not self._doubted and T is not None:
             self._doubt(name, body, T)
@@ -433,7 +433,7 @@ class Scene:
         leave: Iterable[str] = (),
         reach: Iterable[str] = (),
     ) -> None:
-        """Attach a body to a link, with which it moves from now on: a grasped object.
+        """Attach a body, such as a grasped object, to a link, with which it moves from now on.
 
         Parameters
         ----------
@@ -446,9 +446,10 @@ class Scene:
         touch_links : iterable of str
             Links that the body may touch as long as it is attached; it may always touch `link` itself.
         leave : iterable of str
-            Bodies or links that it touches now and has to leave, such as the table below it: see `leave`.
+            Bodies or links that it touches now and must leave, such as the table below it: see `leave`.
         reach : iterable of str
-            Bodies or links that it may touch where a motion ends, such as the shelf on which it is placed: see `reach`.
+            Bodies or links that it may touch at the end of a motion, such as the shelf on which it is placed: see
+            `reach`.
 
         Warns
         -----
@@ -542,7 +543,7 @@ class Scene:
         Parameters
         ----------
         a, b : str
-            In any order.
+            The two names, in either order.
 
         Raises
         ------
@@ -560,7 +561,7 @@ class Scene:
 
     @property
     def leaving(self) -> frozenset[Pair]:
-        """Pairs whose contact at the start of a motion has to end, each sorted by name; see `leave`."""
+        """Pairs whose contact at the start of a motion must end, each sorted by name; see `leave`."""
         with _CHANGING:
             return frozenset(self._leaving)
 
@@ -586,7 +587,7 @@ class Scene:
 
         Notes
         -----
-        The rule applies to motions, see `CollisionChecker.certify_edges`. A motion that starts with the two in contact
+        The rule applies to motions (see `CollisionChecker.certify_edges`). A motion that starts with the two in contact
         is FREE if it is proven that, on a first stretch, no two of their pieces penetrate each other deeper than at the
         start or, while they are within their margin, come nearer, and that the two keep their margin on the rest. It
         takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
@@ -603,7 +604,7 @@ class Scene:
         self._begin_contact(self._leaving, _pair(a, b))
 
     def reach(self, a: str, b: str) -> None:
-        """Let two come into contact at the end of a motion, as `leave` lets them separate at the start of one.
+        """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
 
         At the end they may touch, or be within their margin, and overlap by no more than the tolerance of the proof.
 
@@ -614,7 +615,7 @@ class Scene:
 
         See Also
         --------
-        leave : The same rule with start and end of the motion exchanged.
+        leave : The mirror image, at the start of a motion.
 
         Examples
         --------
@@ -642,8 +643,8 @@ class Scene:
 
     @property
     def margins(self) -> dict[MarginKey, float]:
-        """All other margins: of one body or link under ``(name,)``, of pairs under sorted ``(a, b)``, of one against
-        any link under ``(name, None)``, and between links under ``(None, None)``."""
+        """All other margins: of a body or link under ``(name,)``, of a pair under sorted ``(a, b)``, of a body or link
+        against any link under ``(name, None)``, and between links under ``(None, None)``."""
         with _CHANGING:
             return dict(self._margins)
 
@@ -674,15 +675,15 @@ class Scene:
         a, b : str, optional
             Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
         against : "links", optional
-            The margin applies against links only: the margin of `a`, or without `a` the margin between all links, to
-            which the scene's does not apply.
+            The margin applies against links only: the margin of `a`, or without `a` the margin between all links, which
+            the scene's margin does not cover.
         lower : bool
-            Whether this margin overrides more general ones, and lets two bodies come closer together than these allow.
+            Whether this margin overrides more general ones, so that two bodies may come closer together.
 
         Raises
         ------
         InputError
-            If the margin is negative or not finite, a name is not a text, or `against` is given with a pair.
+            If the margin is negative or not finite, a name is not a string, or `against` is given with a pair.
 
         Examples
         --------
@@ -737,11 +738,11 @@ class Scene:
         least = _validate.positive_scalar(least, "least", zero=True)
         with _CHANGING:
             self._margin = max(least, self._margin)
-            # All pairs with bodies keep that now, except for lowered margins.
+            # All pairs with bodies now keep this margin, except for lowered margins.
             for key in [key for key in self._lowered if self._margins[key] < least]:
                 if any(name in self._bodies for name in key):
                     self._margins[key] = least
-                elif len(key) == 1:  # of a link: it holds for other links as well
+                elif len(key) == 1:  # of a link: it applies against other links as well
                     for body in self._bodies:
                         pair = _pair(body, key[0])
                         self._margins[pair] = max(least, self._margins.get(pair, 0.0))
@@ -751,8 +752,8 @@ class Scene:
         """The margin of two bodies or links, in metres: the largest one that applies to them.
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
-        to two links; then the margin of each body or link applies, and the margin of the pair. Only a margin set with
-        ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
+        to two links. In addition, the margin of each body or link and the margin of the pair apply. Only a margin set
+        with ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
         margin, and the pair's margin overrides all others.
 
         Parameters
@@ -809,7 +810,7 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self) -> bool:
-        """Whether any two bodies in the world collide that are not allowed to; like `pairs`, without the details.
+        """Whether any pair of bodies in the world collides that may not; `pairs` gives the details.
 
         Returns
         -------
@@ -854,16 +855,16 @@ class Scene:
         return queries.distance(one, T_one, other, T_other, exact=exact)
 
     def _standing_now(self) -> Scene:
-        """A snapshot whose bodies are packed; the packing is kept for the next one."""
+        """A snapshot whose bodies are packed; the packing is kept for the next snapshot."""
         now = self.snapshot()
         _ = now.static_bodies
-        self._packed = now._packed  # it carries its own version
+        self._packed = now._packed  # a snapshot has its own version
         return now
 
     def _meeting(self) -> Ints:
-        """Pairs of bodies in the world that count as colliding, as places in `static_names`, shape (m, 2)."""
+        """Pairs of bodies in the world that count as colliding, as indices into `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
-        # The broad phase has one margin for all; the largest loses no pair, and additional pairs are dropped below.
+        # The broad phase has one margin for all pairs: the largest misses none, and surplus pairs are dropped below.
         widest = max([self._margin, *self._margins.values()])
         found = crowds.overlapping_pairs(bodies, poses, margin=widest)
         if self._allowed:
@@ -881,7 +882,7 @@ class Scene:
     # -- names --------------------------------------------------------------------------------
 
     def _changed(self) -> None:
-        # In this order: who has read the new version has the new structure as well.
+        # In this order, so that a thread that reads the new version also finds the new structure.
         self._structure_version += 1
         self._version += 1
 
@@ -914,7 +915,7 @@ def _names(given: Any, what: str) -> list[str]:
 def _pair_as_given(pair: Any) -> Pair:
     try:
         a, b = pair
-    except Exception:  # other than two, or an error from the caller's object
+    except Exception:  # not two names, or an error from the caller's object
         raise InputError(f"names: expected pairs of names, found {_validate.short(pair)}") from None
     return _check_name(a, "names"), _check_name(b, "names")
 

@@ -136,24 +136,24 @@ def _expect_configurations(Q: Any, measure: Measure) -> None:
 
 
 def _is_differentiated(Q: Any) -> bool:
-    """Whether derivatives by these configurations will probably be asked for."""
+    """Whether derivatives with respect to these configurations are likely to be requested."""
     torch = _torch()
     if torch.is_grad_enabled() and Q.requires_grad:
         return True
     try:
         return torch.autograd.forward_ad.unpack_dual(Q).tangent is not None
-    except RuntimeError:  # within jvp of vmap, where PyTorch cannot tell
+    except RuntimeError:  # within jvp of vmap, where PyTorch cannot determine it
         return True
 
 
 @cache
 def _functions() -> tuple[Any, Any]:
-    """The two functions that PyTorch differentiates; made when it is there."""
+    """The two functions that PyTorch differentiates; made once PyTorch is imported."""
     torch = _torch()
     Function: Any = torch.autograd.Function
 
     class Asked(Function):  # type: ignore[misc]
-        """Values of a measure, and its gradients: of no columns where they are not wanted."""
+        """Values of a measure, and its gradients, which have no columns if they are not needed."""
 
         @staticmethod
         def forward(Q: Any, measure: Measure, gradient: bool) -> Any:
@@ -178,18 +178,18 @@ def _functions() -> tuple[Any, Any]:
         @staticmethod
         def vmap(info: Any, in_dims: Any, Q: Any, measure: Measure, gradient: bool) -> Any:
             Q = Q.movedim(in_dims[0], 0)
-            # Seen from outside of vmap, Q may be differentiated though its rows are not.
+            # Outside of vmap, Q may be differentiated although its rows are not.
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
     def kept(ctx: Any) -> tuple[Any, Any]:
-        """Configurations and gradients; the latter asked for now if nobody knew that they would be wanted."""
+        """Configurations and gradients, which are computed now if they were not expected to be needed."""
         Q, gradients = ctx.saved_tensors
         if gradients.shape != Q.shape:
             _, gradients = Asked.apply(Q, ctx.measure, True)
         return Q, gradients
 
     class Times(Function):  # type: ignore[misc]
-        """Something times the gradients, which depend on Q: whoever differentiates that is told, and gets no zeros."""
+        """A factor times the gradients; these depend on Q, so differentiating again raises instead of giving zeros."""
 
         generate_vmap_rule = True
 

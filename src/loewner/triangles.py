@@ -1,4 +1,4 @@
-"""Many triangles in space at a time: halved, cut by planes, and their distances from points."""
+"""Operations on many triangles in space: halving, cutting by planes, and distances from points."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 
-# A triangle whose height is less than this share of its longest edge has no direction of its own: it counts as its
-# edges, which are all of it but for that height.
+# A triangle whose height is less than this share of its longest edge has no reliable normal: it is replaced by its
+# edges, which contain all of it up to that height.
 SLIVER = 1e-12
 
 
@@ -21,7 +21,7 @@ def halved(triangles: Floats, edge: Ints) -> Floats:
 
 
 def longest_edges(triangles: Floats) -> tuple[Floats, Ints]:
-    """Length of each triangle's longest edge, and the corner where it starts."""
+    """Length of each triangle's longest edge, and the corner at which the edge starts."""
     edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
     return edges.max(axis=1), edges.argmax(axis=1)
 
@@ -45,13 +45,13 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
         One plane {x : normal x = offset} for each triangle.
     offsets : ndarray, shape (t,)
     rounding : float
-        Corners this near to the plane count as lying in it. A triangle that lies in the plane belongs to the side
-        behind it, where the solid is that it bounds.
+        Corners this near to the plane count as lying in it. A triangle in the plane belongs to the side behind the
+        triangle, which contains the solid that it bounds.
 
     Returns
     -------
     below, above : ndarray, shapes (k, 3, 3)
-        Each followed by the indices of the triangles from which its parts come.
+        Each is followed by the indices of the triangles from which the parts come.
     """
     height = np.einsum("tij,tj->ti", triangles, normals) - offsets[:, None]
     height[np.abs(height) <= rounding] = 0.0
@@ -60,12 +60,12 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     in_plane = np.flatnonzero((lower == 0) & (upper == 0))
     a, b, c = triangles[in_plane].transpose(1, 0, 2)
     facing = np.einsum("tj,tj->t", np.cross(b - a, c - a), normals[in_plane]) > 0
-    # Those in the plane go with those that are on one side.
+    # Triangles in the plane are treated like triangles on one side.
     lower[in_plane[facing]] = upper[in_plane[~facing]] = 1
     whole_below = np.flatnonzero((lower > 0) & (upper == 0))
     whole_above = np.flatnonzero((upper > 0) & (lower == 0))
 
-    # The corner `a` that is alone on its side, and the two that are not, or that lie in the plane.
+    # The corner `a` that is alone on its side, and the two others, which may lie in the plane.
     single_below = lower[crossed] == 1
     alone = np.where(single_below, (height[crossed] < 0).argmax(axis=1), (height[crossed] > 0).argmax(axis=1))
     (a, b, c), (ha, hb, hc) = (

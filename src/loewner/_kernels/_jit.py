@@ -1,11 +1,11 @@
-"""How kernels are compiled, and where the compiled code is kept.
+"""Compile kernels, and cache the compiled code on disk.
 
-Numba's own cache on disk notices a change only in the file of the function itself, not in a function it calls from
-another file, and it trusts any file. Stale or damaged collision code is dangerous. So the cache here is our own:
-the folder's name carries a hash of every source file of this package, any edit starts from an empty folder, and each
-entry is a sealed file (`_sealed`) that is dropped and made anew when it is damaged.
+Numba's own cache notices a change only in the file of the function itself, not in functions called from other files,
+and it trusts any file. Stale or damaged collision code is dangerous, so this module has its own cache: the folder's
+name contains a hash of all source files of this package, so any edit starts from an empty folder, and each entry is a
+sealed file (`_sealed`) that is replaced when it is damaged.
 
-The folder is ``$LOEWNER_CACHE_DIR`` if set, else the user's cache folder of the platform.
+The folder is ``$LOEWNER_CACHE_DIR`` if set, otherwise the platform's cache folder of the user.
 """
 
 import hashlib
@@ -29,18 +29,18 @@ from numba.extending import intrinsic
 
 from loewner._kernels import _parts, _sealed, _sources
 
-_config: Any = numba.config  # its settings are made at run time; no type knows them
+_config: Any = numba.config  # its settings are made at run time and have no types
 
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
-# Contraction (fused multiply-add) drops roundings and adds none, so every error bound stays
-# valid. Nothing that reorders or assumes away NaN is allowed here.
+# Contraction (fused multiply-add) drops roundings and adds none, so every error bound stays valid. Options that reorder
+# operations, or assume that there is no NaN, are not allowed here.
 FASTMATH = {"contract"}
 
 
 def _version() -> str:
-    """Hash of the kernel sources, and of what else decides the compiled code."""
+    """Hash of the kernel sources and of everything else that determines the compiled code."""
     made_with = numba.__version__, platform.python_version(), platform.machine(), _config.BOUNDSCHECK, _config.OPT
     return hashlib.sha256(repr((made_with, _sources.source_hash())).encode()).hexdigest()[:16]
 
@@ -51,14 +51,14 @@ _said: set[str] = set()
 
 
 def _say(text: str) -> None:
-    """Tell people something on standard error, each thing once per process."""
+    """Print a message on standard error, once per process."""
     if text not in _said and "LOEWNER_QUIET" not in os.environ:
         print(f"loewner: {text}", file=sys.stderr, flush=True)
     _said.add(text)
 
 
 class _Announcer(event.Listener):
-    """Say once per process that kernels are being compiled."""
+    """Announces once per process that kernels are being compiled."""
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data.get("dispatcher")
@@ -73,10 +73,10 @@ event.register("numba:compile", _Announcer())
 
 
 def _identity(value: Any) -> Any:
-    """What tells apart the functions that one factory makes: their code and what they close over.
+    """Identity of a function among those made by the same factory: its code and its closure.
 
-    What else a function depends on is in the sources, whose hash names the folder. Paths are in neither, so that a copy
-    of the package elsewhere finds the same entries.
+    All its other dependencies are in the sources, whose hash names the folder. Neither contains paths, so a copy of the
+    package elsewhere finds the same entries.
     """
     function = getattr(value, "py_func", value)
     if not callable(function) or isinstance(function, type) or not hasattr(function, "__code__"):
@@ -88,10 +88,11 @@ def _identity(value: Any) -> Any:
 class _KernelCache(NullCache):
     """Compiled code of one kernel on disk: one sealed file for each signature and processor.
 
-    No fault of the disk is an error here: what cannot be read is compiled, what cannot be written stays in memory.
+    Faults of the disk are not errors here: code that cannot be read is compiled, and code that cannot be written stays
+    in memory.
     """
 
-    failure: OSError | None = None  # why something could not be written last
+    failure: OSError | None = None  # reason of the last failure to write
 
     def __init__(self, kernel: Callable[..., Any], form: str) -> None:
         self._kernel, self._form = kernel, form
@@ -101,7 +102,7 @@ class _KernelCache(NullCache):
         return str(CACHE_FOLDER)
 
     def _path(self, signature: Any, codegen: Any) -> Path:
-        """Name of an entry: the kernel, and a hash of what else its code depends on."""
+        """Name of an entry: the kernel, and a hash of the other dependencies of its code."""
         key = hashlib.sha256(repr((self._form, signature, codegen.magic_tuple(), _identity(self._kernel))).encode())
         module = self._kernel.__module__.removeprefix("loewner._kernels.")
         name = re.sub(r"[^A-Za-z0-9_.]", "", f"{module}.{self._kernel.__qualname__}")
@@ -123,7 +124,7 @@ class _KernelCache(NullCache):
             why = f"cannot be read ({error.strerror or error})"
         except _sealed.DamagedFileError:
             why = "is damaged"
-        except Exception as error:  # sealed, but not by this code: whatever is wrong with it, it is of no use
+        except Exception as error:  # sealed, but unusable
             why = f"is not understood ({type(error).__name__})"
         _say(f"{path} {why}; compiling it anew")
         with suppress(OSError):
@@ -132,7 +133,7 @@ class _KernelCache(NullCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         if data.lifted or data.library.has_dynamic_globals or not _sources.source_hash():
-            return  # holds addresses of this process, or nobody could tell what it was made from
+            return  # it contains addresses of this process, or its origin is unknown
         try:
             CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
             path = self._path(sig, data.codegen)
@@ -143,21 +144,21 @@ class _KernelCache(NullCache):
 
 
 def unwritten() -> str | None:
-    """Why compiled code could not be kept on disk, if that happened in this process."""
+    """The reason why compiled code could not be written to disk, if that happened in this process."""
     error = _KernelCache.failure
     return None if error is None else f"{CACHE_FOLDER} cannot be written ({error.strerror or error})"
 
 
 def _any_integer(kind: Any) -> Any:
-    """Type of an argument, without the value of a whole number that the caller writes out."""
+    """Type of an argument, without the value of an integer literal."""
     return types.unliteral(kind) if isinstance(kind, types.IntegerLiteral) else kind
 
 
 class _Kernel(CPUDispatcher):
-    """A compiled function, in up to two forms: a part of the kernels that call it, and one that Python calls.
+    """A compiled function in up to two forms: a part of the kernels that call it, and a function that Python calls.
 
-    Numba compiles every function for both, though most are only ever called by others: for these, wrappers, full
-    optimisation and machine code were two fifths of the work.
+    Numba compiles every function in both forms, although most are only called by other kernels: their wrappers, full
+    optimisation and machine code took two fifths of the time.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:
@@ -170,20 +171,20 @@ class _Kernel(CPUDispatcher):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Type a call from another kernel.
 
-        Numba would compile the function once for each whole number that a caller writes out.
+        Numba would otherwise compile the function once for each integer literal of a caller.
         """
         return super().get_call_template([_any_integer(kind) for kind in args], kws)
 
     def add_overload(self, cres: Any) -> None:
-        """Keep a part for the kernels, which look here; Python could not call it."""
+        """Keep a part where kernels look it up; Python could not call it."""
         self.overloads[tuple(cres.signature.args)] = cres
 
     def compile_ahead(self, signature: tuple[Any, ...]) -> None:
-        """Compile what Python can call, for these types."""
+        """Compile the form that Python calls, for these types."""
         self._for_python.compile(signature)
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        """Compile what Python can call; asked for types that are new."""
+        """Compile the form that Python calls, for new types."""
         return self._for_python._compile_for_args(*args, **kws)
 
 
@@ -196,9 +197,9 @@ class _Callable(CPUDispatcher):
         self._cache = _KernelCache(function, "entry")
 
     def add_overload(self, cres: Any) -> None:
-        """Make it known to the kernel; Numba calls this under a lock, once for each signature.
+        """Register the code with the kernel; Numba calls this under a lock, once for each signature.
 
-        Of two that are equal the kernel could choose neither, and would ask to compile at every call.
+        The kernel could not choose between two equal signatures, and would request compilation at every call.
         """
         kernel: Any = self._kernel
         kernel._insert([kind._code for kind in cres.signature.args], cres.entry_point, False)
@@ -207,8 +208,8 @@ class _Callable(CPUDispatcher):
 
 def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
-        # Functions of one factory share their name. Numba tells them apart by numbers that start anew in each process;
-        # parts made by two processes must not be taken for each other.
+        # Functions of one factory share their name. Numba distinguishes them by numbers that start anew in each
+        # process, but parts made by two processes must not be confused.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     options |= {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
@@ -221,25 +222,26 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def apart(function: Callable[..., Any]) -> Any:
-    """Compile a large kernel that has several callers and is not to be copied into them.
+    """Compile a large kernel that has several callers and should not be copied into them.
 
-    LLVM copies where it sees fit, and Numba asks it to copy all that is first compiled for a caller that is `inline`.
+    LLVM inlines at its own discretion, and Numba requests it for all functions that are first compiled for an `inline`
+    caller.
     """
     return _compiled(function, apart=True, forceinline=False)
 
 
 def inline(function: Callable[..., Any]) -> Any:
-    """Compile a small pure function that LLVM is to inline into its callers."""
+    """Compile a small pure function that LLVM should inline into its callers."""
     return _compiled(function, forceinline=True)
 
 
 @intrinsic
 def borrowed(typingctx: Any, array: Any) -> Any:
-    """borrowed(array): the same array without its reference count.
+    """borrowed(array): the array without its reference count.
 
-    Numba counts references atomically wherever an array passes through a function, inlined or not; in the kernels
-    that is most of the time of a short search. A borrowed array costs nothing to hand on. Borrow only what the caller
-    keeps alive: arguments, and entries of argument tuples, never what the function makes itself.
+    Numba counts references atomically wherever an array passes through a function, inlined or not; in the kernels this
+    takes most of the time of a short search. A borrowed array costs nothing to pass on. Borrow only arrays that the
+    caller keeps alive: arguments, and entries of argument tuples, never arrays that the function makes itself.
     """
     if not isinstance(array, types.Array):
         return None

@@ -1,8 +1,8 @@
-"""Parts: functions that only kernels call, compiled no further than those need.
+"""Parts: functions that only kernels call, compiled only as far as their callers need.
 
-Numba turns every function into machine code that stands alone, and copies its intermediate code into each caller, where
-it is optimised once more. A part is only the latter. These are subclasses of Numba's own classes, for which there is no
-public interface; `tests/test_kernel_cache.py` holds what they rely on.
+Numba compiles every function to independent machine code, and also copies its intermediate code into each caller, where
+it is optimised again. A part only has the intermediate code. The classes here are subclasses of Numba's own classes,
+which have no public interface; `tests/test_kernel_cache.py` tests the behaviour on which they rely.
 """
 
 from typing import Any
@@ -31,7 +31,7 @@ NOT_NEEDED = {
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Intermediate code of a part, which ran through cheap passes only."""
+    """Intermediate code of a part, to which only cheap passes were applied."""
 
     def _optimize_final_module(self) -> None:
         codegen = self._codegen
@@ -45,12 +45,12 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def serialize_using_object_code(self) -> Any:
-        """What is kept on disk: there is no object code."""
+        """Content for the disk, without object code."""
         self._ensure_finalized()
         return self.name, "bitcode", self._final_module.as_bitcode()
 
     def load(self, bitcode: bytes) -> None:
-        """Become what was kept on disk."""
+        """Load the content from the disk."""
         self._final_module = parse_bitcode(bitcode)
         self._finalize_final_module()
 
@@ -63,7 +63,7 @@ class _PartLibrary(JITCodeLibrary):
 
 
 def _key(library: Any, fndesc: Any, environment: Any) -> object:
-    """Stand in for what Python would call; callers are compiled against it, and need only that it is unique."""
+    """A unique replacement for the function that Python would call, against which callers are compiled."""
     library._ensure_finalized()
     return object()
 
@@ -84,7 +84,7 @@ class PartCompiler(Compiler):
         return [needed]
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function whose library and key are those of a part."""
+        """Compile a function with the library and key of a part."""
         context = self.state.targetctx  # a copy made for this function
         context.get_executable = _key
         self.state.library = self.library_class(context.codegen(), func.__qualname__)
@@ -92,7 +92,7 @@ class PartCompiler(Compiler):
 
 
 class ApartCompiler(PartCompiler):
-    """For large parts with several callers, which are not to be copied into each of them."""
+    """Numba's compiler, for large parts with several callers, which should not be copied into each of them."""
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function that LLVM may not inline."""
@@ -103,7 +103,7 @@ class ApartCompiler(PartCompiler):
 
 
 def restored(target_context: Any, library: Any, fndesc: Any, environment: Any, signature: Any, *rest: Any) -> Any:
-    """Restore a part, or what Python can call, from what `CompileResult._reduce` gave."""
+    """Restore a part, or a function for Python, from the result of `CompileResult._reduce`."""
     name, kind, code = library
     if kind != "bitcode":
         return CompileResult._rebuild(target_context, library, fndesc, environment, signature, *rest)

@@ -1,7 +1,7 @@
-"""Files that notice damage: a header, the checksum of the content, the content; written whole or not at all.
+"""Files that reveal damage: a header, the checksum of the content, and the content, written atomically.
 
-Machine code from a damaged file can crash the process or, worse, answer wrongly. A sealed file that was cut, altered or
-never was one of ours gives no content at all.
+Machine code from a damaged file can crash the process or, worse, return wrong answers. A file that was truncated or
+altered, or was never sealed, gives no content at all.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ _DIGEST = hashlib.sha256().digest_size
 
 
 class DamagedFileError(Exception):
-    """A file is not what `write` wrote."""
+    """A file differs from the one that `write` wrote."""
 
 
 def write(path: Path, content: bytes) -> None:
@@ -37,7 +37,7 @@ def read(path: Path) -> bytes:
     OSError
         If the file cannot be read; FileNotFoundError if there is none.
     DamagedFileError
-        If it is not what `write` wrote.
+        If it differs from the file that `write` wrote.
     """
     data = path.read_bytes()
     start = len(HEADER) + _DIGEST

@@ -1,4 +1,4 @@
-"""What the compiled code is made from, and where it may be kept."""
+"""The sources of the compiled code, and the folder where the code may be kept."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# Where a wheel has the kernels, and the modules that lie beside it, which Python reads even where a library answers.
+# Archive of the kernels in a wheel, and the modules beside it, which Python reads even if a library is used.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 
@@ -26,9 +26,9 @@ def sources() -> dict[str, bytes]:
 def source_hash() -> str:
     """Hash of all kernel sources; empty where they cannot be read.
 
-    Code made from other sources is never used; where the sources are unknown, nothing is kept.
+    Code made from other sources is never used; if the sources are unknown, nothing is kept.
     """
-    import hashlib  # OpenSSL comes with it; an import of the package does not wait for that
+    import hashlib  # it loads OpenSSL, which would slow down the import of the package
 
     try:
         found = sources()
@@ -42,7 +42,7 @@ def source_hash() -> str:
 
 
 def cache_folder() -> Path:
-    """Return where this package keeps files: ``$LOEWNER_CACHE_DIR`` if set, else the user's cache folder."""
+    """Return the cache folder of this package: ``$LOEWNER_CACHE_DIR`` if set, otherwise the user's cache folder."""
     if "LOEWNER_CACHE_DIR" in os.environ:
         return Path(os.environ["LOEWNER_CACHE_DIR"])
     if sys.platform == "win32":
@@ -53,7 +53,7 @@ def cache_folder() -> Path:
 
 
 def _home() -> Path:
-    """Return the user's folder; where there is none, a place that cannot be written."""
+    """Return the user's folder; if there is none, a path that cannot be written."""
     try:
         return Path.home()
     except RuntimeError:

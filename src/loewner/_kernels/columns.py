@@ -1,39 +1,39 @@
-"""Columns of the tables that Python fills and kernels read: pieces and joints; and the sizes that both go by."""
+"""Columns of the tables that Python fills and kernels read, for pieces and joints, and sizes that both use."""
 
 # -- pieces, described in `pieces.shapes` ----------------------------------------------------------
 
-# The polytopes come first: a kind above POLYTOPE is curved, one below MAPPED a surface, whose points for kernels are
-# the corners of a box around it.
+# A kind above POLYTOPE is curved, and one below MAPPED is a surface, whose points for kernels are the corners of a box
+# around it.
 SOLID, SURFACE, MAPPED = -3, -2, -1
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
-# The first eight serve the spheres, eight more the outer and eight the inner ellipsoids: one cache line each.
+# Eight columns each for the spheres, the outer and the inner ellipsoids: one cache line each.
 OUTER_CENTER = 0
 OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
 INNER_CENTER = 4
 REACH = 7  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
 OUTER_SHAPE = 8
 INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
-OUTER_SIGMA = 15  # the same of the outer ellipsoid
+OUTER_SIGMA = 15  # lower bound on the smallest semi-axis of the outer ellipsoid
 INNER_SHAPE = 16
 INVERSE_INNER_SIGMA = 22  # upper bound on 1 / INNER_SIGMA
-HOT = 24  # the columns up to here are all that the vectorised stages read
+HOT = 24  # the vectorised stages read only the columns up to here
 ROUNDING = 24  # radius of the ball added to the core
 FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
 COLUMNS = 37
 
 KIND, POINTS_FROM, POINTS_TO, SURFACE_AT, LAYOUT = 0, 1, 2, 3, 4
-PLANES_FROM, PLANES_TO = 3, 4  # of the layout as it is stored; no kernel needs the planes
+PLANES_FROM, PLANES_TO = 3, 4  # columns of the stored layout; no kernel needs the planes
 
-# Of each piece in `part_start`, if there are surfaces: rows of `parts`.
+# Columns of a piece in `part_start`, if there are surfaces: rows of `parts`.
 PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 
 BLOCK = 8  # points in a block, see `simd.support`
 CACHE_LINE = 64  # bytes
 
-# A polytope of more vertices is MAPPED. Up to here a search through all of them is as fast.
+# A polytope with more vertices is MAPPED. Up to this number a search through all of them is as fast.
 LARGE = 128
-DEEPEST = 14  # divisions at most; vertices of one flat face share the cells around its normal, however small
+DEEPEST = 14  # limit on divisions; vertices of a flat face share the cells around its normal, however small
 GRID = 1 << DEEPEST
 
 WIDE = 8  # boxes in a group of a tree
@@ -44,27 +44,27 @@ FEW = 8  # pieces; fewer than this are tried one by one
 FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING, BALL = 0, 1, 2, 3, 4, 5
 ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
 
-BOUNDS = 8  # of a row of bounds
+BOUNDS = 8  # columns of a row of bounds
 
 # -- robots on a GPU, described in `threads.configurations` ----------------------------------------
 
-# Of a link's row of int32; where its row of float32 has more than CONSTANTS, and how many there are in all.
+# Columns of a link's int32 row; then the extra columns of its float32 row after CONSTANTS, and its length.
 PARENT_OF_LINK, KIND_OF_LINK, COLUMN_OF_LINK, LINK_INTEGERS = 0, 1, 2, 4
 MULTIPLIER, OFFSET, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, 40
 
-# Of a body's row of int32; and of the ball about one that moves: center, radius, how far it goes from the origin.
+# Columns of a body's int32 row; and of the ball about a moving body: center, radius, largest distance from the origin.
 LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
 BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 
-# Numbers of a placed link: rotation by rows, translation, and what each of them may be off by, in roundings.
+# Numbers of a placed link: rotation by rows, translation, and bounds on the error of each, in roundings.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
-# -- planners: where the search for a path stands --------------------------------------------------
+# -- planners: state of the search for a path ------------------------------------------------------
 
 ITERATION = 0
-STARTS, GOALS = 1, 2  # configurations in the tree from the start, and in that from the goals
+STARTS, GOALS = 1, 2  # configurations in the trees from the start and from the goals
 OF_START, OF_GOAL = 3, 4  # where the trees met
-MOTIONS = 5  # asked about
-RANDOM = 6  # what the next number is drawn from
-POSES, SEARCHES = 7, 8  # work that proofs took
+MOTIONS = 5  # configurations that were checked
+RANDOM = 6  # state of the random numbers
+POSES, SEARCHES = 7, 8  # work of proofs
 STATE = 9

@@ -137,7 +137,7 @@ def apply_symmetric(Q, v):
 
 @inline
 def across(n):
-    """Two unit vectors square to a unit vector and to each other.
+    """Two unit vectors perpendicular to a unit vector and to each other.
 
     Duff and others (2017), "Building an orthonormal basis, revisited", J. Comput. Graph. Tech. 6(1).
     """
@@ -211,5 +211,5 @@ def rotated_shape(R, Q):
 
 @inline
 def selected(condition, a, b):
-    """The vector a where the condition holds, else b."""
+    """The vector a where the condition holds, otherwise b."""
     return select(condition, a[0], b[0]), select(condition, a[1], b[1]), select(condition, a[2], b[2])

@@ -1,7 +1,7 @@
 """Records of arrays that kernels take by one number, and the tables behind those numbers.
 
-A call from Python costs 150 ns for every array it hands over, 20 ns for a number. A handle is the address of a small
-table: for each array of a record its address and its shape.
+A call from Python costs 150 ns for every array that it passes, and 20 ns for a number. A handle is the address of a
+small table that holds the address and the shape of each array of a record.
 """
 
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ ENTRIES = 3  # address, rows, columns (1 for a flat array)
 
 
 def table_of(arrays: Any) -> Any:
-    """What a handle points to; arrays and table must outlive the handle."""
+    """The table to which a handle points; arrays and table must outlive the handle."""
     rows = [(array.ctypes.data, array.shape[0], array.shape[1] if array.ndim == 2 else 1) for array in arrays]
     return np.array(rows, dtype=np.int64)
 
@@ -55,7 +55,7 @@ class Placed(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """A robot as kernels see it: six arrays, described in `robots.kinematics`."""
+    """A robot for kernels: six arrays, described in `robots.kinematics`."""
 
     parent: Any
     kind: Any
@@ -66,23 +66,23 @@ class Tree(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What `robots.configurations` checks.
+    """The input of `robots.configurations`.
 
     Attributes
     ----------
     tree : Tree
     link : ndarray of int64, shape (moving bodies,)
     ball : ndarray, shape (moving bodies, 5)
-        Center and radius of a ball about each, in its frame, and the reach: how far the ball goes from the origin.
+        Center and radius of a ball about each body, in its frame, and its reach: the largest distance from the origin.
     pairs : ndarray of int64, shape (pairs, 2)
-        Bodies, the first of which moves.
+        Indices of two bodies; the first one moves.
     margins : ndarray, shape (pairs,)
     order : ndarray of int64, shape (pairs,)
         In which pairs are taken.
-    standing : ndarray of float32, shape (standing bodies, BOUNDS)
+    standing : ndarray of float32, shape (static bodies, BOUNDS)
     standing_rows : ndarray of float32, shape (their pieces, HOT)
         Ellipsoids in world coordinates.
-    standing_poses : ndarray, shape (standing bodies, 16)
+    standing_poses : ndarray, shape (static bodies, 16)
     """
 
     tree: Any
@@ -97,26 +97,26 @@ class Problem(NamedTuple):
 
 
 class MotionTables(NamedTuple):
-    """What `robots.motions` needs besides a `Problem`.
+    """The input of `robots.motions` besides a `Problem`.
 
     Attributes
     ----------
     path_start : ndarray of int64, shape (L + 1,)
     path_link : ndarray of int64
-        Joints between the world and link l, those next to the world first: entries path_start[l] .. path_start[l + 1].
-        A joint is called by the link that it moves.
+        Joints between the world and link l, beginning next to the world: entries path_start[l] .. path_start[l + 1]. A
+        joint is identified by the link that it moves.
     reach : ndarray, shape (bodies, L)
-        The farthest that a body gets from the axis of a turning joint, however the joints between the two turn, while
-        sliding joints stand at 0; seen from the other side of the joint.
-    standing_rows : ndarray, shape (pieces of standing bodies, HOT)
+        Largest distance of a body from the axis of a turning joint, for any angles of the joints between them, with
+        sliding joints at 0; in the frame on the other side of the joint.
+    standing_rows : ndarray, shape (pieces of static bodies, HOT)
         Ellipsoids in world coordinates, in double precision.
-    sizes : ndarray, shape (standing bodies,)
-        Sums of lengths that places of their points are made of.
+    sizes : ndarray, shape (static bodies,)
+        Sums of the lengths from which positions of their points are computed.
     order : ndarray of int64, shape (pairs,)
         In which pairs are taken.
     chain : ndarray, shape (3,)
-        Of the longest chain of joints: how many and one more, and the sum of its lengths with sliding joints at 0; and
-        how far the rotations of all links together may be from orthonormal.
+        For the longest chain of joints, their number plus one, and the sum of its lengths with sliding joints at 0;
+        then a bound on the departure of all links' rotations together from orthonormality.
     """
 
     path_start: Any

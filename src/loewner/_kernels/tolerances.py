@@ -1,16 +1,16 @@
-"""Bounds on rounding, and tolerances, that kernels and Python share; those with a number are of docs/certified.md."""
+"""Bounds on rounding, and tolerances, shared by kernels and Python; numbers refer to docs/certified.md."""
 
 UNIT_ROUNDOFF = 2.0**-53
 SINGLE_ROUNDOFF = 2.0**-24
 
-# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated
-# and applied to a vector, in units of trace(Q) |n|². Of squared widths, and of P n in levels.
+# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated and applied to a
+# vector, in units of trace(Q) |n|²; for squared widths, and for P n in levels.
 SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 # derived 24, certified.md B2
 
-# The same for positions (translation, rotated center, dot product), in units of the lengths that
-# were added. Of gaps between ellipsoids, of support planes of vertices, of boxes of trees, and of support planes of
-# vertices at two poses; of curved pieces, and of those at two poses; of depths of surfaces.
+# Likewise for positions (translation, rotated center, dot product), in units of the lengths that were added: for gaps
+# between ellipsoids, support planes of vertices, boxes of trees, support planes of vertices at two poses, curved
+# pieces, curved pieces at two poses, and depths of surfaces.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 33, certified.md B14
 # derived 11, certified.md B19
@@ -20,23 +20,24 @@ POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 54, certified.md B49
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 
-# How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
-# float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
+# Allowed deviation of RᵀR from the identity (largest entry). It is wide enough for poses that went through float32
+# (about 1e-7 per product), and far too narrow for an intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
 # Lengths and bounds are rounded up by this factor before they go to single precision, and so are sums there.
 UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
 
-# What centers may be off by after rounding to single precision, relative to the lengths that they are made of.
+# Bound on the error of centers after rounding to single precision, relative to the lengths from which they are
+# computed.
 OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
 # derived 10, certified.md B48
 
-# Faces of hulls: a vertex may be this far inside the face it belongs to, relative to the width of the piece along the
-# normal, or within the rounding of the dot product itself, in units of its error bound.
+# Faces of hulls: a vertex may be this far inside its own face, relative to the width of the piece along the normal, or
+# within the rounding of the dot product itself, in units of its error bound.
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
-# Squares of lengths below this have lost digits, or all of them: what is divided by their roots is no unit vector.
+# Squares of lengths below this have lost some or all digits: dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 
 LEAST = 1e-15  # a length far below all others that keeps squares from underflowing

@@ -1,1 +1,1 @@
-"""Ellipsoids in high dimension, or of very many points or half-spaces, in NumPy."""
+"""Fit ellipsoids in high dimension, or to very many points or half-spaces, in NumPy."""

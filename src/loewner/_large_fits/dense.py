@@ -1,4 +1,4 @@
-"""What fits from outside and from inside share: triangular matrices, step lengths, progress."""
+"""Code shared by outer and inner fits: triangular matrices, step lengths, progress."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from loewner._validate import Floats, Progress
 
 ROUNDING = 2.0**-53  # unit roundoff of float64
-# Numbers in a block of rows: few enough for the cache, enough for a call of NumPy not to count.
+# Numbers in a block of rows: few enough for the cache, and enough to make the overhead of NumPy negligible.
 BLOCK = 2**16
-# Most unknowns of an interior point whose matrix has a row for each: it takes 390 MB then.
+# Largest number of unknowns of an interior point whose matrix has a row for each: the matrix then takes 390 MB.
 LARGEST_SYSTEM = 7000
 STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 
@@ -47,16 +47,16 @@ def root_of_inverse(matrix: Floats) -> Floats | None:
 
 
 def room(x: Floats, dx: Floats) -> float:
-    """How far x may go along dx and stay positive."""
+    """Largest step of x along dx that keeps x positive."""
     down = dx < 0
     return float((x[down] / -dx[down]).min(initial=np.inf))
 
 
 @dataclass
 class Reporter:
-    """Tells how many of the digits asked for are there, in percent; never less than before.
+    """Reports the share of the requested digits that is reached, in percent, never decreasing.
 
-    Within a round the number stands still, and is told again so that whoever listens may interrupt.
+    Within a round the number does not change, and is reported again so that the callback may interrupt.
     """
 
     progress: Progress | None
@@ -65,7 +65,7 @@ class Reporter:
     told: int = 0
 
     def reached(self, gap: float) -> None:
-        """Tell of a gap that all points or half-spaces are within."""
+        """Report a gap that holds for all points or half-spaces."""
         if 0 < gap < np.inf:
             if not self.first < np.inf:
                 self.first = max(gap, 2 * self.tol)
@@ -74,11 +74,11 @@ class Reporter:
         self.working()
 
     def working(self) -> None:
-        """Tell that another step is done."""
+        """Report that another step is done."""
         if self.progress is not None:
             self.progress(self.told, 100)
 
     def done(self) -> None:
-        """Tell that all of them are there."""
+        """Report that all digits are reached."""
         self.told = 100
         self.working()

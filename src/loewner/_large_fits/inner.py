@@ -1,16 +1,16 @@
-"""Largest ellipsoid inside half-spaces in high dimension, or of very many: an interior point on few of them, in NumPy.
+"""Largest ellipsoid in half-spaces, in high dimension or very many: an interior point on a subset, in NumPy.
 
 The method is Zhang and Gao's (2003, doi:10.1137/S1052623401397230), as in `_kernels.fits.mvie`. With the multipliers y
 and the slacks z, E² = (Aᵀ Y A)⁻¹ = L Lᵀ, T = A L and h_i = |T_i|, a step solves systems with the matrix
 
     S = diag(2 h z / y) + (T Tᵀ)∘(T Tᵀ),
 
-which has a row for each half-space, and low rank but for its diagonal: n (n + 1) / 2. It is factorised as it is, or by
-Woodbury's identity in that rank, whichever costs less.
+which has a row for each half-space and, apart from its diagonal, the low rank n (n + 1) / 2. It is factorised directly,
+or by Woodbury's identity in that rank if this costs less.
 
-Few half-spaces touch the ellipsoid. The interior point works on a set of them, and those far from the ellipsoid leave
-it on the way, by a guess. A pass over all then finds those that cut the ellipsoid, and they join. What was solved to
-the end for a set, and fits in between all others, is the answer: its multipliers prove it.
+Few half-spaces touch the ellipsoid. The interior point works on a subset, from which half-spaces far from the ellipsoid
+are dropped by a guess. A pass over all half-spaces then finds those cutting the ellipsoid, which are added. A solution
+for the subset that also lies inside all other half-spaces is the answer, and its multipliers prove it.
 """
 
 from __future__ import annotations
@@ -39,18 +39,20 @@ from loewner._native import entries
 from loewner._validate import Bools, Floats, Ints
 from loewner.polytopes import FLATNESS
 
-# Half-spaces that the working set starts with, and that may join it in a round, times n. It may always double: where
-# all touch, all are needed.
+# Size of the first working set, and largest number of half-spaces added per round, times n. The set may always double:
+# if all half-spaces touch, all are needed.
 FIRST, MORE = 10, 10
-# Rounds at most, those in which half-spaces may leave by a guess, and steps of the interior point at most.
+# Largest numbers of rounds, of rounds in which half-spaces may be dropped by a guess, and of steps of the interior
+# point.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 20, 60
-# By that guess those leave whose slack is above their reach by this many times the gap, by n.
+# The guess drops half-spaces whose slack exceeds their reach by this many times the gap divided by n.
 FAR = 4.0
-# Those that leave may have this share of the multipliers, and the gap must be below this, times n.
+# Largest share of the multipliers that dropped half-spaces may have, and limit on the gap, times n.
 LOSS, CLOSE = 0.1, 0.2
 # Multipliers below this, times the largest, prove nothing.
 NOTHING = 1e-30
-# How much nearer to the first center the next round starts, of the way to the nearest half-space.
+# The next round starts from a point moved towards the first center, at this share of the distance to the nearest
+# half-space.
 INSIDE = 0.9
 
 
@@ -60,7 +62,7 @@ class _WorkingSet:
 
     index: Ints
     y: Floats
-    bold: bool = True  # half-spaces leave by a guess, until the volume grows with what should have shrunk it
+    bold: bool = True  # half-spaces are dropped by a guess, until the volume grows in spite of added ones
 
     def keep(self, rows: Bools) -> None:
         self.index, self.y = self.index[rows], self.y[rows]
@@ -89,10 +91,10 @@ def largest_inside(
 ) -> tuple[Floats, Floats, Floats, int]:
     """Center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
 
-    `center` and `frame` are the analytic center and the whitening there, from `entries.center_in`. What is found holds
-    to rounding; `proven` says how good it is. Where nothing was found the factor is zero.
+    `center` and `frame` are the analytic center and the whitening there, from `entries.center_in`. The result holds up
+    to rounding; `proven` computes its quality. If nothing was found, the factor is zero.
     """
-    _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in what it solves
+    _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in its linear system
     n = A.shape[1]
     distinct, lam = _distinct(A, b), np.zeros(len(A))
     if len(distinct) < len(A):
@@ -105,7 +107,7 @@ def largest_inside(
     for turn in range(MAX_ROUNDS):
         found = _solve(R[active.index], x, active, target, reporter)
         steps += found.steps
-        if not found.gap < np.inf:  # the set has no bounds, or hardly
+        if not found.gap < np.inf:  # the set is unbounded, or nearly
             if len(active.index) == len(R):
                 break
             active = _WorkingSet(np.arange(len(R)), np.ones(len(R)), bold=False)
@@ -117,14 +119,14 @@ def largest_inside(
         reporter.reached(gap)
         if gap <= 0.5 * tol or turn == MAX_ROUNDS - 1:
             break
-        # Fewer half-spaces hold larger ellipsoids: if it grew in spite of those that joined, some that left mattered.
+        # Fewer half-spaces contain larger ellipsoids: if it grew in spite of added half-spaces, dropped ones mattered.
         if found.volume - found.gap > volume or turn > BOLD_ROUNDS:
             active.bold = False
         volume = found.volume
         cut = np.setdiff1d(np.flatnonzero(ratio < 1.0), active.index)
         if len(cut) == 0 and found.gap > target:
             if not active.bold:
-                break  # no better for rounding
+                break  # no better within rounding
             active.bold = False
         most = max(MORE * n, len(active.index))
         if finish := len(cut) <= most and gap < 0.05 * n:
@@ -132,7 +134,7 @@ def largest_inside(
         else:
             target = max(0.25 * tol, min(target, 0.1 * min(gap, n)))
         active.add(cut if finish or len(cut) <= most else cut[np.argpartition(ratio[cut], most)[:most]])
-        # Back towards the first center, which is inside all of them.
+        # Back towards the first center, which is inside all half-spaces.
         x = found.x * min(1.0, INSIDE / max(float((R[active.index] @ found.x).max()), 1e-300))
     else:
         return center, np.zeros((n, n)), lam, steps
@@ -144,7 +146,7 @@ def largest_inside(
 
 
 def _distinct(A: Floats, b: Floats) -> Ints:
-    """Rows without repeats: those whose product with one vector is that of another row are compared with it."""
+    """Rows without repeats: rows whose products with one vector are equal are compared."""
     n = A.shape[1]
     key = A @ np.random.default_rng(0).normal(size=n) + b
     order = np.argsort(key, kind="stable")
@@ -155,7 +157,7 @@ def _distinct(A: Floats, b: Floats) -> Ints:
 
 
 def _first(R: Floats) -> _WorkingSet:
-    """The nearest half-spaces, the nearest along each axis both ways, and more until they are bounded."""
+    """The nearest half-spaces, the nearest in both directions of each axis, and more until they are bounded."""
     m, n = R.shape
     if m <= 2 * FIRST * n:
         return _WorkingSet(np.arange(m), np.ones(m))
@@ -170,16 +172,16 @@ def _first(R: Floats) -> _WorkingSet:
 
 
 def _way_out(R: Floats) -> Floats | None:
-    """A direction in which {x : R x <= 1} goes on for ever, or None."""
+    """A direction in which {x : R x <= 1} is unbounded, or None."""
     n = R.shape[1]
     x, frame, direction = np.zeros(n), np.empty((n, n)), np.empty(n)
-    if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) == 0:  # proven; else there may be one
+    if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) == 0:  # proven; otherwise there may be one
         return None
     return direction if direction.any() else np.asarray(np.linalg.svd(R)[2][-1])
 
 
 def _ratios(R: Floats, found: _Inside) -> Floats:
-    """By how much the ellipsoid may grow before each half-space cuts it."""
+    """Factors by which the ellipsoid may grow before each half-space cuts it."""
     ratio = np.empty(len(R))
     for first, block in blocks(R):
         reach = np.linalg.norm(block @ found.root, axis=1)
@@ -191,9 +193,9 @@ def _ratios(R: Floats, found: _Inside) -> Floats:
 
 
 def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: Reporter) -> _Inside:
-    """Largest ellipsoid in {x : A x <= 1}, A being the rows of `active`, from a point inside and its multipliers.
+    """Largest ellipsoid in {x : A x <= 1}, with the rows A of `active`, from a point inside and its multipliers.
 
-    Half-spaces leave `active` on the way; its multipliers are those of what is returned.
+    Half-spaces are dropped from `active`, whose multipliers in the end belong to the result.
     """
     n = A.shape[1]
     index, y = active.index, active.y.copy()
@@ -235,7 +237,7 @@ def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: R
 
 
 def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """By how much x moves, and y and z after Mehrotra's predictor and corrector; None if singular to rounding."""
+    """Step of x, and y and z after Mehrotra's predictor and corrector; None if singular to rounding."""
     solve = _factorised(T, 2.0 * h * z / y)
     if solve is None:
         return None
@@ -328,17 +330,17 @@ def _balanced(T: Floats, lam: Floats, rest: Floats) -> Floats | None:
 def proven(
     A: Floats, b: Floats, center: Floats, factor: Floats, lam: Floats, balanced: bool = True
 ) -> tuple[Floats, float]:
-    """Scale `factor` until the ellipsoid is inside every half-space for certain: the factor, and its certified gap.
+    """Scale `factor` until the ellipsoid is certainly inside every half-space; return the factor and its certified gap.
 
-    The first is `_kernels.fits.mvie.inscribe`, block by block. For the second let T be the computed rows of A times the
-    factor L, each off by at most `hidden` of its length, d their slacks, t = λᵀd, M = Σ λ T Tᵀ / |T| of trace τ and
+    Scaling is `_kernels.fits.mvie.inscribe`, block by block. For the gap let T be the computed rows of A times the
+    factor L, each off by at most `hidden` of its length, with slacks d, t = λᵀd, M = Σ λ T Tᵀ / |T| with trace τ and
     least eigenvalue μ, and r = Lᵀ Σ λ a, which is not quite zero. A point x with T x <= d has |x| <= 2 t / (μ - |r|),
-    as μ |x| <= Σ λ |T x| <= 2 t + |r| |x|. So any ellipsoid F about c inside has tr(F M) <= t + |r| |c|, and its volume
-    is at most that of the ball by n log((t + |r| |c|) / n) - log det M. Rounding turns M by at most τ times the sum of
-    2.1 `hidden` and √n (k + n + 10) u in the nuclear norm. That would be too much for r, in front of which is n²; so
-    its sum is exact.
+    as μ |x| <= Σ λ |T x| <= 2 t + |r| |x|. So any ellipsoid F about c inside has tr(F M) <= t + |r| |c|, and its
+    log-volume exceeds the ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding changes M by at most τ times
+    the sum of 2.1 `hidden` and √n (k + n + 10) u in the nuclear norm. That would be too much for r, which is multiplied
+    by n², so its sum is computed exactly.
 
-    If the center is given (not `balanced`), c = 0 and λ are taken as they are.
+    If the center is given (not `balanced`), c = 0 and λ is used unchanged.
     """
     n = A.shape[1]
     if not factor.any():
@@ -357,14 +359,14 @@ def proven(
             break
         if attempt == 3:
             return factor, np.inf
-        # The scaled entries round once each, which moves a row by up to u |a| |L|.
+        # Each scaled entry is rounded once, which moves a row by up to u |a| |L|.
         factor = factor * (scale * (1.0 - 4.0 * ROUNDING - 2.0 * (attempt + 1) / (n + 2) * hidden))
     support = np.flatnonzero(lam > NOTHING * lam.max(initial=0.0))
     A, d, weights = A[support], high[support], lam[support] / lam.max(initial=1e-300)
     T, rest = A @ factor, 0.0
     if balanced:
         repaired = _balanced(T, weights, T.T @ weights)
-        if repaired is not None:  # once more, as T is rounded
+        if repaired is not None:  # once more, since T is rounded
             repaired = _balanced(T, repaired, factor.T @ _exact_sum(A, repaired))
         if repaired is None:
             return factor, np.inf
@@ -375,7 +377,7 @@ def proven(
 
 
 def _scale(A: Floats, low: Floats, factor: Floats) -> tuple[float, float]:
-    """By how much the ellipsoid may grow for certain, and the largest doubt about a row's length, by that length."""
+    """Factor by which the ellipsoid may certainly grow, and the largest relative uncertainty of a row's length."""
     n = A.shape[1]
     scale, hidden = np.inf, 0.0
     size = np.abs(factor)
@@ -409,13 +411,13 @@ def _certified(T: Floats, d: Floats, lam: Floats, hidden: float, rest: float) ->
 
 
 def _exact_sum(A: Floats, lam: Floats) -> Floats:
-    """Σ λ a, each number rounded once: products of halves of 26 bits are exact, and `fsum` sums exactly."""
+    """Σ λ a, with each number rounded once: products of 26-bit halves are exact, and `fsum` sums exactly."""
     products = [p[:, None] * q for p in _halves(lam) for q in _halves(A)]
     return np.array([fsum(chain.from_iterable(p[:, j].tolist() for p in products)) for j in range(A.shape[1])])
 
 
 def _halves(x: Floats) -> tuple[Floats, Floats]:
-    """Two numbers of 26 bits each whose sum x is (Veltkamp)."""
+    """Split x into two numbers of 26 bits each whose sum is x (Veltkamp)."""
     big = x * (2.0**27 + 1.0)
     high = big - (big - x)
     return high, x - high

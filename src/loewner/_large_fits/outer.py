@@ -1,17 +1,19 @@
 """Smallest ellipsoid around points in high dimension: coordinate ascent, then an interior point, in NumPy.
 
-The dual asks for weights u >= 0, Σ u = 1, that maximise log det M, M = Σ u_i q_i q_iᵀ, q = (1, x) of length N = n + 1;
-if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere and w = N
+The dual maximises log det M over weights u >= 0, Σ u = 1, with M = Σ u_i q_i q_iᵀ and q = (1, x) of length N = n + 1;
+if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere, and w = N
 wherever u > 0.
 
-- Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight
-  to the point of largest w, or from the one of smallest, whichever is farther from N; M⁻¹ and w follow by rank one.
+- Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight to
+  the point with the largest w, or from the one with the smallest, whichever is farther from N, with rank-one updates of
+  M⁻¹ and w.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
-  2007, doi:10.1016/j.spl.2006.05.014): such points leave. A bolder bound comes first, and all points are asked later.
-- On the points left, Newton's method for u s = 0, s = N - w: its matrix is diag(s/u) + (W Wᵀ)∘(W Wᵀ), one row for
-  each point, and not one for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
+  2007, doi:10.1016/j.spl.2006.05.014): such points are dropped. A bolder bound is tried first, and all points are
+  tested later.
+- On the remaining points, Newton's method solves u s = 0, s = N - w. Its matrix diag(s/u) + (W Wᵀ)∘(W Wᵀ) has a row for
+  each point, not for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
 
-All three see a working set only. One pass over all points per round finds those outside the ellipsoid.
+All three use only a working set. One pass over all points per round finds the points outside the ellipsoid.
 """
 
 from __future__ import annotations
@@ -36,25 +38,25 @@ from loewner._large_fits.dense import (
 from loewner._validate import Bools, Floats, Ints
 from loewner.polytopes import FLATNESS, flat_error
 
-# Points that the working set starts with, and that may join it in a round, times N.
+# Size of the first working set, and largest number of points added per round, times N.
 FIRST, MORE = 10, 4
-# As soon as no more points than this, times the working set, may touch the ellipsoid, it takes all of them.
+# Once the points that may touch the ellipsoid are at most this many times the working set, it takes all of them.
 ENOUGH = 2
-# Rounds at most, and those in which points may leave by a guess; steps of the interior point at most.
+# Largest numbers of rounds, of rounds in which points may be dropped by a guess, and of steps of the interior point.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 30, 60
-# Ascents without an end: where more points than that matter.
+# Largest number of ascents, for sets in which too many points matter.
 MAX_ASCENTS = 400
-# Seconds of one core, measured: a step of the ascent, and of the interior point, by themselves and for each number or
-# multiplication. They say when to change from one to the other; clocks do not, so that results can be had again.
+# Measured seconds on one core of a step of the ascent and of the interior point: constant, and per number or
+# multiplication. They, not clocks, decide when to change from one to the other, so that results are reproducible.
 ASCENT_STEP, ASCENT_NUMBER = 1.5e-5, 4.0e-10
 NEWTON_STEP, NEWTON_FLOP, NEWTON_STEPS = 2.0e-4, 3.0e-11, 10
-# The ascent may cost this share of the interior point that it makes cheaper.
+# The ascent may cost this share of the work that it saves the interior point.
 SHARE = 0.35
-# The interior point starts with the ascent's weights, and this share spread evenly: one step in eight is saved.
+# The interior point starts with the ascent's weights, plus this share spread evenly, which saves one step in eight.
 EVEN = 0.2
-# The interior point leaves this much of a mean weight on points that have none.
+# Weights that the interior point leaves below this share of the mean are set to 0.
 NOTHING = 1e-9
-# Points leave the interior point once they make up less than this of M, so that it stays regular.
+# The interior point drops points once they contribute less than this to M, so that M stays regular.
 LOSS = 0.5
 
 
@@ -63,17 +65,17 @@ class _WorkingSet:
     """Some of the points, in coordinates of unit size, with weights whose sum is 1."""
 
     index: Ints
-    Q: Floats  # (k, N): first a column of ones, unless the center is given
+    Q: Floats  # shape (k, N); the first column is ones, unless the center is given
     u: Floats
     lifted: int  # N - n, so 1, or 0 if the center is given
-    bold: bool = True  # points leave by a guess, until one that left turns out to matter
+    bold: bool = True  # points are dropped by a guess, until a dropped one turns out to matter
 
     @property
     def dim(self) -> int:
         return int(self.Q.shape[1]) - self.lifted
 
     def gap(self, largest: float) -> float:
-        """Of the ellipsoid around the set, if `largest` is the largest w."""
+        """Gap of the ellipsoid around the set, if `largest` is the largest w."""
         return float(0.5 * self.dim * np.log((largest - self.lifted) / self.dim))
 
     def keep(self, rows: Bools) -> None:
@@ -95,7 +97,7 @@ def smallest_around(
     Raises
     ------
     GeometryError
-        On points in a flat.
+        If the points lie in a hyperplane.
     """
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     _memory.expect_room_for_blas()
@@ -112,7 +114,7 @@ def smallest_around(
     first = np.union1d(sample, chosen)
     u = np.isin(first, chosen) / len(chosen)
     active = _WorkingSet(first, whitened(first), u, lifted)
-    pool, names = points, None  # those that may touch the ellipsoid, and which they are; None: all, in their order
+    pool, names = points, None  # points that may touch the ellipsoid, and their indices; None: all, in order
     target = 0.25 * tol if len(first) == m else max(0.25 * tol, 0.02 * n)
     steps = 0
     volume = -np.inf
@@ -123,7 +125,7 @@ def smallest_around(
             return origin, frame, np.inf, steps, np.zeros(m)
         center, factor = _ellipsoid(active, origin, frame)
         inverse = inverse_of(factor)
-        # More points have larger ellipsoids around them: if not, some that left mattered.
+        # More points need larger ellipsoids: if the volume did not grow, dropped ones mattered.
         volume, before = float(np.log(np.diagonal(factor)).sum()), volume
         if volume + reached < before or turn > BOLD_ROUNDS:
             active.bold = False
@@ -133,25 +135,25 @@ def smallest_around(
         if gap <= 0.5 * tol:
             if names is None:
                 break
-            pool, names = points, None  # those left out are looked at once more; should they matter, no guess again
+            pool, names = points, None  # omitted points are tested once more; if they matter, no more guesses
             active.bold = False
             continue
         bound = _least_of_support(radii.max() * n + lifted, n + lifted, active.bold)
         may_touch = np.flatnonzero(lifted + n * radii >= bound)
         if finish := len(may_touch) <= ENOUGH * len(active.u):
-            fresh = may_touch  # among them is all that the optimum needs
+            fresh = may_touch  # they include all points that the optimum needs
         else:
             fresh = _farthest(pool, radii, center, inverse, np.exp(tol / n))
         fresh = np.setdiff1d(fresh if names is None else names[fresh], active.index)
         if len(fresh) == 0 and names is None and reached > target and frame is not first_frame:
-            break  # no better for rounding
+            break  # no better within rounding
         if 8 * len(may_touch) <= len(pool):
             pool, names = pool[may_touch], may_touch if names is None else names[may_touch]
-        # Into the coordinates of this ellipsoid: with heavy tails those of the start are skewed.
+        # Change to the coordinates of this ellipsoid: with heavy tails the initial coordinates are skewed.
         origin, frame, unframe = center, factor, inverse
         active.add(fresh)
         active.Q = whitened(active.index)
-        # No round is solved much better than what the points outside it deserve.
+        # No round is solved much more accurately than the points outside it require.
         target = 0.25 * tol if finish else max(0.25 * tol, min(target, 0.1 * gap))
     weights = np.zeros(m)
     weights[active.index] = active.u
@@ -169,11 +171,11 @@ def _spaced(m: int, count: int) -> Ints:
 
 
 def _spread(points: Floats, sample: Ints, given: Floats | None) -> tuple[Floats, Floats, Ints]:
-    """Points far apart, as `_kernels.fits.mvce.spread_points` finds them: origin, frame and which they are.
+    """Origin, frame and indices of points far apart, as from `_kernels.fits.mvce.spread_points`.
 
     If the center is given, their reflections in it count as well.
 
-    A sample does if it is far from flat; in one that is not, all points are asked.
+    A sample suffices if it is far from flat; otherwise all points are used.
     """
     m, n = points.shape
     size = max(float(points.max()), -float(points.min()), 0.0 if given is None else float(np.abs(given).max()))
@@ -194,9 +196,9 @@ def _spread(points: Floats, sample: Ints, given: Floats | None) -> tuple[Floats,
 
 
 def _extremes(points: Floats, noise: float, flatness: float, given: Floats | None) -> tuple[Ints, Floats, float]:
-    """Kumar and Yıldırım's 2n points, n differences, and the least width by the largest; 0 if they are flat.
+    """Kumar and Yıldırım's 2n points, n differences, and the ratio of the least to the largest width; 0 if flat.
 
-    About a given center one point for each direction does, whose reflection is the other.
+    About a given center one point per direction suffices, since its reflection is the other.
     """
     about = points[0] if given is None else given
     n = points.shape[1]
@@ -222,7 +224,7 @@ def _extremes(points: Floats, noise: float, flatness: float, given: Floats | Non
         width = high[0] - low[0]
         if not width > max(flatness * widest, noise):
             return chosen, differences, 0.0
-        # In noise's neighbourhood a width is hardly known: as good as narrow.
+        # A width close to the noise is unreliable and counts as narrow.
         narrowest = min(narrowest, width if width > 100 * noise else 0.5 * flatness * widest)
         basis[j] = _orthonormal(differences[j], basis[:j])
         chosen[2 * j : 2 * j + 2] = low[1], high[1]
@@ -230,7 +232,7 @@ def _extremes(points: Floats, noise: float, flatness: float, given: Floats | Non
 
 
 def _orthonormal(v: Floats, basis: Floats) -> Floats:
-    """`v` made orthogonal to the rows of `basis`, twice since once loses digits, and of unit length."""
+    """Make `v` orthogonal to the rows of `basis`, twice since once loses digits, and normalise it."""
     for _ in range(2):
         v = v - (basis @ v) @ basis
     return np.asarray(v / np.linalg.norm(v))
@@ -240,7 +242,7 @@ def _orthonormal(v: Floats, basis: Floats) -> Floats:
 
 
 def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
-    """Weights of the working set to a gap of `target`: steps taken, and the gap reached. Points inside leave."""
+    """Find weights of the working set to a gap of `target`, dropping inner points; return steps and gap reached."""
     n = active.dim
     spent, steps, gap = 0.0, 0, np.inf
     for _ in range(MAX_ASCENTS):
@@ -270,10 +272,10 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
 
 
 def _least_of_support(largest: float, N: int, bold: bool) -> float:
-    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), less a little; or a guess of it.
+    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), with an allowance; or a guess of it.
 
-    The theorem fears that all that the largest w exceeds N by is owed to one direction, the bold guess that it is an
-    Nth of that. The guess leaves far fewer points in high dimension, and is nearly always right.
+    The theorem assumes the worst case, that the excess of the largest w over N is due to one direction; the bold guess
+    assumes an Nth of it. In high dimension the guess keeps far fewer points, and is nearly always right.
     """
     excess = max(largest - N, 0.0) / (N if bold else 1)
     bound = 1.0 + 0.5 * excess - 0.5 * np.sqrt(excess * (4.0 + excess - 4.0 / N))
@@ -281,10 +283,10 @@ def _least_of_support(largest: float, N: int, bold: bool) -> float:
 
 
 def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target: float) -> None:
-    """At most `count` steps towards the farthest point or away from the nearest one that has weight."""
+    """Take at most `count` steps towards the farthest point or away from the nearest point that has weight."""
     Q, u = active.Q, active.u.copy()
     N = Q.shape[1]
-    if N == 1:  # the farthest point on a line from the center given, and nothing else
+    if N == 1:  # all weight is on the farthest point on a line from the given center
         active.u = np.where(np.arange(len(u)) == w.argmax(), 1.0, 0.0)
         return
     enough = active.lifted + active.dim * np.exp(2.0 * target / active.dim)
@@ -298,7 +300,7 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
         k = int(nearest.argmin())
         if N - w[k] > w[j] - N:
             j = k
-        # w is 1 at the center, where rounding would turn the sign; away from there all its weight goes.
+        # w is 1 at the center, where rounding could flip the sign; such a point loses all its weight.
         share = max((w[j] - N) / (N * max(w[j] - 1.0, ROUNDING)), -u[j] / (1.0 - u[j]))
         g = inverse @ Q[j]
         z = Q @ g
@@ -315,9 +317,9 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
 
 
 def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
-    """As `_kernels.fits.mvce.solve_dual`, with a matrix of a row for each point: steps and gap.
+    """As `_kernels.fits.mvce.solve_dual`, with a row of the matrix for each point; returns steps and gap.
 
-    Points that cannot have weight leave on the way. The working set is left with the best weights seen.
+    Points that cannot have weight are dropped. The working set ends with the best weights seen.
     """
     N = active.Q.shape[1]
     index, Q = active.index, active.Q
@@ -380,11 +382,11 @@ def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Fl
 
 
 def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floats, Floats]:
-    """Center and factor in which w = N is the boundary."""
+    """Center and factor of the ellipsoid with the boundary w = N."""
     X, u = active.Q[:, active.lifted :], active.u
     mean = u @ X if active.lifted else np.zeros(active.dim)
     offsets = X - mean
-    # By QR, not from the matrix of second moments, which has the condition squared.
+    # By QR, since the matrix of second moments has the squared condition number.
     return origin + frame @ mean, np.tril(frame @ lower_root(np.sqrt(len(mean) * u)[:, None] * offsets))
 
 
@@ -398,9 +400,9 @@ def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
 
 
 def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, threshold: float) -> Ints:
-    """Points above `threshold` that point different ways: of each sector the farthest.
+    """Points above `threshold` in different directions: the farthest in each sector.
 
-    A sector is the signed axis, of the ellipsoid's own, nearest to a point.
+    The sector of a point is the signed axis of the ellipsoid nearest to it.
     """
     n = points.shape[1]
     outside = np.flatnonzero(radii > threshold)
@@ -420,11 +422,11 @@ def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, th
 
 
 def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, float, float]:
-    """Scale `factor` until it holds every point for certain: the factor, the scale, and what rounding does to radii.
+    """Scale `factor` until it certainly contains every point; return factor, scale, and the rounding error of radii.
 
     With X = `inverse`, L the factor, d = x - c, y = L⁻¹ d, s > 0 and R = 1 - X L / s: X d / s = (1 - R) y. Entry i of
-    the computed X d, X lower triangular, errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in whatever order it is
-    summed, and entries of the computed R err likewise, so that |y| (1 - error) is at most the computed |X d| / s.
+    the computed X d, with X lower triangular, errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in any order of
+    summation, and entries of the computed R err likewise, so |y| (1 - error) is at most the computed |X d| / s.
     """
     n = len(factor)
     terms = 2.0 * np.arange(n)[:, None] + 10.0
@@ -447,12 +449,12 @@ def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, f
 def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats, error: float, lifted: int) -> float:
     """Certified log(volume / smallest volume), from weights of the points; see `_kernels.fits.mvce.outer_gap`.
 
-    About a given center second moments take the place of covariances.
+    About a given center, second moments replace covariances.
 
-    y is known up to a linear map 1 - R, |R| <= `error` in the Frobenius norm, and a shift of length `error`. The first
-    changes ½ log det S by at most 1.1 √n errors, the second changes S by 3 errors in the nuclear norm, and sums and
-    Cholesky's rounding by (2 k + 2 n + 16) u √n; half of their quotient by the least eigenvalue of S is what log det S
-    feels. That eigenvalue is known to far less than 1e-11, as S has trace 1.
+    y is known up to a linear map 1 - R, |R| <= `error` in the Frobenius norm, and a shift of length `error`. The map
+    changes ½ log det S by at most 1.1 √n errors. The shift changes S by 3 errors in the nuclear norm, and sums and
+    Cholesky's rounding change it by (2 k + 2 n + 16) u √n; these change ½ log det S by half of their quotient by the
+    least eigenvalue of S. That eigenvalue is known to far less than 1e-11, since S has trace 1.
     """
     if not error < 0.1:
         return np.inf

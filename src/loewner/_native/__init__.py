@@ -1,1 +1,1 @@
-"""The kernels as Python calls them: from the native library, or compiled on this machine."""
+"""The kernels for Python: from the native library, or compiled on this machine."""

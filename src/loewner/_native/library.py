@@ -1,7 +1,7 @@
-"""The native library: which there is for this machine, and is it whole.
+"""Find the native library for this machine, and check that it is intact.
 
-The library holds the kernels as machine code, made from the same sources by the same compiler as what Numba makes on a
-user's machine (`native/`). It lies beside this file with a list of what was made from what. One that was made from
+The library contains the kernels as machine code, made from the same sources by the same compiler that Numba uses on a
+user's machine (`native/`). It lies beside this file with a list of its files and sources. A library that was made from
 other sources, or was altered since, is not loaded.
 """
 
@@ -32,7 +32,7 @@ class Entry(NamedTuple):
 
 
 class _Refused(Exception):
-    """There is no library that may be used; the text says why."""
+    """No library can be used; the text gives the reason."""
 
 
 def kernel(entry: Entry) -> Any:
@@ -42,13 +42,13 @@ def kernel(entry: Entry) -> Any:
 
 
 def level() -> str | None:
-    """Level of processors that the library in use was compiled for; None if there is none."""
+    """Processor level for which the library in use was compiled; None if there is none."""
     library, text = _opened()
     return None if library is None else text
 
 
 def why_not() -> str:
-    """Why there is no library in use; empty if there is one."""
+    """The reason why no library is in use; empty if one is."""
     library, text = _opened()
     return "" if library is not None else text
 
@@ -59,7 +59,7 @@ def extension() -> Any:
 
 
 def levels() -> tuple[str, ...]:
-    """Levels of the library that this processor runs, the best first; empty where there is nothing to ask."""
+    """Levels of the library that this processor supports, the best first; empty if they cannot be determined."""
     try:
         return tuple(_extension(_listed()).levels())
     except (_Refused, OSError, ImportError):
@@ -67,7 +67,7 @@ def levels() -> tuple[str, ...]:
 
 
 def shipped(name: str) -> bytes | None:
-    """Content of a file that was built with the library, whatever the processor; None if there is none to be used."""
+    """Content of a file that was built with the library, for any processor; None if there is no usable one."""
     if os.environ.get("LOEWNER_JIT") == "1":
         return None
     try:
@@ -77,13 +77,13 @@ def shipped(name: str) -> bytes | None:
 
 
 def built_with() -> str:
-    """Version of Numba that the library was made with."""
+    """Version of Numba with which the library was made."""
     return str(_listed()["numba"])
 
 
 @cache
 def _opened() -> tuple[Any, str]:
-    """Return the library and its level, or None and why there is none."""
+    """Return the library and its level, or None and the reason."""
     forced = os.environ.get("LOEWNER_JIT") or "0"
     if forced not in ("0", "1"):
         raise InputError(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
@@ -100,7 +100,7 @@ def _opened() -> tuple[Any, str]:
 
 
 def _listed() -> dict[str, Any]:
-    """Read what was built, if it was built from the sources that are here."""
+    """Read the list of built files, if they were built from the present sources."""
     try:
         built = json.loads((HOME / LIST).read_text(encoding="utf-8"))
         sources, files, _ = built["sources"], built["files"], built["numba"]
@@ -116,8 +116,8 @@ def _listed() -> dict[str, Any]:
 
 
 def _checked(name: str, built: dict[str, Any]) -> Path:
-    """Path of a file that is as it was built."""
-    import hashlib  # takes as long as the rest of this module
+    """Path of a built file, after checking that it is unchanged."""
+    import hashlib  # importing it takes as long as the rest of this module
 
     path = HOME / name
     if name not in built["files"]:
@@ -128,7 +128,7 @@ def _checked(name: str, built: dict[str, Any]) -> Path:
 
 
 def _extension(built: dict[str, Any]) -> Any:
-    """Import the extension, once it is known to be whole."""
+    """Import the extension, after checking that it is intact."""
     if EXTENSION not in sys.modules:
         loader = ExtensionFileLoader(EXTENSION, str(_checked(f"_call{EXTENSION_SUFFIXES[0]}", built)))
         spec = spec_from_loader(EXTENSION, loader)
@@ -140,7 +140,7 @@ def _extension(built: dict[str, Any]) -> Any:
 
 
 def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
-    """Choose the best level of those that the processor runs and that were built."""
+    """Choose the best level that was built and that the processor supports."""
     if most := os.environ.get("LOEWNER_LEVEL"):
         if most not in levels:
             runs = ", ".join(levels) or "none"

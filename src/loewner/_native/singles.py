@@ -1,7 +1,7 @@
-"""Queries that are one call of the extension: what is usual, without Python between (`native/pairs.c`).
+"""Queries that are a single call of the extension: the usual cases, without Python in between (`native/pairs.c`).
 
-Each of these answers, or returns None: an argument is not of the usual kind, or the answer takes more than that. The
-caller then goes the long way, which checks and says everything. Without a library they always return None.
+Each of these returns an answer, or None if an argument is unusual or the answer takes more work. The caller then takes
+the long way, which checks and reports everything. Without a library they always return None.
 """
 
 from typing import Any
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loewner._native import entries, library
 
-# Of one pair of bodies: names of this module.
+# Queries of one pair of bodies: names of this module.
 PAIRS = ("collide", "classify", "distance")
 
 
@@ -32,11 +32,11 @@ def __getattr__(name: str) -> Any:
 
 
 def none(*_: Any) -> None:
-    """Whatever is asked: the long way."""
+    """Return None: the caller takes the long way."""
 
 
 class LongWay:
-    """Stands for queries of configurations where there are none."""
+    """Replacement for queries of configurations if there are none."""
 
     collide = classify = motion = staticmethod(none)
 
@@ -49,22 +49,22 @@ def configurations(
     Parameters
     ----------
     pack, problem, hits
-        What `check_configurations` takes.
+        As for `check_configurations`.
     memory : int
-        Bytes that it writes to.
+        Number of scratch bytes that it needs.
     piece_pairs : int
-        How many pairs of pieces there are to check; if many, other threads run meanwhile.
+        Number of pairs of pieces to check; if there are many, the interpreter lock is released.
     plain : ndarray, shape (2, dof), or None
-        Least and largest values of usual configurations; None if none is usual.
+        Smallest and largest values of usual configurations; None if none is usual.
     held : object
-        What owns the memory behind the handles.
+        Owner of the memory behind the handles.
 
     Returns
     -------
     object
         With ``collide(q)``: a bool, or None. ``classify(q)``: the number of a verdict, or None. ``motion(q0, q1,
-        resolution, order)``: how many configurations were looked at, less than 0 if the last ones collide, or None;
-        order(steps) returns the fractions of the way in the order in which they are looked at.
+        resolution, order)``: the number of configurations checked, negative if the last ones collide, or None;
+        order(steps) returns the fractions of the motion in the order in which they are checked.
     """
     call = library.extension()
     if call is None or plain is None:

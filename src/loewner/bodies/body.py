@@ -82,7 +82,7 @@ class _Unmade:
 
 @guarded
 class _Bodies:
-    """What one body and a sequence of bodies have in common."""
+    """Properties and methods shared by one body and a sequence of bodies."""
 
     _packed: Packed = cast(Packed, _Unmade())
     _covering: Covering | None = None
@@ -123,7 +123,7 @@ class _Bodies:
         Raises
         ------
         InputError
-            If the name ends otherwise.
+            If the name does not end in ``.npz``.
         FileError
             If the file cannot be written.
 
@@ -133,7 +133,7 @@ class _Bodies:
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
-        # Late: with archives and checksums it takes a fifth of the time of `import loewner`.
+        # Imported late: with archives and checksums it takes a fifth of the time of `import loewner`.
         from loewner.bodies import files
 
         files.save(self._packed, path, self._covering)
@@ -271,8 +271,8 @@ class Body(_Bodies):
         seed : int
             Seed of CoACD's search.
         progress : callable, optional
-            Called as ``progress(done, total)`` after each step, with a share that never decreases; where planes cut, a
-            step is a hundredth of the surface. The fits come last, as one step.
+            Called as ``progress(done, total)`` after each step, with a share that never decreases; if planes cut the
+            mesh, a step is a hundredth of its surface. All fits together are the last step.
 
         Raises
         ------
@@ -326,7 +326,7 @@ class Body(_Bodies):
         solid: bool | None = None,
         scale: ArrayLike = 1.0,
     ) -> Body:
-        """Body made of the triangles of a mesh themselves, immediately and exactly.
+        """Make a body of the triangles of a mesh themselves, immediately and exactly.
 
         Every triangle is a convex piece, a flat core with a radius; holes, duplicates, flipped, degenerate and
         self-intersecting triangles are fine. docs/surfaces.md explains when to use this and when to use `from_mesh`.
@@ -350,8 +350,8 @@ class Body(_Bodies):
         FileError
             If the file is missing, empty, truncated or not a mesh.
         GeometryError
-            If a vertex is not finite, an index is out of range, there is no triangle, or sizes are beyond 1e-12 to 1e12
-            m; with ``solid=True`` also if the mesh is open (the message gives the place).
+            If a vertex is not finite, an index is out of range, there is no triangle, or sizes are outside 1e-12 to
+            1e12 m; with ``solid=True`` also if the mesh is open (the message gives the place).
         InputError
             If the radius is negative or not finite.
 
@@ -388,7 +388,7 @@ class Body(_Bodies):
         InputError
             If a length is not positive and finite.
         GeometryError
-            If a length is so small beside another one (about 1e-12 of it) that rounding loses it, or is beyond 1e-30 to
+            If a length is so small relative to another one (about 1e-12) that rounding loses it, or is outside 1e-30 to
             1e30 m.
 
         Examples
@@ -397,7 +397,7 @@ class Body(_Bodies):
         array([5.19615242])
         """
         half = _validate.positive_vector(size, "size", 3) / 2
-        # The fits of a box are known; only containment after rounding is to be seen to (docs/containment.md).
+        # The fits of a box are known in closed form; only containment after rounding needs care (docs/containment.md).
         F = np.diag(half)
         return cls(
             _assemble_polytopes(
@@ -626,10 +626,10 @@ class Body(_Bodies):
         Parameters
         ----------
         heights : array_like, shape (p, q)
-            In metres; the height at (i, j) belongs to the point x = i spacing, y = j spacing. At least two along each
-            axis.
+            In metres, at least two along each axis; the height at (i, j) belongs to the point x = i spacing, y = j
+            spacing.
         spacing : float, or array_like of shape (2,)
-            Between neighbours along x and y, in metres.
+            Distance between neighbours along x and y, in metres.
         base : float, optional
             Height of the flat underside, in metres, below all heights. By default it is the lowest height minus the
             longer side of the grid, so that nothing passes through from above undetected.
@@ -665,7 +665,7 @@ class Body(_Bodies):
         normal : array_like, shape (3,)
             Points out of the body and may have any length; the body is {x : n · x <= offset} with n scaled to length 1.
         offset : float
-            Distance of the plane from the origin along the normal, in metres; negative behind it.
+            Signed distance of the plane from the origin along the normal, in metres.
         extent : float
             Edge of the cube, in metres, at most 1e9. One of its sides lies in the plane, centered at the point nearest
             to the origin. Everything outside the cube is free: choose it larger than the moving bodies' range. Contact
@@ -695,7 +695,7 @@ class Body(_Bodies):
                 f"extent: expected at most {LARGEST_EXTENT:g} m, where contact is told to a millimetre, found {edge:g}"
             )
         T = np.eye(4)
-        # A frame whose third axis is the normal: by QR, with the signs that leave it so.
+        # QR gives a frame whose third axis is the normal, once its signs are chosen.
         frame = np.linalg.qr(np.column_stack([n, np.eye(3)[:, np.argsort(np.abs(n))[:2]]]))[0]
         frame[:, 0] = n
         frame[:, 2] = np.cross(n, frame[:, 1])
@@ -1117,7 +1117,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
-        """Read a file written by `save` of a body or of bodies.
+        """Read a file that `Body.save` or `Bodies.save` wrote.
 
         Parameters
         ----------
@@ -1143,7 +1143,7 @@ def _expect_body(body: Any, name: str) -> Body:
 
 
 def _rows_of_three(x: ArrayLike, name: str) -> Floats:
-    """At least one point."""
+    """Check rows of three numbers, at least one."""
     rows = _validate.finite_array(x, name, ("n", 3))
     if len(rows) == 0:
         raise GeometryError(f"{name}: expected at least one point, found none")

@@ -1,4 +1,4 @@
-"""Boxes with little surface: how to orient a box around points or triangles."""
+"""Find the orientation of a box with little surface around points or triangles."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from loewner._validate import Floats
 
-# Of so many triangles, at most, it is asked how a box around all may lie.
+# Largest number of triangles that suggest orientations.
 MOST_ASKED = 512
 
-# Along so many edges of a hull, the longest.
+# Number of edges of a hull, the longest, along which a box is tried.
 MOST_EDGES = 8
 
-# Corners of a hull are farthest out in one of these directions, shape (2, k): a library's hull takes longer to import.
+# The farthest points in these directions, shape (2, k), approximate a hull: importing a library for it takes longer.
 _LOOKS = np.stack([function(np.arange(64) * (np.pi / 32)) for function in (np.cos, np.sin)])
 
-# What a flat box counts as thick, relative to its longest side: of two of one area the shorter one is chosen.
+# Thickness assumed for a flat box, relative to its longest side, so that the shorter of two equal areas is chosen.
 THICKNESS = 0.01
 
 
@@ -25,7 +25,7 @@ def least_box_axes(triangles: Floats) -> Floats:
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
-        Coordinates come first. Each has one corner if they are points.
+        Coordinates come first. Points are triangles with one corner.
 
     Returns
     -------
@@ -40,10 +40,10 @@ def least_box_axes(triangles: Floats) -> Floats:
 
 
 def _turns(triangles: Floats) -> Floats:
-    """Axes along which a box may have little surface, shape (k, 3, 3): none, principal ones, and those along faces.
+    """Axes along which a box may have little surface, shape (k, 3, 3): the frame's, principal ones, along faces.
 
-    Of the last, one axis is the normal of the largest triangle, and another runs along an edge of the hull of what is
-    seen along it: of all rectangles around points in a plane, the smallest has a side along such an edge (Freeman and
+    The last have the normal of the largest triangle as one axis, and as another an edge of the hull of all points
+    projected along it: the smallest rectangle around points in a plane has a side along such an edge (Freeman and
     Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975).
     """
     points = triangles.reshape(3, -1)
@@ -64,7 +64,7 @@ def _turns(triangles: Floats) -> Floats:
 
 
 def _directions(points: Floats) -> Floats:
-    """Unit vectors along the longest edges of about the hull of points in a plane, shape (k, 2)."""
+    """Unit vectors along the longest edges of an approximate hull of points in a plane, shape (k, 2)."""
     rim = points[(points @ _LOOKS).argmax(axis=0)]
     edges = np.roll(rim, -1, axis=0) - rim
     lengths = np.linalg.norm(edges, axis=1)

@@ -1,11 +1,11 @@
-"""Are arrays from a file bodies? Everything on which a verdict depends is checked before a kernel reads it.
+"""Check that arrays from a file are bodies, in everything on which a verdict depends, before a kernel reads them.
 
-A file is untrusted data: an attacker can compute its checksum too. So every property is checked whose violation could
-let a kernel read past an array, loop forever, or return a wrong FREE. Every law that `save` keeps is tested, with
+A file is untrusted data: an attacker can compute its checksum too. A property is therefore checked if its violation
+could let a kernel read past an array, loop forever, or return a wrong FREE. Every law that `save` keeps is tested, with
 tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`): a file written by any version of loewner passes.
 
-Optimality cannot be tested without fitting again: that an ellipsoid is the largest or the smallest, and so the last
-digits of `gaps`. These describe how tight the bounds are; no verdict depends on them.
+One property cannot be tested without fitting again: that the ellipsoids are the largest and the smallest, which
+determines the last digits of `gaps`. It affects how tight the bounds are, and no verdict depends on it.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from loewner.bodies.pack import Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError
 
-# Relative allowances of the tests: for what rounding cannot explain, and in roundings times the aspect of the piece,
-# the digits that coordinates of a thin piece lack. However thin, no more than MOST_DOUBT.
+# Relative allowances of the tests: one that rounding never exceeds, and one in roundings times the aspect of the piece,
+# for the digits that coordinates of a thin piece lack. However thin the piece, it is at most MOST_DOUBT.
 DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
 
 # Flatter ellipsoids than this cannot be inverted in float64; polytopes as flat as this are refused when they are made.
 MOST_ASPECT = 1e15
 
-# Capsules and spheres move by poses that may stretch by this; their radius then stays, the ellipsoids stretch along.
+# The poses of capsules and spheres may stretch by this; their radius is kept, and their ellipsoids are stretched.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
-# Points and planes of a block of polytopes, about, and products formed at a time.
+# Approximate number of points and planes in a block of polytopes, and number of products formed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
-# Axes of curved pieces are at right angles to this: a hundred moves by poses that are just accepted as rigid.
+# Axes of curved pieces are orthogonal to this accuracy: after a hundred moves by poses barely accepted as rigid.
 MOST_SKEW = 1e-4
 
-# Candidates looked at per plane and vertex, on average, to find the farthest vertex of large polytopes: the direction
-# map leaves some forty. Points that are no vertices of a hull could leave all, for every plane.
+# Average limit on candidates per plane and vertex in the search for the farthest vertex of large polytopes: the
+# direction map leaves about forty. Points that are not vertices of a hull could leave all of them, for every plane.
 MOST_CANDIDATES = 512
 
-# Letters stand for counts: pieces, bodies, points, planes, triangles.
+# Letters are counts: pieces, bodies, points, planes, triangles.
 EXPECTED: dict[str, tuple[int | str, ...]] = {
     "layout": ("P", 5),
     "points": ("V", 3),
@@ -65,7 +65,7 @@ assert tuple(EXPECTED) == ARRAYS
 
 
 def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not match; the shapes are read before any number is."""
+    """Refuse arrays whose shapes do not match; shapes are read before the numbers."""
     P = found["layout"][0] if found["layout"] else -1
     counts = {"P": P, "P + 1": P + 1}
     for name, shape in EXPECTED.items():
@@ -91,7 +91,7 @@ def checked(arrays: dict[str, Any]) -> Packed:
     InputError
         If they violate a law; the message names array and piece.
     """
-    with np.errstate(all="ignore"):  # what overflows is found and refused
+    with np.errstate(all="ignore"):  # overflowing values are found and refused
         _check_numbers(arrays)
         _check_ranges(arrays)
         _check_curved(arrays)
@@ -101,7 +101,7 @@ def checked(arrays: dict[str, Any]) -> Packed:
 
 
 def _refuse(bad: NDArray[np.bool_], what: str, found: NDArray[Any] | None = None, rows: Ints | None = None) -> None:
-    """Raise about the first row that is bad; `rows` are the numbers to call them by."""
+    """Raise an error about the first bad row; `rows` are the row numbers for its message."""
     if bad.any():
         i = int(np.argmax(bad))
         value = "another" if found is None else found[i]
@@ -112,7 +112,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
     """All numbers are finite, and small enough that no product of three overflows."""
     for name in ARRAYS:
         array, most = arrays[name], np.inf if name == "gaps" else 10 * LARGEST
-        # Both comparisons fail for NaN, which the largest and the smallest number then are.
+        # Both comparisons fail for NaN, which the largest and the smallest number are if any number is.
         if name not in INTEGERS and array.size and not (array.max() < most and array.min() > -most):
             largest = np.abs(array).reshape(len(array), -1).max(axis=1)
             _refuse(~(largest < most), f"{name}: expected finite numbers below {most:g}", largest)
@@ -122,7 +122,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
 
 
 def _rises(name: str, x: Ints, total: int, least: int) -> None:
-    """Refuse starts of ranges that do not lead from 0 to the total, each range at least so long."""
+    """Refuse starts of ranges that do not lead from 0 to the total, or a range shorter than `least`."""
     # Compared rather than subtracted: the difference of absurd numbers may overflow.
     bad = np.concatenate([[x[0] != 0], (x[1:] < x[:-1]) | (x[1:] > total)])
     _refuse(bad, f"{name}: expected numbers that rise from 0 to {total}", x)
@@ -133,7 +133,7 @@ def _rises(name: str, x: Ints, total: int, least: int) -> None:
 
 
 def _check_ranges(arrays: dict[str, Any]) -> None:
-    """Every index leads where it should: nothing overlaps, nothing is left over, nothing is outside."""
+    """Check that index ranges do not overlap, leave nothing over, and stay inside their arrays."""
     layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
     kind = layout[:, columns.KIND]
     _refuse(~np.isin(kind, list(KIND_NAMES)), f"layout: expected kinds among {sorted(KIND_NAMES)}", kind)
@@ -160,7 +160,7 @@ def _check_ranges(arrays: dict[str, Any]) -> None:
 
 
 def _inverses(factors: Floats, name: str, rows: Ints) -> tuple[Floats, Floats]:
-    """Inverses of factors, and the doubt that their aspects leave."""
+    """Inverses of factors, and the tolerance that their aspects require."""
     try:
         inverse = np.linalg.inv(factors)
     except np.linalg.LinAlgError:
@@ -178,15 +178,15 @@ def _doubt(aspect: Floats) -> Floats:
 
 
 def _check_polytopes(arrays: dict[str, Any]) -> Maps:
-    """Inner ellipsoid in the hull of the points, that in the outer one; triangles and planes are the hull's."""
+    """Check that the hull contains the inner and lies in the outer ellipsoid, and has these triangles and planes."""
     layout, points = arrays["layout"], arrays["points"]
     rows = np.flatnonzero(layout[:, columns.KIND] == columns.POLYTOPE)
     _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
     if len(rows) == 0:
         return {}
-    # Block by block: what is formed on the way stays in the processor's caches.
+    # Block by block, so that intermediate arrays stay in the processor's caches.
     size = layout[rows, columns.POINTS_TO] + layout[rows, columns.PLANES_TO]
-    # Those of a block follow one another in the arrays: no points of a surface are between.
+    # The polytopes of a block are adjacent in the arrays: no points of a surface are between them.
     ends = (layout[rows[1:], columns.POINTS_FROM] != layout[rows[:-1], columns.POINTS_TO]) | (
         size[1:] // BLOCK != size[:-1] // BLOCK
     )
@@ -210,12 +210,12 @@ def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
     _refuse(~(farthest <= 1 + doubt), "outer ellipsoid: expected the piece inside", farthest, rows)
 
     inverse, doubt = _inverses(arrays["inner_factor"][rows], "inner_factor", rows)
-    # In the inner ellipsoid's coordinates it is the unit ball, and the piece is a few units large.
+    # In its own coordinates the inner ellipsoid is the unit ball, and the piece is a few units large.
     local = _local(inverse, arrays["inner_center"][rows], points, owner)
     size = np.sqrt(np.maximum.reduceat(_dot(local, local), start))
     _check_surface(arrays, rows, start, local, size, doubt)
 
-    # The optimal ones differ by no more than 27 in volume (John).
+    # The volumes of the optimal ellipsoids differ by a factor of at most 27 (John).
     volumes = np.log(np.abs(np.linalg.det(inverse @ outer)))
     gaps = arrays["gaps"][rows]
     least = volumes - np.log(27.0)
@@ -224,14 +224,14 @@ def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
 
 
 def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floats:
-    """Points in the coordinates of their piece's ellipsoid, shape (3, V): that is the order that NumPy is quick in."""
+    """Points in the coordinates of their piece's ellipsoid, shape (3, V): NumPy is fastest in this order."""
     away = np.ascontiguousarray((points - center[owner]).T)
     rows = np.ascontiguousarray(inverse.transpose(1, 2, 0))
     return np.stack([_dot(rows[k].take(owner, axis=1), away) for k in range(3)])
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Products of vectors that are columns."""
+    """Dot products of column vectors."""
     total = a[0] * b[0]
     total += a[1] * b[1]
     total += a[2] * b[2]
@@ -256,8 +256,8 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
     used = np.zeros(local.shape[1], dtype=bool)
     used[corners.ravel()] = True
     _refuse(~used, "triangles: expected every point in one", used)
-    # Closed: what an edge adds up one way is taken off by the neighbour, which runs along it the other way. Numbers
-    # that nobody can foresee stand for the ends, so that nothing else adds up to zero (but once in 2**60).
+    # On a closed surface each edge cancels against the same edge of the neighbour, which runs the other way. The ends
+    # are represented by random numbers, so that nothing else adds up to zero (except once in 2**60).
     tails, heads = np.random.default_rng().integers(0, 2**64, size=(2, local.shape[1]), dtype=np.uint64)
     rest = sum(tails[corners[k]] * heads[corners[k - 2]] - heads[corners[k]] * tails[corners[k - 2]] for k in range(3))
     _refuse(
@@ -269,8 +269,8 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
     normal = _cross(ab, ac)
     height, length = _dot(normal, a), np.sqrt(_dot(normal, normal))
     edge = np.sqrt(np.maximum(_dot(ab, ab), _dot(ac, ac)))
-    # The face that a triangle is cut from is flat to some 1e-11 of its width (`hulls.FACE_WIDTH`), and a normal of a
-    # short triangle turns by that over its length.
+    # The face from which a triangle is cut is flat to about 1e-11 of its width (`hulls.FACE_WIDTH`), and the normal of
+    # a short triangle turns by this deviation divided by its length.
     slack = (doubt * size**2)[piece] * np.maximum(edge, 1e-6)
     outside = (length - height - slack) / np.maximum(length, 1e-300)
     worst = np.maximum.reduceat(outside, first)
@@ -284,7 +284,7 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
 
 
 def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
-    """Normals are of unit length, and each offset is that of the farthest vertex."""
+    """Check that normals have unit length, and that each offset belongs to the farthest vertex."""
     layout, points, planes = arrays["layout"][rows], arrays["points"], arrays["planes"]
     normals = planes[:, :3]
     squared = _dot(normals.T, normals.T)
@@ -293,7 +293,7 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
     from_point, from_plane = layout[:, columns.POINTS_FROM], layout[:, columns.PLANES_FROM]
     counts = np.column_stack([layout[:, columns.POINTS_TO] - from_point, layout[:, columns.PLANES_TO] - from_plane])
     small = np.flatnonzero(counts[:, 0] <= columns.LARGE)
-    # Pieces with as many points and planes as each other go together.
+    # Pieces with equal numbers of points and planes are checked together.
     code = counts[small, 0] * (len(planes) + 1) + counts[small, 1]
     order = small[np.argsort(code, kind="stable")]
     for group in np.split(order, np.flatnonzero(np.diff(counts[order], axis=0).any(axis=1)) + 1) if len(order) else []:
@@ -323,7 +323,7 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
 
 
 def _check_surfaces(arrays: dict[str, Any]) -> None:
-    """Surfaces have all their points in triangles and are in their outer ellipsoids; solids are closed."""
+    """Check that surfaces use all their points and lie in their outer ellipsoids, and that solids are closed."""
     layout, frames, gaps = arrays["layout"], arrays["frames"], arrays["gaps"]
     rows = np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE)
     _refuse(frames[rows, 0] < 0, "frames: expected a radius >= 0", frames[rows, 0], rows)
@@ -339,7 +339,7 @@ def _check_surfaces(arrays: dict[str, Any]) -> None:
 
 
 def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles: Ints) -> None:
-    """The part of `_check_surfaces` about a single one."""
+    """The part of `_check_surfaces` about a single surface."""
     radius, factor = arrays["frames"][i, 0], arrays["outer_factor"][i]
     used = np.zeros(len(points), dtype=bool)
     used[triangles.ravel()] = True
@@ -354,7 +354,7 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
     farthest = np.sqrt((away * away).sum(axis=1).max())
     _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
     if arrays["layout"][i, columns.KIND] == columns.SOLID:
-        return  # the inner one is found anew, whatever the file says
+        return  # the inner one is computed anew, regardless of the file
     # The inner one is a ball about a point of the surface, or within one.
     center, inner = arrays["inner_center"][i], arrays["inner_factor"][i]
     to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())
@@ -365,10 +365,10 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
 
 
 def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
-    """An ellipsoid whose sum with the ball is inside of the one with this factor, and the doubt that rounding leaves.
+    """An ellipsoid whose sum with the ball is inside the one with this factor, and the tolerance for rounding.
 
-    Whatever the numbers are, it is proven that way: the sum is inside of the shape (1 + 1/p) Q + (1 + p) r² for any p
-    (see `surfaces`), which is here solved for Q.
+    This holds for all numbers: for any p the sum is inside the shape (1 + 1/p) Q + (1 + p) r² (see `surfaces`), which
+    is here solved for Q.
     """
     _, doubt = _inverses(factor[None], "outer_factor", rows)
     if radius == 0:
@@ -390,7 +390,7 @@ def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
 
 
 def _check_curved(arrays: dict[str, Any]) -> None:
-    """Curved pieces are what their kind says, and their ellipsoids are the closed forms or on the safe side of them."""
+    """Check that curved pieces match their kind, with ellipsoids that are the closed forms or on their safe side."""
     kind = arrays["layout"][:, columns.KIND]
     rows = np.flatnonzero(kind > columns.POLYTOPE)
     if len(rows) == 0:
@@ -401,8 +401,8 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 
-    # Directions and lengths of the axes; scaled first, so that no square over- or underflows. Columns of `image` are
-    # axes; here the first index is the coordinate, then comes the axis.
+    # Directions and lengths of the axes; scaled first, so that no square over- or underflows. The columns of `image`
+    # are axes: the first index is the coordinate, the second the axis.
     image = np.ascontiguousarray(image.transpose(1, 2, 0))
     largest = np.maximum(np.maximum(np.abs(image[0]), np.abs(image[1])), np.abs(image[2]))
     _refuse(~((largest[0] > 0) & (largest[1] > 0) & (largest[2] > 0)), "frames: expected three axes", rows=rows)
@@ -425,7 +425,8 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     for name, semi_axes in (("inner", inner.T), ("outer", outer.T)):
         away = (arrays[f"{name}_center"][rows] - center).T
         factor = np.ascontiguousarray(arrays[f"{name}_factor"][rows].transpose(1, 2, 0))
-        # Both in the coordinates where the closed form is the unit ball: there the factor is a multiple of 1.
+        # Both are in the coordinates in which the closed form is the unit ball and the factor a multiple of the
+        # identity.
         moved = np.stack([_dot(inverse[j], away) - (lift if j == 2 else 0.0) for j in range(3)]) / semi_axes
         local = np.stack([_dot(inverse[j][:, None], factor) / semi_axes[j] for j in range(3)])
         scale = (local[0, 0] + local[1, 1] + local[2, 2]) / 3

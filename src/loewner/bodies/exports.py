@@ -34,10 +34,10 @@ ELLIPSOIDS = ("inner", "outer")
 # its semi-axes.
 DIVISIONS = 2
 
-# How far [relative] the corners of a polytope may be from those of a box that it is written as: a rounding or two.
+# Relative distance allowed between the corners of a polytope and of the box it is written as: a rounding or two.
 BOX_ROUNDING = 1e-13
 
-# Polytopes around what is curved are larger by this for the rounding of their corners.
+# Polytopes around curved shapes are enlarged by this for the rounding of their corners.
 OUTWARD = 1 + 1e-12
 
 
@@ -91,7 +91,7 @@ def save_text(text: str, path: Path) -> None:
 
 
 def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -> None:
-    """Write a robot of one link, and its meshes before it."""
+    """Write the meshes of a robot with one link, and then the robot."""
     root = ElementTree.Element("robot", name=path.stem)
     link = ElementTree.SubElement(root, "link", name=path.stem)
     shapes = [part for shape in _listed(packed, which) for part in _for_urdf(shape, which)]
@@ -127,7 +127,7 @@ def prefix(text: Any) -> str:
 
 
 def _numbers(values: Any) -> str:
-    """Numbers for an attribute, none rounded."""
+    """Numbers for an attribute, without rounding."""
     return " ".join(repr(value + 0.0) for value in np.asarray(values, dtype=np.float64).tolist())
 
 
@@ -181,7 +181,7 @@ def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
     lengths = np.linalg.norm(factor, axis=0)
     rotation = _proper(factor / lengths)
     if not kind.in_mjcf:
-        # The circle is the one inside its polygon.
+        # The circle is inscribed in its polygon.
         wider = OUTWARD / np.cos(np.pi / SEGMENTS)
         unit = np.linalg.solve(factor, (mesh[0] - center).T).T * [wider, wider, OUTWARD]
         return _mesh((unit @ factor.T + center, mesh[1]))
@@ -194,18 +194,18 @@ def _proper(axes: Floats) -> Floats:
 
 
 def _mesh(mesh: Mesh) -> Shape:
-    """A convex mesh of corners alone."""
+    """A convex mesh that is given by its corners."""
     used, triangles = np.unique(mesh[1], return_inverse=True)
     return Shape("mesh", (), np.eye(3), np.zeros(3), (mesh[0][used], triangles.reshape(-1, 3)))
 
 
 def _box(vertices: Floats) -> Shape | None:
-    """The box that these eight points are the corners of, if they are."""
+    """The box whose corners are these eight points; None if there is no such box."""
     if len(vertices) != 8:
         return None
     from_first = vertices - vertices[0]
     order = np.argsort(np.linalg.norm(from_first, axis=1))
-    # The two nearest corners are at the ends of edges, and the three edges together lead to the farthest corner.
+    # The two nearest corners are at the ends of edges, and the three edges add up to the diagonal.
     a, b, opposite = from_first[order[[1, 2, 7]]]
     edges = np.array([a, b, opposite - a - b])
     size = np.linalg.norm(edges, axis=1)
@@ -219,7 +219,7 @@ def _box(vertices: Floats) -> Shape | None:
 
 
 def _for_urdf(shape: Shape, which: str | None) -> Iterable[Shape]:
-    """The same of the shapes that every reader of URDF knows: spheres, cylinders, boxes and meshes."""
+    """A shape as shapes that every reader of URDF supports: spheres, cylinders, boxes and meshes."""
     if shape.kind == "capsule":
         radius, length = shape.sizes
         tip = shape.rotation[:, 2] * (length / 2)

@@ -30,7 +30,7 @@ BODIES = Format(
     optional=frozenset(("covering",)),
 )
 
-# Version 2 has surfaces; what has none is written as version 1, so that an older loewner reads it.
+# Version 2 has surfaces; bodies without surfaces are written as version 1, which an older loewner can read.
 WITH_SURFACES, WITHOUT = 2, 1
 
 COVERINGS = ("convex", "hull", "decomposition")
@@ -56,9 +56,9 @@ def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:
 
 
 def _covering(values: list[str]) -> Covering:
-    """What a mesh's pieces leave uncovered and how far they stick out, from the six texts that `save` writes.
+    """The covering of a mesh by its pieces, from the six texts that `save` writes.
 
-    Files of before `max_protrusion` have five; NaN is then in its place.
+    Older files have five texts; `max_protrusion` is then NaN.
     """
     if np.shape(values) not in ((5,), (6,)):
         raise InputError(f"covering: expected six entries, found {values!r}")

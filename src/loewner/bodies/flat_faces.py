@@ -21,7 +21,7 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     Returns
     -------
     ndarray of int, shape (T,)
-        Triangles that share an edge and lie in one plane have equal numbers; along a smooth surface, too.
+        Triangles that share an edge and lie in one plane, or continue a smooth surface, have equal numbers.
     """
     # Imported late: few programs cut surfaces.
     from scipy.sparse import coo_array

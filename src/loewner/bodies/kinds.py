@@ -1,4 +1,4 @@
-"""Kinds of pieces, with one row for each curved kind that contains all its properties."""
+"""Kinds of pieces; one row holds all properties of a curved kind."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
 
 _BALL = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0
 _CYLINDER = (1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0
-_CONE = (1.0, 1.0, 0.5), (3.0, 3.0, 1.5), -0.5  # divided by _OF_CONE: 1 / √2 and 3 / √8 times the radius
+_CONE = (1.0, 1.0, 0.5), (3.0, 3.0, 1.5), -0.5  # after division by _OF_CONE: 1 / √2 and 3 / √8 times the radius
 _OF_CONE = (2.0**0.5, 2.0**0.5, 1.0), (8.0**0.5, 8.0**0.5, 1.0)
 
-# By the numbers of kernels and files.
+# Indexed by the numbers used in kernels and files.
 CURVED = {
     columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, (), fitted=_BALL),
     columns.CYLINDER: Kind("cylinder", _upright, top=1.0, fitted=_CYLINDER),

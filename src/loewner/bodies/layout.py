@@ -1,4 +1,4 @@
-"""Pieces in flat arrays, and the arrays for kernels: tables, vertices in blocks, trees, and the address of it all."""
+"""Pieces in flat arrays, and the arrays for kernels: tables, vertices in blocks, trees, and their addresses."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from loewner.errors import GeometryError, InputError
 
 Maps = dict[int, tuple[Ints, Floats]]
 
-# Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function
-# forms; nothing anybody collides is near either end.
+# Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function forms; real bodies
+# are far from either end.
 SMALLEST, LARGEST = 1e-30, 1e30
 
 # A pose accepted as rigid may still stretch or shrink lengths.
@@ -27,16 +27,16 @@ BEND = 2 * tolerances.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
 # Bounds are rounded up by this factor before they go to single precision.
 UP = 1 + 2.0**-22  # derived 1, certified.md B23
 
-# What singular values may be off by, relative to the largest. LAPACK promises a few roundings and no number.
+# Bound on the relative error of singular values. LAPACK guarantees a few roundings without a number.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
-# A product with a matrix that is orthonormal but for rounding, and the one back: 3 entries each, and LAPACK's own.
+# Rounding of two products with a nearly orthonormal matrix, there and back, of 3 entries each, and of LAPACK itself.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
-# Products of directions and vertices that are formed at a time.
+# Number of products of directions and vertices formed at a time.
 AT_ONCE = 1_000_000
 
-# Of the corners of a box, which end each has along the axes.
+# For each corner of a box, its end along each axis.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
 
 # Sizes at which the certificate may work in single precision first (docs/certified.md).
@@ -45,7 +45,7 @@ SINGLE_SIZES = 1e-3, 1e3
 
 @dataclass(frozen=True, eq=False)
 class PieceArrays:
-    """Pieces of n bodies as arrays, which are read-only from now on.
+    """Pieces of n bodies as arrays, which become read-only.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def heights_of(
     Raises
     ------
     InputError
-        If it is reached.
+        If this limit is reached.
     """
     vertices, nodes = entries.direction_map((points - center) @ np.linalg.inv(factor).T)
     node, s, t = _cells(normals @ factor)
@@ -159,7 +159,7 @@ def heights_of(
         step = max(1, AT_ONCE // len(leaf))
         for k in range(0, len(same), step):
             some = same[k : k + step]
-            twice = some if len(some) > 1 else some.repeat(2)  # a row alone would be rounded in another way
+            twice = some if len(some) > 1 else some.repeat(2)  # a single row would be rounded differently
             heights[some] = (normals[twice] @ leaf.T).max(axis=1)[: len(some)]
     return heights, total
 
@@ -179,7 +179,7 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
 
 
 def starts(lengths: Ints) -> Ints:
-    """The start of each range if ranges of these lengths are laid end to end, and the end of the last one."""
+    """Starts of adjacent ranges with the given lengths, and the end of the last one."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 
@@ -228,7 +228,8 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
     for i, tree in trees.items():
         center, factor = tree.outer_ellipsoids(p.frames[i, 0])
         outer, inner = len(center), len(tree.inner_center)
-        # What a row has no use for: inner ellipsoids without size prove nothing, and the outer one of all is not apart.
+        # Unused columns hold inner ellipsoids without size, which prove nothing, and the outer ellipsoid of the whole
+        # surface.
         inner_center, inner_factor = np.concatenate([center, tree.inner_center]), np.zeros((outer + inner, 3, 3))
         inner_factor[outer:] = tree.inner_factor
         center = np.concatenate([center, np.repeat(p.outer_center[i : i + 1], inner, axis=0)])
@@ -249,7 +250,7 @@ def _box_corners(points: Floats, triangles: Ints) -> Floats:
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = turn.T @ points.T
-    # What rounding takes of a turn there and back, far from orthonormal by some roundings itself.
+    # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
     slack = 0.0 if np.array_equal(turn, np.eye(3)) else TURN_ROUNDINGS * np.abs(points).max()
     ends = np.stack([turned.min(axis=1) - slack, turned.max(axis=1) + slack])
     return np.asarray(ends[_CORNERS, np.arange(3)] @ turn.T)
@@ -268,7 +269,7 @@ def _ellipsoid_columns(
 ) -> Floats:
     """A table with the columns of ellipsoids: shape matrices and one-sided bounds of sizes."""
     table = np.zeros((len(outer_center), columns.COLUMNS))
-    # Before anything overflows. A factor's entries are no larger than the longest semi-axis.
+    # Checked before anything overflows. A factor's entries are no larger than the longest semi-axis.
     largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
@@ -297,7 +298,7 @@ def _ellipsoid_columns(
 
 
 def _singular_values(factor: Floats) -> Floats:
-    """Singular values of matrices, the largest first; of diagonal ones, such as balls and boxes have, at once."""
+    """Singular values of matrices, the largest first; diagonal matrices, as of balls and boxes, need no LAPACK."""
     diagonal = np.diagonal(factor, axis1=1, axis2=2)
     if np.count_nonzero(factor) == np.count_nonzero(diagonal):
         return np.asarray(-np.sort(-np.abs(diagonal), axis=1))
@@ -327,7 +328,7 @@ def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
     if np.diff(piece_start).max(initial=0) < columns.FEW:
         return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
     center = table[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    # The widths along the axes are the roots of the diagonal; all of it rounds outward.
+    # The widths along the axes are the roots of the diagonal; everything is rounded outward.
     half = np.sqrt(table[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]])
     half += 2.0**-53 * 64 * table[:, columns.REACH, None]
     grown: tuple[Floats, Ints, Ints] = entries.piece_trees(piece_start, center - half, center + half)

@@ -19,16 +19,16 @@ from loewner._files import read_regular, shown
 from loewner._validate import Floats, Ints
 from loewner.errors import FileError, GeometryError
 
-# Bytes of a file: a building at a centimetre has a tenth of it.
+# Largest file in bytes: ten times the file of a building at a resolution of one centimetre.
 MOST_BYTES = 2**30
 
 HEADER = re.compile(
     rb"# Octomap OcTree binary file\s*\n(?:#[^\n]*\n)*id OcTree\s*\nsize (\d+)\s*\nres ([-+.\deE]+)\s*\ndata\s*\n"
 )
 
-LEVELS = 16  # of a tree of OctoMap: keys have 16 bits an axis
+LEVELS = 16  # of a tree of OctoMap: keys have 16 bits per axis
 
-# What the two bits of a child say; 1 is free, and 0 not there.
+# Meaning of the two bits of a child; 1 is free, and 0 is absent.
 OCCUPIED, INNER = 2, 3
 
 
@@ -74,12 +74,12 @@ def _resolution(text: bytes, file: Path) -> float:
 
 
 def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tuple[Ints, Ints]:
-    """Keys of the lower corners of all occupied leaves, three bits a level, and their depths.
+    """Keys of the lower corners of all occupied leaves, three bits per level, and their depths.
 
     Raises
     ------
     FileError
-        If the nodes end too early or too late, are not as many as the header says, or go deeper than 16 levels.
+        If the nodes end too early or too late, differ in number from the header, or go deeper than 16 levels.
     """
     found: list[tuple[int, int]] = []
     known: dict[int, tuple[int, list[int], list[int]]] = {}

@@ -91,7 +91,7 @@ class Packed(Prepared):
         return cls(**arrays, maps=maps, trees=trees, kernel=kernel, addresses=table, handle=table.ctypes.data)
 
     def __reduce__(self) -> Any:
-        """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
+        """Rebuild copies and pickles: a handle is an address, which is only valid for this object."""
         return type(self).of, (PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
     @property
@@ -101,7 +101,7 @@ class Packed(Prepared):
 
 
 def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
-    """The pieces, each solid with the largest ellipsoid inside that is proven; whatever they had there before."""
+    """The pieces, with the largest proven ellipsoid inside each solid in place of the previous one."""
     solids = [i for i in trees if pieces.layout[i, columns.KIND] == columns.SOLID]
     if not solids:
         return pieces
@@ -117,7 +117,7 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
                 pieces.layout[i, columns.POINTS_FROM] + pieces.triangles[pieces.triangle_start[i], 0]
             ]
             arrays["inner_center"][i], arrays["inner_factor"][i] = corner, around_point(pieces.frames[i, 0])
-        # The largest one inside is no larger than the one around.
+        # The largest ellipsoid inside is no larger than the one around.
         volumes = np.linalg.slogdet(np.stack([pieces.outer_factor[i], arrays["inner_factor"][i]]))[1]
         arrays["gaps"][i, 0] = volumes[0] - volumes[1] if np.isfinite(volumes).all() else 0.0
     return PieceArrays(**arrays)
@@ -238,8 +238,8 @@ def moved(p: Packed, T: Floats) -> Packed:
     inside = p.inner_factor.any(axis=(1, 2))  # a surface without one has a point of its own instead
     shrink = np.where(inside, 1 - shift / table[:, columns.INNER_SIGMA], 1.0)
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
-    # A radius stays what it is while ellipsoids stretch with R. Scaled by the stretch about its center, a core and a
-    # ball that stretched as well are back inside (or around) the core and the ball that did not.
+    # A radius is kept while ellipsoids stretch with R. If core and ball had both been stretched, scaling by the stretch
+    # about the center would bring them back inside (or around) the core with the unstretched ball.
     stretched = np.linalg.svd(R, compute_uv=False)
     stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2.0**-50)
     rounded = p.frames[:, 0] > 0

@@ -1,4 +1,4 @@
-"""Surfaces in parts, for proofs of motions, which replace each piece by a box: small boxes leave more space free."""
+"""Cut surfaces into parts for proofs of motions, which replace each piece by a box: small boxes leave more space."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from loewner.bodies.surface_trees import SurfaceTree, surface_trees
 from loewner.bodies.surfaces import surface_pieces
 from loewner.errors import GeometryError
 
-# Parts of a surface, and of all surfaces of a pack together: each takes a millisecond to make.
+# Limits on the parts of a surface, and of all surfaces of a pack together: each part takes a millisecond to make.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# What a flat part counts as thick, relative to the whole.
+# Thickness assumed for a flat part, relative to the whole.
 THICKNESS = 0.01
 
-# Of a part that is cut in two, one triangle in so many goes to each side, or more; of several faces, one face. With 16
-# the part of three quarters is asked again and again, and no more is proven.
+# When a part is cut in two, each side gets at least one in this many triangles; with several faces, one face. With 16,
+# cuts leave parts of three quarters over and over, and no more is proven.
 LEAST_SHARE = 4
 
-# Certified log-volume gap of the ellipsoids around parts: a box is what counts.
+# Certified log-volume gap of the ellipsoids around parts: a loose one, since proofs use the boxes.
 TOLERANCE = 1e-2
 
-# Of surfaces, by their trees: so many parts at most, or None of one that cannot be cut.
+# Parts of surfaces by tree, with the limit on their number; None for a surface that cannot be cut.
 _known: WeakKeyDictionary[SurfaceTree, tuple[int, Prepared | None]] = WeakKeyDictionary()
 
 
 def in_parts(packed: Packed, bodies: Bools) -> Packed:
-    """The same bodies, with surfaces cut into parts, each a piece of its own; the same pack if there are no surfaces.
+    """Cut the surfaces of bodies into parts, each a piece of its own; without surfaces, return the same pack.
 
     Parts of a solid cover only its surface: a body that stays clear of all of them stays outside if it was outside
     once.
@@ -46,11 +46,11 @@ def in_parts(packed: Packed, bodies: Bools) -> Packed:
     ----------
     packed : Packed
     bodies : ndarray of bool
-        The pack whose surfaces are cut.
+        Bodies whose surfaces are cut.
     """
     of_piece = np.repeat(bodies, np.diff(packed.piece_start))
     standing = [i for i in packed.trees if of_piece[i]]
-    # A power of two, lest each surface that is added has all others cut anew.
+    # A power of two, so that adding a surface does not always cut all others anew.
     most = MOST_PARTS
     while most * len(standing) > ALL_PARTS:
         most //= 2
@@ -72,7 +72,7 @@ def _as_they_are(packed: Packed, first: int, last: int) -> Prepared:
 
 
 def _parts_of(packed: Packed, i: int, most: int) -> Prepared | None:
-    """Parts of a surface, made once; None if they would be one, or if one of them is too small for kernels."""
+    """Parts of a surface, made once; None if there would be only one, or if one is too small for kernels."""
     tree = packed.trees[i]
     known = _known.get(tree)
     if known is None or known[0] != most:
@@ -103,22 +103,22 @@ def _cut(packed: Packed, i: int, most: int) -> Prepared | None:
 
 
 def _cut_up(triangles: Floats, faces: Ints, radius: float, most: int) -> list[Ints]:
-    """Numbers of the triangles of each part: the one with most empty box is cut in two, as leaves least of it empty.
+    """Numbers of the triangles of each part, found by cutting the part with the emptiest box repeatedly.
 
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
         Coordinates come first.
     faces : ndarray of int, shape (n,)
-        What belongs together: it is cut only where nothing else is in its part. So the boards of a shelf come apart,
-        and go through each other, however fine their triangles are.
+        Face of each triangle. A face is cut only if it is alone in its part, so the boards of a shelf are separated,
+        even where they intersect, however fine their triangles are.
     radius : float
-        Around them, in metres.
+        Radius around the triangles, in metres.
     most : int
-        Parts.
+        Largest number of parts.
     """
     numbers = count()  # of parts with equal boxes the older one comes first
-    # Flat boxes have volume, too, and triangles fill it: what lies in one plane may be far apart there.
+    # Flat boxes are given a volume too, partly filled by triangles: triangles in one plane may be far apart.
     thick = THICKNESS * float(np.ptp(triangles, axis=(1, 2)).max())
     filled = thick * _areas(triangles)
 
@@ -139,7 +139,7 @@ def _cut_up(triangles: Floats, faces: Ints, radius: float, most: int) -> list[In
 
 
 def _cut_in_two(lower: Floats, upper: Floats, faces: Ints, thick: float) -> tuple[Ints, Ints]:
-    """Two parts of some triangles, sorted by faces, by where these are along an axis, with the least boxes."""
+    """Two parts of triangles that are sorted by face: the cut across an axis with the smallest boxes."""
     first, many = np.flatnonzero(np.diff(faces, prepend=-1)), len(faces)
     if len(first) == 1:
         first = np.arange(many)
@@ -168,7 +168,7 @@ def _volumes(lower: Floats, upper: Floats, thick: float) -> Floats:
 
 
 def _areas(triangles: Floats) -> Floats:
-    """Of each; points have none."""
+    """Area of each triangle; points have none."""
     if triangles.shape[1] == 1:
         return np.zeros(triangles.shape[2])
     a, b, c = triangles.transpose(1, 2, 0)

@@ -46,7 +46,7 @@ def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
     Their support must exceed h|cos| + r, that is a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b² - a² - h²; the
     volume is least at k² - 2h²k - 3h²r² = 0.
     """
-    # In units of the greater length, that no square over- or underflows.
+    # In units of the greater length, so that no square over- or underflows.
     unit = np.maximum(radius, half)
     x, y = radius / unit, half / unit
     k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
@@ -55,7 +55,7 @@ def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
 
 
 def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
-    """Semi-axes of the inner and the outer ellipsoids of curved pieces along the axes of their frames, and centers.
+    """Semi-axes of the inner and outer ellipsoids of curved pieces along the axes of their frames, and their centers.
 
     Parameters
     ----------

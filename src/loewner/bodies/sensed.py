@@ -1,4 +1,4 @@
-"""Sensor data as pieces: balls, boxes, points with a radius, occupied voxels, terrain, all in arrays."""
+"""Make pieces from arrays of sensor data: balls, boxes, points with a radius, occupied voxels, terrain."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from loewner.bodies.surfaces import surface_pieces
 from loewner.errors import GeometryError, InputError
 from loewner.polytopes import box_hull
 
-# Bytes of a piece in all arrays, nearly.
+# Approximate bytes of a piece in all arrays.
 PIECE_BYTES, BOX_BYTES = 1100, 2200
 
-# Cells of a cloud are within this many of the origin along each axis: three such numbers fit into one.
+# Cells of a cloud are at most this many from the origin along each axis: three such numbers fit into one.
 MOST_CELLS = 2**20
 
 
@@ -50,7 +50,7 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
 
 
 def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
-    """One body of axis-aligned boxes, each a polytope between two corners as they are.
+    """One body of axis-aligned boxes, each a polytope between two unrounded corners.
 
     Centers and half edges are rounded. The outer ellipsoids grow and the inner ones shrink by this rounding relative to
     the shortest edge.
@@ -62,7 +62,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     Raises
     ------
     GeometryError
-        If rounding leaves no digits for a box this thin so far from the origin.
+        If a box is so thin, and so far from the origin, that rounding leaves it no digits.
     """
     n = len(lower)
     _memory.expect_left(n * BOX_BYTES, f"{n} boxes")
@@ -78,7 +78,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
             f"{farthest[i]:g} m from the origin"
         )
     corners = np.where(unit.vertices > 0, upper[:, None], lower[:, None])
-    # A face is where its corners are, to the last bit: its normal is an axis.
+    # A face lies exactly at its corners: its normal is an axis.
     ends = np.where(unit.normals > 0, upper[:, None], -lower[:, None])
     offsets = np.take_along_axis(ends, np.abs(unit.normals).argmax(axis=1)[None, :, None], axis=2)
     layout = np.zeros((n, 5), dtype=np.int64)
@@ -162,7 +162,7 @@ def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
     GeometryError
         If no cell is occupied.
     """
-    # At a time: what comes first along an axis, and for a moment which cells follow an empty one.
+    # Peak memory: the first cells along an axis, and briefly the cells that follow an empty one.
     _memory.expect_left(2 * occupied.size, f"grid: {' x '.join(map(str, occupied.shape))} cells")
     count, axis = min((int(np.count_nonzero(_begins(np.moveaxis(occupied, axis, 2)))), axis) for axis in range(3))
     if count == 0:
@@ -176,7 +176,7 @@ def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
 
 
 def _begins(occupied: Bools) -> Bools:
-    """Occupied cells before which, along the last axis, is none."""
+    """Occupied cells whose predecessor along the last axis is not occupied."""
     begins = occupied.copy()
     begins[..., 1:] &= ~occupied[..., :-1]
     return begins
@@ -202,7 +202,7 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
     number = np.arange(p * q).reshape(p, q)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     surface = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    # The rim once around, counter-clockwise from above, and below it the base: a fan around its middle.
+    # The rim, counter-clockwise from above, and the base below it, a fan around its middle.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     low, middle = p * q + np.arange(len(rim)), p * q + len(rim)
     ahead, low_ahead = np.roll(rim, -1), np.roll(low, -1)

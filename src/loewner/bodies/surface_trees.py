@@ -13,13 +13,13 @@ from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 
-# Ellipsoids that are kept inside a solid; more prove little more and take as long again to find.
+# Number of ellipsoids kept inside a solid; more would prove little more and take as long again to find.
 MOST_INSIDE = 8
 
-# What the root of a shape matrix in single precision may be off by, in roundoffs of it.
+# Bound on the error of the root of a shape matrix in single precision, in units of roundoff.
 SINGLE_ROUNDINGS = 8.0
 
-# What rounding takes of the containment of a sum, relative to its size.
+# Bound on the rounding in the containment of a sum, relative to its size.
 SUM_ROUNDING = 2.0**-44
 
 
@@ -36,7 +36,7 @@ class SurfaceTree:
     parts : ndarray, shape (3 parts,)
         A vertex of each connected part.
     diagonals, ellipsoids : ndarray of float32
-        Described there, too.
+        Also described there.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
         Ellipsoids inside a solid, largest first; none for other surfaces.
     table : ndarray of int64
@@ -70,7 +70,7 @@ class SurfaceTree:
         return cls(*arrays, *others, records.table_of(arrays))  # type: ignore[call-arg]  # nine in all
 
     def __reduce__(self) -> Any:
-        """Copies are made anew: the table is of addresses."""
+        """Rebuild copies: the table holds addresses."""
         return type(self)._at, self._arrays
 
     @property
@@ -88,7 +88,7 @@ class SurfaceTree:
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
         """Ellipsoids around the parts below the root, with a radius: centers and factors.
 
-        They are kept in single precision, whose rounding is added to the radius.
+        They are stored in single precision, and its rounding is added to the radius.
         """
         top = max(int(self.children[0]), 0)
         wide = self.ellipsoids.size // 9
@@ -109,17 +109,17 @@ def around_point(radius: float) -> Floats:
 def around_sums(shape: Floats, radius: Floats) -> Floats:
     """Factors of ellipsoids around the sums of balls and ellipsoids, which are given by shape matrices.
 
-    Shape (1 + 1/p) Q + (1 + p) r² 1 contains the sum for all p > 0; with this p its trace is least. Kurzhanski and
-    Valyi (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
+    Shape (1 + 1/p) Q + (1 + p) r² 1 contains the sum for all p > 0; this p minimizes its trace. Kurzhanski and Valyi
+    (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
     """
-    # p times the radius, which may be much smaller or larger; any will do, and that of a point is 0.
+    # p times the radius, which may be much smaller or larger; any value is valid, and for a point it is 0.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
     joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
     return np.linalg.cholesky(joint) * (1 + SUM_ROUNDING)
 
 
 def _lines(array: NDArray[Any], kind: type[np.floating[Any]] | type[float]) -> NDArray[Any]:
-    """Copy an array to where vectors of it do not lie in two cache lines."""
+    """Copy an array to an address at which no vector straddles two cache lines."""
     copy: NDArray[Any] = records.aligned(array.size, kind)
     copy[:] = array
     return copy

@@ -1,4 +1,4 @@
-"""Surfaces as pieces: triangles as they are, their ellipsoids, and whether they enclose a solid."""
+"""Surfaces as pieces: their triangles, their ellipsoids, and whether they enclose a solid."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from loewner.polytopes import FLATNESS
 # Sizes of surfaces, for boxes in single precision square lengths.
 SMALLEST, LARGEST = 1e-12, 1e12
 
-# Of a mesh that is nearly closed: the share of its edges that are open, and of its area that does not cancel, at most.
+# Limits for a mesh that is nearly closed: the share of open edges, and the share of area that does not cancel.
 FEW_OPEN, NEARLY_CANCELLED = 0.25, 0.2
 
-# Bytes of a triangle in all arrays and the tree, nearly.
+# Approximate bytes of a triangle in all arrays and the tree.
 TRIANGLE_BYTES = 350
 
-# A flat surface's outer ellipsoid is as thick as this, relative to its size: more than rounding, less than matters.
+# Relative thickness of a flat surface's outer ellipsoid: more than rounding, and too little to matter.
 THICKNESS = 1e-6
 
 
@@ -87,7 +87,7 @@ def surface_pieces(
 
 
 def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """The vertices that triangles have, each point once: wherever they are moved, they stay what they share."""
+    """The vertices used by triangles, each point once, so that triangles still share them after a motion."""
     used, numbers = np.unique(triangles, return_inverse=True)
     vertices = vertices[used] + 0.0  # without negative zeros
     count, number = entries.equal_vertices(vertices)
@@ -136,7 +136,7 @@ def _told(vertices: Floats, edges: Ints) -> str:
 def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
     """Whether a mesh with open edges looks like one that was meant to be closed.
 
-    Few of its edges are open, and the areas of its triangles nearly cancel as vectors, as those of a closed mesh do.
+    Few of its edges are open, and the area vectors of its triangles nearly cancel, as in a closed mesh.
     """
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     areas = np.cross(b - a, c - a)
@@ -148,7 +148,7 @@ def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 def _open_edges(count: int, triangles: Ints) -> Ints:
     """Edges between `count` vertices that are not passed as often one way as the other; rows of two vertices.
 
-    Where there is none the winding number of the surface is a whole number everywhere off it. Triangles share vertices.
+    Without such an edge the winding number of the surface is an integer everywhere off it. Triangles share vertices.
     """
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -159,11 +159,11 @@ def _open_edges(count: int, triangles: Ints) -> Ints:
     passed = np.diff(np.append(first, len(keys)))
     odd = edge[first[2 * forth != passed]]
     odd = np.column_stack([odd // count, odd % count])
-    return np.asarray(odd[odd[:, 0] != odd[:, 1]], dtype=np.int64)  # an edge of no length goes nowhere
+    return np.asarray(odd[odd[:, 0] != odd[:, 1]], dtype=np.int64)  # an edge without length does not count
 
 
 def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:
-    """Smallest ellipsoid around points, or nearly, if they are flat."""
+    """Smallest ellipsoid around points, or nearly the smallest if they are flat."""
     center, factor = np.empty(3), np.empty((3, 3))
     points = vertices
     for _ in range(2):
@@ -186,7 +186,7 @@ def _thickened(vertices: Floats) -> Floats:
 
 
 def _with_radius(center: Floats, factor: Floats, gap: float, radius: float) -> tuple[Floats, Floats, float]:
-    """Ellipsoid around the sum of an ellipsoid and a ball, with a bound on how much larger it is than the least."""
+    """Ellipsoid around the sum of an ellipsoid and a ball, with a bound on its excess over the smallest one."""
     grown = around_sums((factor @ factor.T)[None], np.array([radius]))[0]
     volumes = np.linalg.slogdet(grown)[1] - np.linalg.slogdet(factor)[1]
     return center, grown, gap + float(volumes)

@@ -15,13 +15,13 @@ from loewner.bodies.pack import Packed
 
 Mesh = tuple[Floats, Ints]
 
-# Bodies of more pieces than this have coarser ellipsoids: 320 instead of 1280 triangles each.
+# Bodies with more pieces than this have coarser ellipsoids: 320 instead of 1280 triangles each.
 MANY_PIECES = 16
 
 # Corners of the circles of cylinders and cones.
 SEGMENTS = 48
 
-# A unit icosahedron: the corners of three golden rectangles, and the triangles from outside.
+# A unit icosahedron: the corners of three golden rectangles, and triangles counter-clockwise from outside.
 _GOLDEN = (1 + 5**0.5) / 2
 _CORNERS = np.array([[-1, _GOLDEN, 0], [1, _GOLDEN, 0], [-1, -_GOLDEN, 0], [1, -_GOLDEN, 0]]) / np.hypot(1, _GOLDEN)
 _ICOSAHEDRON = np.vstack([_CORNERS, np.roll(_CORNERS, 1, axis=1), np.roll(_CORNERS, 2, axis=1)])
@@ -78,7 +78,7 @@ def ball(subdivisions: int) -> Mesh:
 
 
 def _faces(corners: Floats) -> Ints:
-    """Triangles of an icosahedron: all three corners that are neighbours, counter-clockwise from outside."""
+    """Triangles of an icosahedron: all triples of neighbouring corners, counter-clockwise from outside."""
     near = corners @ corners.T > 0.4  # neighbours have 1/sqrt(5), all others less than 0
     all_near = (three for three in combinations(range(12), 3) if near[np.ix_(three, three)].all())
     threes = [three if np.linalg.det(corners[list(three)]) > 0 else three[::-1] for three in all_near]
@@ -106,7 +106,7 @@ def _curved(kind: Kind, rounding: float, center: Floats, factor: Floats) -> Mesh
 
 
 def _cylinder(top: float) -> Mesh:
-    """Circles of radius 1 at z = -1 and of radius `top` at z = 1, and all between."""
+    """The space between circles of radius 1 at z = -1 and of radius `top` at z = 1."""
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     low, high = (np.column_stack([r * circle, np.full(SEGMENTS, z)]) for r, z in ((1.0, -1.0), (top, 1.0)))

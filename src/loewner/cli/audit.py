@@ -1,4 +1,4 @@
-"""``loewner audit``: collisions of a trajectory of any program, with times and depths."""
+"""``loewner audit``: collisions of a trajectory from any program, with times and depths."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from loewner.robots import courses, curves
 # Times at which the nearest pair is measured, in addition to the times of verdicts.
 MEASURED = 401
 
-# Characters of the picture along time.
+# Width of the picture along time, in characters.
 COLUMNS = 60
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
@@ -31,11 +31,11 @@ EXAMPLES = """examples:
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3
 
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
-  file with the columns time, the joints' names and, if known, "NAME velocity" and "NAME acceleration" of each joint.
+  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint.
 
-controller: between two points a joint trajectory controller follows a straight line if it has positions only, a cubic
-  polynomial if it has velocities as well, and a quintic one if it has accelerations too. This curve is proven free, or
-  not, at every real time.
+controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
+  cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
+  this curve at every real time.
 
 exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous
 """
@@ -43,16 +43,20 @@ exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision wa
 
 def add(commands: Any) -> None:
     """Add the command."""
-    audit = inputs.command(commands, "audit", "what a trajectory hits, as a controller executes it", EXAMPLES)
+    audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES)
     inputs.add_robot_options(audit)
     audit.add_argument("trajectory", type=Path, metavar="FILE", help="points with times (.csv, .json, .yaml)")
     audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
-    audit.add_argument("--controller", choices=CONTROLLERS, help="what runs between points (by what the file holds)")
     audit.add_argument(
-        "--others", metavar="Q", help="where joints are that the file does not name: a state, a file, or numbers (0)"
+        "--controller",
+        choices=CONTROLLERS,
+        help="interpolation between points (default: from the contents of the file)",
     )
     audit.add_argument(
-        "--joint-error", type=float, default=0.0, metavar="E", help="how far every value may be off [rad or m] (0)"
+        "--others", metavar="Q", help="values of joints that the file does not name: a state, a file, or numbers (0)"
+    )
+    audit.add_argument(
+        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
     audit.add_argument("--json", action="store_true", help="print JSON")
     audit.set_defaults(run=_run)
@@ -76,7 +80,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
-    """How many derivatives the points have: velocities, or accelerations too."""
+    """Number of derivatives that the points have: 1 with velocities, 2 with accelerations too."""
     return sum(one is not None for one in (points.velocities, points.accelerations))
 
 
@@ -92,7 +96,7 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
 
 
 def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: Floats) -> planners.ControllerPoints:
-    """The points with columns for the joints that they do not name, which stay where they are."""
+    """The points with additional columns for the joints that they do not name, which do not move."""
     missing = [k for k, name in enumerate(robot.configuration_names) if points.names and name not in points.names]
     if points.names is None or not missing:
         return points
@@ -109,7 +113,7 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
 def _answer(
     checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """The verdicts of a trajectory and of its pieces, and their distances, as they are printed."""
+    """The verdicts of a trajectory and of its pieces, and their distances, for printing."""
     curve = curves.curve_of(checker.robot, points, str(options.trajectory))
     found = checker.certify_trajectory(points, joint_error=options.joint_error)
     times, fractions = found.times, found.segments.fraction

@@ -1,4 +1,4 @@
-"""``loewner check``: do two bodies touch, and how far are they apart?"""
+"""``loewner check``: whether two bodies touch, and their distance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from loewner._validate import Floats
 from loewner.cli import inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text, is_surface, model_text
 
-# By how much of the mesh's volume pieces may exceed it without a word.
+# Share of the mesh's volume by which pieces may exceed it without a note.
 WORTH_TELLING = 0.01
 
 EXAMPLES = """examples:
@@ -30,13 +30,13 @@ exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (
 
 def add(commands: Any) -> None:
     """Add the command."""
-    check = inputs.command(commands, "check", "do two bodies touch, how far apart?", EXAMPLES)
+    check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES)
     check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
     check.add_argument("b", metavar="B", type=Path)
-    check.add_argument("--pose-a", metavar="POSE", help="where A is (the origin)")
-    check.add_argument("--pose-b", metavar="POSE", help="where B is (the origin)")
+    check.add_argument("--pose-a", metavar="POSE", help="pose of A (the origin)")
+    check.add_argument("--pose-b", metavar="POSE", help="pose of B (the origin)")
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
-    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres to keep (0)")
+    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
     check.add_argument("--json", action="store_true", help="print JSON")
     inputs.add_mesh_options(check, "surface")
     check.set_defaults(run=_run)
@@ -111,13 +111,13 @@ def _print_answer(
     for name, body in ((options.a, a), (options.b, b)):
         if is_surface(body):
             print(f"model       {name}: {model_text(body)}")
-        # NaN, of a mesh that is not closed, is told as well.
+        # NaN, for a mesh that is not closed, also gives the note.
         if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
 
 
 def _kind_of_distance(a: Any, b: Any, distance: float) -> str:
-    """What an exact distance is, which for a depth depends on the bodies."""
+    """Description of an exact distance, which for a depth depends on the bodies."""
     if distance >= 0:
         return "exact"
     if is_surface(a) or is_surface(b):

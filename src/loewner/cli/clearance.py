@@ -22,8 +22,8 @@ EXAMPLES = """examples:
   loewner clearance bodies/*.npz --within 0.005              pairs that are at most 5 mm apart
   loewner clearance bodies/*.npz --csv pairs.csv             all pairs, in a file
 
-Each body is where its file puts it, as the parts of an assembly are. Distances are exact, in metres, and negative where
-two bodies overlap; of a pair that cannot be settled, only the bounds are told, and it counts as colliding.
+Each body is at the position in its file, like the parts of an assembly. Distances are exact, in metres, and negative
+where two bodies overlap. For a pair that cannot be settled only the bounds are given, and it counts as colliding.
 
 exit status: 0 all pairs are free, 1 one or more collide (touching is colliding), 2 error
 """
@@ -32,7 +32,7 @@ COLUMNS = ("a", "b", "verdict", "distance, m", "lower, m", "upper, m")
 
 
 class _Found(NamedTuple):
-    """What is known of the pairs that are told of; the distance of one that could not be settled is NaN."""
+    """Results for the pairs to report; the distance of an unsettled pair is NaN."""
 
     pairs: Ints
     colliding: Bools
@@ -43,10 +43,10 @@ class _Found(NamedTuple):
 
 def add(commands: Any) -> None:
     """Add the command."""
-    clearance = inputs.command(commands, "clearance", "all pairs of many bodies: how far apart?", EXAMPLES)
+    clearance = inputs.command(commands, "clearance", "distances of all pairs of many bodies", EXAMPLES)
     clearance.add_argument("bodies", nargs="+", type=Path, metavar="BODY", help="saved bodies (.npz) or meshes")
-    clearance.add_argument("--within", type=float, metavar="M", help="leave out pairs that are farther apart [m]")
-    clearance.add_argument("--csv", type=Path, metavar="FILE", help="write the pairs to a file, not to a table")
+    clearance.add_argument("--within", type=float, metavar="M", help="omit pairs that are farther apart [m]")
+    clearance.add_argument("--csv", type=Path, metavar="FILE", help="write the pairs to a file instead of a table")
     inputs.add_mesh_options(clearance, "surface")
     clearance.set_defaults(run=_run)
 
@@ -73,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _measured(bodies: loewner.Bodies, within: float) -> _Found:
-    """Bounds of all pairs, and exact distances of those that may be near."""
+    """Bounds for all pairs, and exact distances of the pairs that may be near."""
     pairs = np.stack(np.triu_indices(len(bodies), 1), axis=1)
     bounds = loewner.distance(bodies, None, bodies, None, pairs=pairs)
     near = np.flatnonzero(bounds.lower <= within)
@@ -81,7 +81,7 @@ def _measured(bodies: loewner.Bodies, within: float) -> _Found:
     try:
         colliding = loewner.collide(bodies, None, bodies, None, pairs=pairs)
     except ConvergenceError as error:
-        colliding = error.partial  # which says True of those
+        colliding = error.partial  # which is True for unsettled pairs
     try:
         distance = loewner.distance(bodies, None, bodies, None, pairs=pairs, exact=True).distance
     except ConvergenceError as error:

@@ -14,7 +14,7 @@ from loewner.compilation import PARTS, compile_kernels
 def add(commands: Any) -> None:
     """Add the command."""
     compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
-    compiling.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="some of it (default: all)")
+    compiling.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts to compile (default: all)")
     compiling.set_defaults(run=_run)
 
 
@@ -28,7 +28,7 @@ def _run(options: argparse.Namespace) -> int:
             folder = compile_kernels(
                 options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
             )
-    else:  # a log, where no bar shows
+    else:  # a log if no bar is shown
         _log(f"compiling {', '.join(options.only)}; takes a few minutes")
         folder = compile_kernels(options.only, progress=lambda done, total: _log(f"{done} of {total} parts compiled"))
     print(f"compiled into {folder}")
@@ -36,5 +36,5 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _log(text: str) -> None:
-    """Say it at once on standard error, so that standard output stays the answer."""
+    """Print a text immediately on standard error, so that standard output contains only the answer."""
     print(f"loewner: {text}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""Configurations from .npy, .csv and .json files, and paths written to .csv and .json files."""
+"""Read configurations from .npy, .csv and .json files, and write paths to .csv and .json files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loewner._files import read_regular, replacing
 from loewner._validate import Floats
 from loewner.errors import FileError, InputError
 
-# What configurations are read from, and what paths are written to.
+# Endings of files from which configurations are read, and to which paths are written.
 READ = (".npy", ".csv", ".json")
 WRITTEN = (".csv", ".json")
 
@@ -27,7 +27,7 @@ MOST_BYTES = 2**33
 
 
 def read(path: Path, robot: loewner.Robot) -> Floats:
-    """Numbers of a file, in the order of the robot's columns; the caller checks their shape."""
+    """Read the numbers of a file, in the order of the robot's columns; the caller checks their shape."""
     suffix = path.suffix.lower()
     if suffix not in READ:
         raise FileError(f"{path}: expected a .npy, .csv or .json file, found {path.suffix or 'no suffix'}")
@@ -43,7 +43,7 @@ def read(path: Path, robot: loewner.Robot) -> Floats:
 
 
 def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
-    """Write a path with the names of its columns, whole or not at all, so that reading gives the same numbers."""
+    """Write a path with the names of its columns, atomically and such that reading gives the same numbers."""
     names, numbers = list(robot.configuration_names), rows.tolist()
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
@@ -55,9 +55,9 @@ def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
 
 
 def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None) -> Floats:
-    """One configuration or several, from the name of a state, a file, or numbers; the shape is checked by others.
+    """One or several configurations, from the name of a state, a file, or numbers; the caller checks the shape.
 
-    A state keeps the values of `start` of joints that it does not name.
+    Joints that a state does not name keep their values in `start`.
     """
     if text in robot.states:
         kept = {} if start is None else dict(zip(robot.configuration_names, start, strict=True))
@@ -97,7 +97,7 @@ def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
 
 
 def _of_json(found: Any, robot: loewner.Robot, path: Path) -> Floats:
-    """Numbers of a list, or of what `write` writes."""
+    """Numbers of a list, or of a file of `write`."""
     if not isinstance(found, Mapping):
         return _validate.float_array(found, str(path))
     if set(found) != {"names", "configurations"}:

@@ -34,13 +34,13 @@ EXAMPLES = """examples:
   loewner fit cup.stl -o bodies --model surface         the triangles as they are, exact, in milliseconds
   loewner fit parts/*.stl -o bodies --scheduler tcp://host:8786    on the workers of a Dask cluster
 
-A mesh that cannot be fitted is reported, and the others are fitted all the same.
-Those that failed are listed in the end.
+A mesh that cannot be fitted is reported, and the others are still fitted.
+Failed meshes are listed at the end.
 
-exit status: 0 all are fitted, 2 one or more failed, or another error
+exit status: 0 all meshes are fitted, 2 one or more failed, or another error
 """
 
-# Options that decide what a mesh becomes.
+# Options that determine the body of a mesh.
 MAKING = ("model", "hull", "usual_model", "scale", "tol", *inputs.OF_PIECES, *inputs.OF_SURFACES)
 
 
@@ -53,11 +53,13 @@ def add(commands: Any) -> None:
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
     fit.add_argument("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
-    fit.add_argument("-j", "--jobs", type=int, metavar="N", help="meshes at a time, each in a process of its own (1)")
+    fit.add_argument(
+        "-j", "--jobs", type=int, metavar="N", help="number of meshes at a time, each in a separate process (1)"
+    )
     fit.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="of a Dask cluster whose workers do it; what they did before with the same options is not done again",
+        help="Dask cluster whose workers fit the meshes; meshes already fitted with these options are skipped",
     )
     fit.set_defaults(run=_run)
 
@@ -79,13 +81,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
-    """Each mesh in one of several processes; a table of what was made, and one of what failed."""
+    """Fit each mesh in one of several processes; print tables of the bodies made and of the failures."""
     count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
-    with told_to([]), suppress(GeometryError):  # what options are refused for need not be told of each mesh
+    with told_to([]), suppress(GeometryError):  # a refused option need not be reported for each mesh
         _body(TETRAHEDRON, options, lambda *_: None)
     _make_folder(options.out)
     rows, failed = dict[int, list[str]](), dict[int, str]()
-    # A process that is ended while it writes leaves a part of a file: in a folder that does not stay.
+    # A process that is killed while writing leaves part of a file, in a temporary folder.
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=options.out) as unfinished, progress_bar() as progress:
         made = [Path(unfinished) / target.name for target in targets]
         making = {name: getattr(options, name) for name in MAKING}
@@ -124,7 +126,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
 
 
 def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
-    """Make the body of a mesh and save it, in a separate process; returns the outcome, and its row of the table."""
+    """Make the body of a mesh and save it, in a separate process; return the outcome, and its row of the table."""
     row: list[str] = []
 
     def fit() -> Outcome:
@@ -141,7 +143,7 @@ def _body(source: Any, options: argparse.Namespace, progress: Progress) -> loewn
 
 
 def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:
-    """What a process answered, and the row of the table; if it died, that."""
+    """A process's outcome and row of the table; if it died, an outcome that states this."""
     if answer is None:
         text = f"{shown(mesh)}: the process that fitted it died; it may take more memory than there is"
         return Outcome("failed", text), []
@@ -150,14 +152,14 @@ def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:
 
 
 def _moved(made: Path, target: Path) -> Outcome:
-    """Give a body that is whole its name."""
+    """Rename a completed body to its final name."""
     with replacing(target) as temporary:
         os.replace(made, temporary)
     return Outcome("done")
 
 
 def _on_a_cluster(options: argparse.Namespace) -> int:
-    """All meshes on the workers of a cluster; what failed is a table."""
+    """Fit all meshes on the workers of a cluster; print a table of the failures."""
     from loewner import cluster
 
     model = inputs.model(options)
@@ -181,7 +183,7 @@ def _on_a_cluster(options: argparse.Namespace) -> int:
 
 
 def _summary(done: str, failed: Mapping[Path, str]) -> int:
-    """Print how many are done and which failed; the exit status."""
+    """Print the number of finished meshes and the failed ones; return the exit status."""
     print(f"{done}, {len(failed)} failed")
     if failed:
         table = new_table("mesh", "what is wrong", title="loewner fit: failed")

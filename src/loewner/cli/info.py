@@ -1,4 +1,4 @@
-"""``loewner info``: the version, how its kernels run, and the optional packages that are installed."""
+"""``loewner info``: the version, how its kernels run, and the installed optional packages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from loewner._native import library
 from loewner._threads import get_num_threads
 from loewner.errors import LoewnerError
 
-# What each extra installs.
+# Packages that each extra installs.
 EXTRAS = {
     "jit": ("numba",),
     "cli": ("rich",),
@@ -49,7 +49,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _lines() -> list[tuple[str, str]]:
-    """What is printed, by line."""
+    """The lines to print."""
     return [
         ("loewner", loewner.__version__),
         ("kernels", _told(_kernels)),
@@ -63,7 +63,7 @@ def _lines() -> list[tuple[str, str]]:
 
 
 def _told(what: Callable[[], str]) -> str:
-    """What is to be told, or what is wrong with a setting that it depends on."""
+    """The text, or the fault of a setting on which it depends."""
     try:
         return what()
     except LoewnerError as error:

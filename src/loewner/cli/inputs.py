@@ -18,7 +18,7 @@ from loewner.cli.output import progress_bar
 from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
 
-# Bytes of a file with a pose: a matrix in text has a few hundred.
+# Largest file with a pose in bytes: a matrix in text takes a few hundred.
 MOST_POSE_BYTES = 2**20
 
 
@@ -29,10 +29,10 @@ def command(commands: Any, name: str, what: str, examples: str) -> argparse.Argu
     return added
 
 
-# What a mesh becomes: its triangles as they are, convex pieces, or its convex hull.
+# Models of a mesh: its triangles, convex pieces, or its convex hull.
 MODELS = ("surface", "pieces", "hull")
 
-# Options of pieces and of surfaces, by the names that the library has for them.
+# Options of pieces and of surfaces, by their names in the library.
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 
@@ -46,13 +46,17 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     )
     command.add_argument("--hull", action="store_true", help="the same as --model hull")
     command.add_argument("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
-    command.add_argument("--radius", type=float, metavar="M", help="of surfaces: a ball around each point [m] (0)")
+    command.add_argument(
+        "--radius", type=float, metavar="M", help="for surfaces: radius of a ball around each point [m] (0)"
+    )
     command.add_argument(
         "--solid",
         action=argparse.BooleanOptionalAction,
-        help="of surfaces: with what they enclose, or without (with, if closed)",
+        help="for surfaces: with or without the enclosed space (with, if closed)",
     )
-    command.add_argument("--tolerance", type=float, metavar="M", help="the pieces stick out by no more [m]")
+    command.add_argument(
+        "--tolerance", type=float, metavar="M", help="largest distance by which the pieces may stick out [m]"
+    )
     command.add_argument("--threshold", type=float, help="concavity of a piece, 0.01 to 1 (0.05)")
     command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
     command.add_argument("--seed", type=int, help="seed of the decomposition (0)")
@@ -71,7 +75,7 @@ def add_robot_options(command: argparse.ArgumentParser) -> None:
         default=[],
         help="folder of packages; repeatable",
     )
-    command.add_argument("--model", choices=MODELS, help="what meshes become (hull)")
+    command.add_argument("--model", choices=MODELS, help="representation of meshes (hull)")
     command.add_argument("--decompose", action="store_true", help="the same as --model pieces")
 
 
@@ -79,7 +83,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     """A saved body, or the body of a mesh."""
     if path.suffix.lower() != ".npz":
         return from_mesh(path, options)
-    model(options)  # which refuses options that do not go together
+    model(options)  # which refuses incompatible options
     for name in ("model", "radius", "solid", "tolerance"):
         if getattr(options, name, None) is not None:
             raise InputError(f"--{name}: expected a mesh to make a body of, found a saved body, {path.name}")

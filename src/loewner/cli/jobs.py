@@ -1,7 +1,7 @@
-"""Files, one at a time for each of several processes: if one dies, only its file is lost.
+"""Distribute files to several processes, one at a time each: if a process dies, only its file is lost.
 
 A process is a new interpreter that reads tasks from its input and answers on its output, one line of JSON each. It ends
-when its input does: when there is no more work, or when the parent process has ended for any reason.
+when its input ends: when there is no more work, or when the parent process has ended for any reason.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[
     tasks : sequence of dict
         Any values that JSON can represent.
     jobs : int
-        Largest number of processes at a time; they share the threads that this one may use.
+        Largest number of processes at a time; they share the threads that this process may use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()
@@ -61,11 +61,11 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[
 
 
 class _Pool:
-    """The processes that there are, so that all of them can be ended."""
+    """The running processes, kept so that all of them can be ended."""
 
     def __init__(self, entry: str, threads: int) -> None:
         home = str(Path(loewner.__file__).parent.parent)
-        # An interrupt reaches all processes of a terminal; what it means for these, the one that started them says.
+        # An interrupt reaches all processes of a terminal; the parent decides how its children react.
         self._command = [
             sys.executable, "-P", "-c",
             "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys; "
@@ -75,7 +75,7 @@ class _Pool:
         self._lock, self._running, self._ended = threading.Lock(), set[subprocess.Popen[str]](), False
 
     def start(self) -> subprocess.Popen[str] | None:
-        """One more process; None when all have been ended."""
+        """Start another process; return None if all have been ended."""
         with self._lock:
             if self._ended:
                 return None
@@ -96,7 +96,7 @@ class _Pool:
 
 
 def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[int], said: SimpleQueue[Any]) -> None:
-    """Give one process task after task, and another one the rest if it dies."""
+    """Give tasks to one process, one by one; if it dies, continue with another process."""
     process = None
     try:
         while True:
@@ -120,7 +120,7 @@ def _tell(said: SimpleQueue[Any], place: int, value: list[int]) -> None:
 
 
 def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable[[list[int]], None]) -> Any:
-    """What a process answers to a task; None if it dies, and is out of the way."""
+    """A process's answer to a task; None if the process died, after cleaning it up."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -131,7 +131,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
             if "answer" in said:
                 return said["answer"]
             tell(said["progress"])
-    except (OSError, ValueError):  # its input is closed, or it died in the middle of a line
+    except (OSError, ValueError):  # its input is closed, or it died within a line
         pass
     process.kill()
     process.wait()
@@ -139,7 +139,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
 
 
 def _serve(entry: str) -> None:
-    """Do the tasks that come in: what a process does. What is printed meanwhile is no answer."""
+    """Main loop of a process: do the tasks that arrive; texts printed meanwhile do not count as answers."""
     from importlib import import_module
 
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")

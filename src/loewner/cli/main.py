@@ -1,7 +1,8 @@
 """The command line: parse, call the public API, print.
 
-Exit status: 0 done, or free; 1 colliding (for many pairs or configurations, one or more), or no path; 2 error, or one
-or more of many meshes failed; 3 ambiguous (only for ``loewner check --method certified``, ``loewner plan``, ``audit``).
+Exit status: 0 for done or free; 1 for colliding (at least one of many pairs or configurations) or no path; 2 for an
+error, or if at least one of many meshes failed; 3 for ambiguous (only ``loewner check --method certified``, ``loewner
+plan`` and ``audit``).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        The arguments after ``loewner``; default: those of the process.
+        The arguments after ``loewner``; by default the arguments of the process.
 
     Returns
     -------
@@ -54,12 +55,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
     except BrokenPipeError:
-        # The reader left (`| head`). Python would fail once more when it closes standard output.
+        # The reader has gone (`| head`). Python would fail again when it closes standard output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("loewner: interrupted", file=sys.stderr)
     except Exception:
-        # Python's own status for a crash is 1, which here says "colliding".
+        # Python's own status for a crash is 1, which here means "colliding".
         traceback.print_exc()
     return ERROR
 
@@ -88,9 +89,9 @@ def _words(arguments: Any) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser, and its commands' parsers, to which what begins like a negative number is none of the options.
+    """A parser that does not take arguments that begin like negative numbers for options; likewise for subcommands.
 
-    Before Python 3.14, argparse takes "-0.5" for a number, but "-0.5,0.3" and "-5e-1" for options that it lacks.
+    Before Python 3.14, argparse takes "-0.5" for a number, but "-0.5,0.3" and "-5e-1" for unknown options.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -109,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print each warning as a line of its own, at once: the work it is about may take minutes."""
+    """Print each warning immediately on its own line: the work that it concerns may take minutes."""
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
         print(f"loewner: warning: {message}", file=sys.stderr, flush=True)

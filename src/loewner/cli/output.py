@@ -1,4 +1,4 @@
-"""Outputs of commands: an exit status, tables on standard output, progress on standard error."""
+"""Output of commands: an exit status, tables on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
-# Exit status: done, or free; one or more colliding; an error; the ellipsoids cannot tell.
+# Exit status: done or free; at least one collision; an error; undecided by the ellipsoids.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
 # No path is an answer, like a collision, and not an error.
@@ -23,13 +23,13 @@ NO_PATH = COLLIDING
 
 
 class PlainTable:
-    """A table in plain text, where Rich is not installed."""
+    """A table in plain text, used if Rich is not installed."""
 
     def __init__(self, *columns: str, title: str | None = None) -> None:
         self._title, self._rows = title, [columns]
 
     def add_row(self, *cells: str) -> None:
-        """Add a row of as many cells as there are columns, or fewer."""
+        """Add a row with at most one cell per column."""
         self._rows.append(cells)
 
     def __str__(self) -> str:
@@ -39,7 +39,7 @@ class PlainTable:
 
 
 class NoProgress(nullcontext["NoProgress"]):
-    """Replacement for a progress bar where Rich is not installed; it shows nothing."""
+    """Replacement for a progress bar if Rich is not installed; it shows nothing."""
 
     def __init__(self) -> None:
         super().__init__(self)
@@ -48,7 +48,7 @@ class NoProgress(nullcontext["NoProgress"]):
         """Begin a task."""
 
     def update(self, *_: Any, **__: Any) -> None:
-        """Update its progress."""
+        """Update the progress of a task."""
 
     advance = update
 
@@ -80,18 +80,18 @@ def print_table(table: Table | PlainTable) -> None:
     from rich.console import Console
 
     console = Console()
-    # A pipe has no width; there a table is not cut to 80 columns.
-    # Nor are names and messages a markup language: they say `pip install "loewner[meshes]"`.
+    # A pipe has no width, so a table is not cut to 80 columns there. Names and messages are not markup: they may
+    # contain `pip install "loewner[meshes]"`.
     Console(width=None if console.is_terminal else 200, markup=False, emoji=False).print(table)
 
 
 def is_surface(body: loewner.Body) -> bool:
-    """Whether a body consists of the triangles of a mesh as they are."""
+    """Whether a body consists of the triangles of a mesh themselves."""
     return all(piece.kind in ("surface", "solid") for piece in body.pieces)
 
 
 def model_text(body: loewner.Body) -> str:
-    """The model of a mesh that a body is, in a few words."""
+    """The model of the mesh from which a body was made, in a few words."""
     if not is_surface(body):
         return covering_text(body.covering)
     count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
@@ -104,7 +104,7 @@ def covering_text(covering: loewner.Covering | None) -> str:
     """The model of a mesh, how much of it the pieces contain and how far they stick out, in a few words."""
     if covering is None:
         return "-"
-    percent = round(100 * covering.excess_volume, 1) + 0.0  # no minus zero
+    percent = round(100 * covering.excess_volume, 1) + 0.0  # avoids minus zero
     excess = f", {percent:+.1f} % volume"
     if np.isnan(covering.excess_volume):
         excess = ", volume of the mesh unknown"

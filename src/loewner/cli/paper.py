@@ -1,4 +1,4 @@
-"""``loewner paper``: the paper's experiment, its tables."""
+"""``loewner paper``: the tables of the paper's experiment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from loewner.cli import inputs
 from loewner.cli.output import new_table, print_table, progress_bar
 
-TEXT_COLUMNS = 80  # no table is wider, so the text around them is not either
+TEXT_COLUMNS = 80  # no table is wider, so neither is the text around the tables
 
 EXAMPLES = """examples:
   loewner paper                                      the paper's 1,000 pairs
@@ -20,7 +20,7 @@ EXAMPLES = """examples:
 
 def add(commands: Any) -> None:
     """Add the command."""
-    paper = inputs.command(commands, "paper", "the paper's experiment, its tables", EXAMPLES)
+    paper = inputs.command(commands, "paper", "the tables of the paper's experiment", EXAMPLES)
     paper.add_argument("--pairs", type=int, default=1000, help="1000")
     paper.add_argument("--seed", type=int, default=0, help="0")
     paper.add_argument("--dataset", default="radius", help="radius (the paper's) or volume")

@@ -18,7 +18,7 @@ from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError, PlanningError
 
-# Configurations of each motion at which the distance to the nearest pair is measured, its ends among them.
+# Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
 
 EXAMPLES = """examples:
@@ -27,10 +27,10 @@ EXAMPLES = """examples:
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
-  numbers themselves. A file may hold several goals: any one will do. A goal by name keeps the start's values of
-  all joints that its state does not name; in a start by name these are 0.
+  numbers themselves. A file may contain several goals, and reaching any one is enough. A named goal keeps the
+  start's values for joints that its state does not name; in a named start these are 0.
 
-Every motion of the path is proven free at every one of its configurations. With --sampled, motions are looked at
+Every motion of the path is proven free at every one of its configurations. With --sampled, motions are sampled
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
 
 exit status: 0 every motion proven free, 1 no path: start or goal is not free, or none was found, or one or more of
@@ -40,7 +40,7 @@ exit status: 0 every motion proven free, 1 no path: start or goal is not free, o
 
 def add(commands: Any) -> None:
     """Add the command."""
-    plan = inputs.command(commands, "plan", "a path from start to goal, its motions proven free", EXAMPLES)
+    plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES)
     inputs.add_robot_options(plan)
     plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     for rule, where in (("leave", "start"), ("reach", "goal")):
@@ -52,8 +52,8 @@ def add(commands: Any) -> None:
             default=[],
             help=f"two bodies or links that may be in contact at the {where} only; repeatable",
         )
-    plan.add_argument("--start", required=True, metavar="Q", help="where to start: a state, a file, or numbers")
-    plan.add_argument("--goal", required=True, metavar="Q", help="where to go, likewise")
+    plan.add_argument("--start", required=True, metavar="Q", help="start: a state, a file, or numbers")
+    plan.add_argument("--goal", required=True, metavar="Q", help="goal, likewise")
     plan.add_argument(
         "--joints",
         metavar="NAME",
@@ -66,14 +66,14 @@ def add(commands: Any) -> None:
         "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (100000)"
     )
     plan.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
-    plan.add_argument("--sampled", action="store_true", help="look at motions in steps; do not prove them")
+    plan.add_argument("--sampled", action="store_true", help="sample motions in steps instead of proving them")
     plan.add_argument(
         "--resolution",
         type=float,
         metavar="R",
-        help="of --sampled, and of OMPL's planners: the longest step, in the units of the joints (0.05)",
+        help="for --sampled, and for OMPL's planners: the longest step, in the units of the joints (0.05)",
     )
-    plan.add_argument("--no-simplify", action="store_true", help="keep the path as it was found; do not shorten it")
+    plan.add_argument("--no-simplify", action="store_true", help="do not shorten the path")
     plan.add_argument(
         "--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)"
     )
@@ -108,7 +108,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
-    """Refuse what would be passed over in silence, and a path that could not be written, before the work begins."""
+    """Before the work begins, refuse options that would silently be ignored, and a path that could not be written."""
     if options.resolution is not None and not options.sampled and options.planner is None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.max_iterations is not None and options.planner is not None:
@@ -120,7 +120,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats, options: argparse.Namespace
 ) -> tuple[Floats, float]:
-    """The path, and how many seconds it took."""
+    """The path, and the seconds that it took to find."""
     given = {"max_iterations": options.max_iterations, "resolution": options.resolution}
     joints = options.joints
     with progress_bar() as progress:
@@ -144,7 +144,7 @@ def _found(
 def _answer(
     checker: loewner.CollisionChecker, path: Floats, seconds: float, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """All that is told about a path."""
+    """The full report on a path."""
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
     found = checker.certify_edges(a, b)
@@ -215,7 +215,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:
-    """What is known of the whole path, and where it is not free."""
+    """Print the verdict on the whole path, and where it is not free."""
     motions = answer["motions"]
     count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
     if answer["verdict"] == "FREE":

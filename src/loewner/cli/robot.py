@@ -19,11 +19,11 @@ from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, model_text, new_table, print_table, progress_bar
 from loewner.errors import InputError
 
-# Configurations between two steps of the progress bar, and pairs that a table lists at most.
+# Configurations per step of the progress bar, and the largest number of pairs that a table lists.
 AT_ONCE = 50_000
 LISTED = 20
 
-# What is timed for less says nothing about a rate: the first large batch takes about 10 ms more to start [s].
+# Rates are not computed from shorter times [s]: the first large batch takes about 10 ms more to start.
 LEAST_TIMED = 0.1
 
 EXAMPLES = """examples:
@@ -35,8 +35,8 @@ INFO_EXAMPLES = """examples:
   loewner robot info ~/robots/panda.urdf --srdf panda.srdf --package-dir ~/robots --package-dir ~/meshes
 """
 MARGIN_HELP = (
-    "metres that each pair with a body of the scene keeps at least, whatever margins the scene gives; those that are "
-    "larger stay; links keep none among each other unless the scene gives one"
+    "least distance [m] for each pair with a body of the scene; larger margins of the scene are kept; pairs of links "
+    "have no margin unless the scene gives one"
 )
 CHECK_EXAMPLES = """examples:
   loewner robot check panda.urdf --srdf panda.srdf --state ready
@@ -52,12 +52,12 @@ exit status: 0 all free, 1 one or more colliding, 2 error
 
 def add(commands: Any) -> None:
     """Add the commands."""
-    robot = inputs.command(commands, "robot", "a robot: what it is, is it free?", EXAMPLES)
+    robot = inputs.command(commands, "robot", "a robot: its description, and whether it is free", EXAMPLES)
     inner = robot.add_subparsers(required=True, metavar="COMMAND")
     info = inputs.command(inner, "info", "links, joints and pairs of a robot", INFO_EXAMPLES)
     inputs.add_robot_options(info)
     info.set_defaults(run=_info)
-    check = inputs.command(inner, "check", "which configurations are in collision?", CHECK_EXAMPLES)
+    check = inputs.command(inner, "check", "which configurations are in collision", CHECK_EXAMPLES)
     inputs.add_robot_options(check)
     check.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     which = check.add_mutually_exclusive_group(required=True)
@@ -119,7 +119,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
-    """The configurations asked for, shape (N, dof)."""
+    """The requested configurations, shape (N, dof)."""
     if options.state is not None:
         return robot.configuration(options.state)[None]
     if options.configs is not None:
@@ -132,11 +132,11 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
 
 
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
-    """All that is told about configurations."""
+    """The full report on configurations."""
     robot = checker.robot
     if len(Q) == 0:
         raise InputError("--configs: expected one configuration or more, found none")
-    checker.tiers(Q[:1])  # compiles, if this machine has not before
+    checker.tiers(Q[:1])  # compiles if this machine has not done so before
     tiers: Counter[str] = Counter()
     hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)
     colliding, seconds = [], 0.0

@@ -28,9 +28,9 @@ def add(commands: Any) -> None:
     view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES)
     view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
     view.add_argument("b", metavar="B", type=Path, nargs="?")
-    view.add_argument("--pose-a", metavar="POSE", help="where A is at first (the origin); as in loewner check")
-    view.add_argument("--pose-b", metavar="POSE", help="where B is at first (next to A)")
-    view.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres that A and B keep (0)")
+    view.add_argument("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
+    view.add_argument("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
+    view.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")
     view.add_argument(
         "--robot",
         dest="urdf",
@@ -39,13 +39,15 @@ def add(commands: Any) -> None:
         help="a robot instead of two bodies; its meshes become hulls, or --model",
     )
     view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
-    view.add_argument("--scene", metavar="YAML", type=Path, help="what stands around it (docs/scenes.md)")
-    view.add_argument("--trajectory", metavar="FILE", type=Path, help="of the robot, to play: .csv or .json")
+    view.add_argument("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
+    view.add_argument("--trajectory", metavar="FILE", type=Path, help="path of the robot to play: .csv or .json")
     view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
-    view.add_argument("--decompose", action="store_true", help="of the robot: the same as --model pieces")
-    view.add_argument("--port", type=int, default=0, help="default: any that is free")
+    view.add_argument("--decompose", action="store_true", help="for the robot: the same as --model pieces")
+    view.add_argument("--port", type=int, default=0, help="default: any free port")
     view.add_argument("--no-browser", action="store_true", help="only print the address")
-    view.add_argument("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and end; no window")
+    view.add_argument(
+        "--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window"
+    )
     inputs.add_mesh_options(view, "pieces")
     view.set_defaults(run=_run, default=view.get_default)
 
@@ -54,7 +56,7 @@ def _run(options: argparse.Namespace) -> int:
     import webbrowser
 
     answer = sys.stdout
-    with redirect_stdout(sys.stderr):  # where viser's greetings belong
+    with redirect_stdout(sys.stderr):  # for viser's messages
         page = _view_robot(options) if options.urdf is not None else _view_pair(options)
         if options.screenshot is not None:
             from loewner import viewer
@@ -108,7 +110,7 @@ def _view_robot(options: argparse.Namespace) -> Any:
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:
-    """Refuse what would be passed over in silence."""
+    """Refuse options that would silently be ignored."""
     for name in names:
         if getattr(options, name) != options.default(name):
             raise InputError(f"view: expected --{name.replace('_', '-')} {where}")

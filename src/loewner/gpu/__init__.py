@@ -1,8 +1,8 @@
-"""Pairs and configurations by the thousand on an NVIDIA GPU. Experimental: it has not run on hardware yet.
+"""Check pairs and configurations by the thousand on an NVIDIA GPU. Experimental: it has not run on hardware yet.
 
-The certificate's own formulas run there in single precision, and are proofs as on the CPU. Pairs that single precision
-leaves undecided go to the CPU, so the answers are the CPU's. It needs only the driver of the GPU, which is loaded when
-a function here is first called.
+The certificate's formulas run there in single precision, and give proofs as on the CPU. Pairs that single precision
+leaves undecided go to the CPU, so the answers are the same as the CPU's. Only the driver of the GPU is needed; it is
+loaded when a function here is first called.
 """
 
 from loewner.gpu.arrays import DeviceArray

@@ -17,13 +17,13 @@ from loewner import _validate
 from loewner.errors import InputError
 from loewner.gpu.driver import Device, Memory
 
-# Kinds of devices in DLPack whose memory the GPU reaches: its own, and what it shares with the CPU.
+# Kinds of devices in DLPack whose memory the GPU can access: its own, and memory shared with the CPU.
 CUDA, CUDA_MANAGED = 2, 13
 
 # Kinds of numbers in DLPack.
 KINDS = {0: "i", 1: "u", 2: "f", 6: "b"}
 
-ALIGNED = 16  # bytes, of which the kernels read at a time
+ALIGNED = 16  # bytes that the kernels read at a time
 
 
 class View(NamedTuple):
@@ -53,14 +53,14 @@ def is_on_gpu(x: Any) -> bool:
 
 
 def taken(x: Any, name: str, device: Device) -> View:
-    """Take an array of float32 on the GPU by its address.
+    """Take a float32 array on the GPU by its address.
 
     From now on, work on the device's stream waits for the pending work of the array's own stream.
 
     Raises
     ------
     InputError
-        If it is not of float32, not in C order, not aligned, or on another GPU.
+        If it is not float32, not in C order, not aligned, or on another GPU.
     """
     if hasattr(x, "__cuda_array_interface__"):
         address, shape, kind, strides, owner = _by_interface(x, name, device)
@@ -144,14 +144,14 @@ _api.PyCapsule_SetName.argtypes, _api.PyCapsule_SetName.restype = (ctypes.py_obj
 _api.PyCapsule_New.argtypes = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p
 _api.PyCapsule_New.restype = ctypes.py_object
 
-# The same of a capsule that is about to go, by its address: it must not be referred to any more.
+# Likewise for a capsule that is being destroyed, by its address: it must not be referenced any more.
 _DESTRUCTOR = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 _is_valid = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_IsValid", _api))
 _pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_GetPointer", _api))
 
 
 class _Borrowed:
-    """A tensor of DLPack, given back when nobody refers to it any more."""
+    """A tensor of DLPack, given back when it is no longer referenced."""
 
     def __init__(self, managed: Any) -> None:
         self.managed = managed
@@ -184,8 +184,8 @@ def _by_dlpack(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ...],
 class DeviceArray:
     """An array of results on the GPU, for other libraries to take.
 
-    ``cupy.asarray``, ``torch.as_tensor(..., device="cuda")``, ``torch.from_dlpack`` and ``jax.dlpack.from_dlpack`` make
-    their own arrays of it, without a copy; ``numpy.asarray`` copies it to the CPU.
+    ``cupy.asarray``, ``torch.as_tensor(..., device="cuda")``, ``torch.from_dlpack`` and ``jax.dlpack.from_dlpack`` wrap
+    it in their own arrays without a copy; ``numpy.asarray`` copies it to the CPU.
 
     Attributes
     ----------
@@ -237,26 +237,27 @@ class DeviceArray:
         return _capsule_of(self)
 
 
-# What other libraries hold of our arrays, until they give it back; by the address of their tensors.
+# Our arrays that other libraries hold until they give them back, by the address of their tensors.
 _lent: dict[int, tuple[Any, ...]] = {}
 
 
 @_DELETER
 def _give_back(managed: Any) -> None:
-    """Forget a tensor that another library is done with."""
+    """Drop a tensor that another library has released."""
     _lent.pop(ctypes.addressof(managed.contents), None)
 
 
 @_DESTRUCTOR
 def _unclaimed(capsule: Any) -> None:
-    """Forget the tensor of a capsule that nobody took it from."""
+    """Drop the tensor of a capsule that was never consumed."""
     if _is_valid(capsule, _CAPSULE):
         _lent.pop(_pointer_of(capsule, _CAPSULE), None)
 
 
 def _capsule_of(array: DeviceArray) -> Any:
     """Make a capsule of DLPack."""
-    # Truth values are bytes: older versions of DLPack have no kind for them, which PyTorch and JAX know by now.
+    # Booleans are passed as bytes: older versions of DLPack have no kind for them, although PyTorch and JAX now support
+    # it.
     code = {kind: code for code, kind in KINDS.items()}[array.dtype.kind]
     shape = (ctypes.c_int64 * len(array.shape))(*array.shape)
     managed = _DLManaged(

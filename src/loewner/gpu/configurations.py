@@ -1,4 +1,4 @@
-"""Configurations of a robot on a GPU."""
+"""Check configurations of a robot on a GPU."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from loewner.robots.checker import prepared_of
 from loewner.robots.problem import Problem
 from loewner.robots.verdicts import classified, expect_settled
 
-# Configurations of a tile, a power of two: some tens of megabytes, which the caches of large GPUs hold.
+# Number of configurations in a tile, a power of two: tens of megabytes, which fit into the caches of large GPUs.
 LOG_TILE = 14
 TILE = 1 << LOG_TILE
 
-# Pairs of bodies that bounds may leave, on average, of each configuration of a tile. What goes beyond is for the CPU.
+# Average number of pairs of bodies that bounds may leave open per configuration of a tile; the CPU gets the rest.
 SURVIVORS = 64
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
 
 class _Tables(NamedTuple):
-    """What kernels read of a robot and its scene; fields as in `loewner._kernels.threads.configurations`."""
+    """Kernel input for a robot and its scene; fields as in `loewner._kernels.threads.configurations`."""
 
     version: int
     moving: int
@@ -51,7 +51,7 @@ class _Tables(NamedTuple):
 
 
 class _Tile(NamedTuple):
-    """What they write for a tile."""
+    """Kernel output for a tile."""
 
     placed: Memory
     bounds: Memory
@@ -113,7 +113,7 @@ class Checker:
         Parameters
         ----------
         Q : array_like or array on the GPU, shape (..., dof)
-            On the GPU: float32 in C order; the answers then refer to exactly these float32 numbers.
+            An array on the GPU must be float32 in C order; the answers then refer to exactly these float32 numbers.
 
         Returns
         -------
@@ -123,7 +123,7 @@ class Checker:
         Raises
         ------
         GpuError
-            If the GPU cannot do it.
+            If the GPU cannot do the work.
         InputError
             If the width is not dof, an entry is not finite, an array on the GPU is of another type, layout or GPU, or
             pieces are smaller than 1e-3 or larger than 1e3 m.
@@ -191,7 +191,7 @@ class Checker:
     def _run(
         self, gpu: Device, tables: _Tables, tile: _Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
     ) -> None:
-        """One tile: the kernels one after the other."""
+        """Run the kernels on one tile, one after the other."""
         dof, t = self._checker.robot.dof, tables
         gpu.clear(tile.state.address, 4 * TILE)
         gpu.clear(tile.survivors.address, 4)
@@ -223,7 +223,7 @@ class Checker:
 
 
 def _tile(gpu: Device, tables: _Tables) -> _Tile:
-    """Allocate what the kernels write for a tile."""
+    """Allocate the kernel output for a tile."""
     capacity = TILE * max(1, min(SURVIVORS, tables.pair_count))
     return _Tile(
         gpu.memory(4 * columns.LINK_NUMBERS * tables.links * TILE),

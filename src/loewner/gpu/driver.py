@@ -1,7 +1,7 @@
-"""NVIDIA's driver by ctypes: one GPU, its memory, the kernels on it, and errors that name the cause.
+"""Call NVIDIA's driver with ctypes: one GPU, its memory, the kernels on it, and errors that name the cause.
 
-The driver is the library that comes with the GPU's own software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is
-needed. It compiles the PTX of `loewner._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
+The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is needed.
+It compiles the PTX of `loewner._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
 
 All work goes to one stream, in order. The context is the GPU's primary one, which PyTorch, JAX and CuPy use as well, so
 their memory can be read here.
@@ -25,20 +25,20 @@ from loewner.errors import GpuError
 
 LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
-# Threads of a block; registers for six such blocks and more are there on every GPU since `_ptx.OLDEST`.
+# Threads of a block; every GPU since `_ptx.OLDEST` has registers for at least six such blocks.
 BLOCK = 128
 
-# Codes of errors that need words of our own.
+# Codes of errors that need our own wording.
 OUT_OF_MEMORY, NO_DEVICE, UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE = 2, 100, 222, 218, 209
 OLD_DRIVER = (34, 35, 36, 803)
 
-# After these nothing more can be done in the context, which is all of this process's work on the GPU.
+# After these errors nothing more can be done in the context, which holds all of this process's work on the GPU.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
-# Of the capability of a GPU to compute, and the oldest that is taken: sm_75.
+# Attributes of a GPU's compute capability, and the oldest that is accepted: sm_75.
 MAJOR, MINOR, LEAST_CAPABILITY = 75, 76, (7, 5)
 
-# Options of the driver's compiler: where what it says goes, and how much of that there may be.
+# Options of the driver's compiler: the buffer for its log, and the size of the buffer.
 ERROR_LOG, ERROR_LOG_SIZE, LOG_BYTES = 5, 6, 8192
 
 ORDINAL_OF_POINTER = 9
@@ -152,7 +152,7 @@ class Device:
     # -- work ---------------------------------------------------------------------------------
 
     def launch(self, kernel: str, threads: int, *arguments: int) -> None:
-        """Run a kernel with threads 0 .. `threads`; it takes their number before the arguments."""
+        """Run a kernel with threads 0 .. `threads`; it receives the number of threads before the arguments."""
         if threads == 0:
             return
         numbers = [ctypes.c_int64(number) for number in (threads, *arguments)]
@@ -178,10 +178,10 @@ class Device:
             self._ask("cuEventCreate", ctypes.byref(event), WITHOUT_TIMES)
             self._ask("cuEventRecord", event, other)
             self._ask("cuStreamWaitEvent", self._stream, event, 0)
-            self._ask("cuEventDestroy_v2", event)  # which the driver does when it has been reached
+            self._ask("cuEventDestroy_v2", event)  # the driver frees it once it has been reached
 
     def time(self) -> Any:
-        """Record a moment on the stream; `seconds` takes two of them."""
+        """Record a point in time on the stream; `seconds` takes two of them."""
         event = ctypes.c_void_p()
         with self._current():
             self._ask("cuEventCreate", ctypes.byref(event), 0)
@@ -189,7 +189,7 @@ class Device:
         return event
 
     def seconds(self, start: Any, stop: Any) -> float:
-        """Return the time between two moments, once both are past, and forget them."""
+        """Return the time between two recorded points once both are past, and free them."""
         found = ctypes.c_float()
         with self._current():
             self._ask("cuEventSynchronize", stop)
@@ -208,7 +208,7 @@ class Device:
     # -- inside -------------------------------------------------------------------------------
 
     def _load(self, ptx: bytes) -> dict[str, Any]:
-        """Have the driver compile the kernels for its GPU."""
+        """Let the driver compile the kernels for its GPU."""
         module, log = ctypes.c_void_p(), ctypes.create_string_buffer(LOG_BYTES)
         options = (ctypes.c_int * 2)(ERROR_LOG, ERROR_LOG_SIZE)
         values = (ctypes.c_void_p * 2)(ctypes.cast(log, ctypes.c_void_p), ctypes.c_void_p(LOG_BYTES))
@@ -223,7 +223,7 @@ class Device:
 
     @contextlib.contextmanager
     def _current(self) -> Iterator[None]:
-        """Make the context the thread's own for a while."""
+        """Make the context current on this thread within the block."""
         self._ask("cuCtxPushCurrent_v2", self._context)
         try:
             yield
@@ -231,7 +231,7 @@ class Device:
             self._cuda.cuCtxPopCurrent_v2(ctypes.byref(ctypes.c_void_p()))
 
     def _integer(self, function: str, *arguments: Any) -> int:
-        """Ask a function that writes one integer."""
+        """Call a function that writes one integer."""
         found = ctypes.c_int()
         self._ask(function, ctypes.byref(found), *arguments)
         return int(found.value)
@@ -240,13 +240,13 @@ class Device:
         return self._integer("cuDeviceGetAttribute", which, handle)
 
     def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
-        """Call a function of the driver; what it refuses is an exception."""
+        """Call a function of the driver; raise an exception if it fails."""
         code = getattr(self._cuda, function)(*arguments)
         if code:
             raise self._error(function, code, size=size)
 
     def _error(self, function: str, code: int, size: int | None = None, said: str = "") -> GpuError:
-        """Say what is wrong, in words of the driver and, where it has no good ones, of our own."""
+        """Make the error for a code, in the driver's words and, where these are unclear, in our own."""
         self.lost = self.lost or code in LOST
         text = f"{function}: {self._words(code)}"
         if code == OUT_OF_MEMORY and size is not None:
@@ -266,7 +266,7 @@ class Device:
         return GpuError(text + (f": {said}" if said else ""), code)
 
     def _words(self, code: int) -> str:
-        """Name and text that the driver has for an error."""
+        """The driver's name and text for an error."""
         words = []
         for function in ("cuGetErrorName", "cuGetErrorString"):
             text = ctypes.c_char_p()
@@ -275,7 +275,7 @@ class Device:
         return f"{', '.join(words)} ({code})" if words else f"error {code}"
 
     def _free(self, address: int) -> None:
-        """Give memory back; at the end of a process, or of a context, it is gone already."""
+        """Free memory; at the end of a process, or of a context, it is already gone."""
         with contextlib.suppress(Exception), self._current():
             self._cuda.cuMemFree_v2(ctypes.c_uint64(address))
 

@@ -21,7 +21,7 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.queries import Plan, Verdict
 
-# Of pairs that are settled one at a time, each listed by the rows of its bodies.
+# For pairs that are settled one at a time, each listed by the rows of its bodies.
 _ONE_LISTED = np.array([[1], [1], [0], [1], [0]], dtype=np.int64)
 
 
@@ -37,7 +37,7 @@ def classify(
     fallback: str = "error",
     device: int = 0,
 ) -> Any:
-    """Certified verdicts as `loewner.classify` gives them, margin 0, on a GPU. Experimental: not yet run on hardware.
+    """Compute the verdicts of `loewner.classify`, margin 0, on a GPU. Experimental: not yet run on hardware.
 
     Parameters
     ----------
@@ -52,24 +52,24 @@ def classify(
         Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. They must not be on the GPU.
     refine : bool
         Let the CPU settle the pairs that single precision leaves open, half a percent of pairs of round pieces. With
-        False such pairs stay AMBIGUOUS, which claims nothing, and so do poses that are not rigid motions; the call then
-        does not wait for the GPU if the poses are there.
+        False such pairs stay AMBIGUOUS, which claims nothing, as do pairs with poses that are not rigid motions; the
+        call then does not wait for the GPU if the poses are on it.
     fallback : {"error", "cpu"}
         If there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an error, or
-        warn once and use the CPU. For poses on a GPU the CPU cannot take over, and this is always an error.
+        warn once and use the CPU. The CPU cannot take over poses on a GPU, so this is then always an error.
     device : int
         Index of the GPU among those visible to the driver.
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...), or DeviceArray of int8
-        The verdicts of `loewner.classify`. A `DeviceArray` if any of the poses are on the GPU; other libraries take it
-        without a copy.
+        The verdicts of `loewner.classify`, as a `DeviceArray` if any of the poses are on the GPU; other libraries take
+        it without a copy.
 
     Raises
     ------
     GpuError
-        If the GPU cannot do it.
+        If the GPU cannot do the work.
     PoseError
         If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
     InputError
@@ -79,7 +79,7 @@ def classify(
     Notes
     -----
     The formulas are the CPU's, compiled for the GPU, with correctly rounded operations only: FREE and COLLIDING are
-    proven as in docs/certified.md. Transferring poses does not pay: they take 128 bytes per pair.
+    proven as in docs/certified.md. Transferring poses to the GPU does not pay: they take 128 bytes per pair.
 
     Examples
     --------
@@ -163,7 +163,7 @@ _tables: weakref.WeakKeyDictionary[Packed, dict[Device, _Tables]] = weakref.Weak
 
 
 def _tables_of(gpu: Device, packed: Packed) -> _Tables:
-    """Return the tables of bodies, copied to the GPU when they are first asked about."""
+    """Return the tables of bodies, copied to the GPU when they are first needed."""
     at = _tables.setdefault(packed, {})
     if gpu not in at:
         at[gpu] = _Tables(gpu.upload(single_rows(packed)), gpu.upload(packed.kernel.piece_start.astype(np.int32)))
@@ -187,7 +187,7 @@ def single_rows(packed: Packed) -> NDArray[np.float32]:
 
 
 def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool, there: bool) -> Any:
-    """Ask the GPU, and the CPU about what that leaves."""
+    """Classify pairs on the GPU, and the undecided ones on the CPU."""
     expect_few(plan.total, "pairs")
     packs = [packed_of(operand.bodies) for operand in operands]
     tables = [_tables_of(gpu, packed) for packed in packs]
@@ -195,7 +195,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     steps = gpu.upload(plan.steps.astype(np.int32))
     rows = gpu.upload(plan.rows.astype(np.int32)) if plan.rows.size else None
     verdicts, left = gpu.memory(plan.total), Left(gpu, plan.total)
-    # Of surfaces the CPU knows more than one ellipsoid.
+    # For surfaces the CPU has more than one ellipsoid.
     of_open = codes.LEFT if any(len(packed.kernel.part_start) > 0 for packed in packs) else codes.AMBIGUOUS
     one_each = all(len(packed.piece_start) == len(packed.layout) + 1 for packed in packs)
     asked = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]
@@ -210,7 +210,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
         if there:
             scattered(gpu, numbers, settled, verdicts)
     if there:
-        # What the kernel reads lives until it is done: memory is given back in the order of the stream's work.
+        # The kernel's input lives until it is done: memory is freed in the order of the stream's work.
         return DeviceArray(verdicts, plan.shape, np.int8)
     out = np.empty(plan.total, dtype=np.int8)
     gpu.download(verdicts.address, out)
@@ -262,7 +262,7 @@ def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -
 
 
 def _refuse(Ta: Floats, Tb: Floats) -> None:
-    """Say which pose is no rigid motion."""
+    """Raise an error that names the pose that is not a rigid motion."""
     for T, name in ((Ta, "T_world_a"), (Tb, "T_world_b")):
         for one in T:
             _validate.rigid_motions(one, name)

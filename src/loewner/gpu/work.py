@@ -1,4 +1,4 @@
-"""The parts that queries of pairs and of configurations share: missing GPUs, lists for the CPU, rows of tables."""
+"""Code shared by queries of pairs and of configurations: missing GPUs, lists for the CPU, rows of tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _warned = False
 
 
 def why_not(device: int = 0) -> str:
-    """Why a GPU cannot be used.
+    """Return the reason why a GPU cannot be used.
 
     Parameters
     ----------
@@ -117,4 +117,4 @@ def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) 
     """Write small values to bytes on the GPU."""
     listed, given = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
     device.launch("scatter_bytes", len(rows), listed.address, given.address, target.address)
-    device.wait()  # until then the lists have to live
+    device.wait()  # until then the lists must live

@@ -1,8 +1,8 @@
-"""Mesh files to triangles, read whole or refused: the declarations of a file are checked against its content.
+"""Read mesh files as triangles, completely or not at all, checking a file's declarations against its content.
 
 The readers are loewner's own. General readers are designed to show as much of a file as possible: they drop unknown
 elements, replace undecodable values by zeros and let negative indices wrap around. That is the wrong compromise if half
-a mesh is free where the whole one collides; and checking their result would require reading the file again anyway.
+a mesh is free where the whole mesh collides, and checking their results would require reading the file again.
 """
 
 from collections.abc import Callable
@@ -15,15 +15,15 @@ from loewner._validate import Floats
 from loewner.errors import FileError
 from loewner.mesh_files.parts import Refusal, Triangles
 
-# Most bytes of a mesh file, and of all files that a glTF file names. A binary STL of that size has 43 million
-# triangles; a fit of so many takes more memory than most machines have.
+# Limit on the bytes of a mesh file, and of all files that a glTF file names. A binary STL of this size has 43 million
+# triangles, whose fit takes more memory than most machines have.
 LIMIT = 1 << 31
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".dae")
 
 
 def read(path: Path) -> tuple[Floats, Triangles]:
-    """Vertices in metres, shape (v, 3), and triangles, shape (t, 3), of a file.
+    """Read the vertices in metres, shape (v, 3), and triangles, shape (t, 3), of a file.
 
     A file that states its unit of length is converted; all others are assumed to be in metres. Vertices may be infinite
     or NaN if the file contains such values; all indices belong to existing vertices.
@@ -31,8 +31,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     Raises
     ------
     FileError
-        If the file cannot be read, is larger than `LIMIT`, or is not one whole mesh of the format that its suffix
-        names.
+        If the file cannot be read, is larger than `LIMIT`, or is not a complete mesh in the format of its suffix.
     """
     name, suffix = shown(path), path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -41,7 +40,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     if not data:
         raise FileError(f"{name}: expected a mesh file, found an empty one")
     try:
-        with np.errstate(all="ignore"):  # what is not finite in the end is noticed then
+        with np.errstate(all="ignore"):  # non-finite results are noticed later
             return _reader(suffix, path.parent)(data)
     except Refusal as refusal:
         where = f", line {refusal.line}" if refusal.line else ""

@@ -1,4 +1,4 @@
-"""Collada: the triangles of its scene, each geometry where the nodes place it."""
+"""Read Collada: the triangles of a file's scene, with each geometry placed by its nodes."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -22,15 +22,15 @@ from loewner.mesh_files.parts import (
     strip,
 )
 
-# Elements within one another; elements in all; nodes of a scene and what is in them, as often as they are placed;
-# inputs of vertices. Exporters stay far below.
+# Limits on the nesting of elements, the number of elements, the nodes of a scene and their contents counted at each
+# placement, and the inputs of vertices. Exporters stay far below.
 MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 100
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
 
 class _Element:
-    """An element of XML, the namespace left out."""
+    """An XML element without its namespace."""
 
     __slots__ = ("attributes", "children", "line", "tag", "texts")
 
@@ -62,7 +62,7 @@ class _Element:
         return int(text)
 
     def reference(self, name: str) -> str:
-        """Name of what an attribute refers to in the same file."""
+        """Name of the object in the same file to which an attribute refers."""
         value = self.get(name)
         expect(value[:1] == "#", f"<{self.tag}>: expected {name} in this file, found {quoted(value)}", self.line)
         return value[1:]
@@ -87,7 +87,7 @@ class _Element:
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices in metres, and triangles, of the file's scene; its up axis is not applied."""
+    """Read vertices in metres and triangles of the file's scene; its up axis is not applied."""
     root = _parsed(data)
     expect(root.tag == "COLLADA", f"expected <COLLADA>, found <{quoted(root.tag)}>", root.line)
     vertices, triangles = joined(_Scene(root).meshes())
@@ -95,7 +95,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _parsed(data: bytes) -> _Element:
-    """The tree of elements, without any entity or other declaration."""
+    """The tree of elements; entities and other declarations are refused."""
     parser = expat.ParserCreate(namespace_separator="}")
     parser.buffer_text = True
     parser.buffer_size = 1 << 20
@@ -150,7 +150,7 @@ def _metres(root: _Element) -> float:
 
 
 class _Scene:
-    """What the file names, by identifier; geometries are made when a node shows them first."""
+    """Objects of the file by identifier; geometries are made when a node first uses them."""
 
     def __init__(self, root: _Element) -> None:
         self.root = root
@@ -188,7 +188,7 @@ class _Scene:
                 if child.tag in _TRANSFORMS:
                     T = T @ _TRANSFORMS[child.tag](child)
                 elif child.tag in ("lookat", "skew"):
-                    # Of cameras, as a rule; anything that is placed by it comes out NaN, and is refused.
+                    # Usually for cameras; a mesh placed by it becomes NaN, and is refused.
                     T = T * np.nan
                 elif child.tag == "node":
                     inside.append(child)

@@ -1,4 +1,4 @@
-"""glTF 2.0, in text or binary: the triangles of its scene, each mesh where its nodes place it."""
+"""Read glTF 2.0, in text or binary: the triangles of a file's scene, with each mesh placed by its nodes."""
 
 import base64
 import json
@@ -22,10 +22,10 @@ _INDICES = (5121, 5123, 5125)
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
-# Extensions that say nothing about the shape; a file that requires another one is not understood.
+# Extensions that do not affect the shape; a file that requires another one is refused.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp")
 
-# A rotation's quaternion may be that far from length 1.
+# Allowed deviation of a rotation's quaternion from length 1.
 _UNIT = 1e-2
 
 
@@ -77,7 +77,7 @@ def _json(text: bytes) -> dict[str, Any]:
 
 
 class _Reader:
-    """The objects of a file by number, each checked when it is asked for."""
+    """The objects of a file by number, each checked when it is requested."""
 
     def __init__(self, tree: dict[str, Any], body: bytes | None, folder: Path, limit: int) -> None:
         self.tree, self.body, self.folder, self.limit = tree, body, folder, limit
@@ -169,7 +169,7 @@ class _Reader:
         return T
 
     def expect_rigid(self, holder: dict[str, Any], where: str) -> None:
-        """Refuse what bends a mesh, or shows more than one of it."""
+        """Refuse features that deform a mesh, or place it more than once."""
         expect("skin" not in holder, f"{where}: expected a rigid mesh, found one with a skin")
         weights = holder.get("weights", [])
         expect(isinstance(weights, list) and not any(weights), f"{where}: expected no morph, found weights of one")
@@ -216,7 +216,7 @@ class _Reader:
     # -- bytes
 
     def accessor(self, index: int, shape: str) -> tuple[NDArray[Any], int]:
-        """Numbers, shape (count, n), and the type they are stored as."""
+        """Numbers, shape (count, n), and the type in which they are stored."""
         accessor, where = self.item("accessors", index)
         count = self.integer(accessor, where, "count", least=1)
         expect(count <= 3 * MOST, f"{where}: expected a count of at most {3 * MOST}, found {count}")
@@ -240,7 +240,7 @@ class _Reader:
         return values, kind
 
     def view(self, holder: dict[str, Any], where: str, count: int, kind: int, width: int) -> NDArray[Any]:
-        """Rows of numbers out of a buffer view, with the offset that `holder` has in it."""
+        """Rows of numbers from a buffer view, at the offset that `holder` gives."""
         view, name = self.item("bufferViews", self.integer(holder, where, "bufferView"))
         expect(not view.get("extensions"), f"{name}: expected no compression, found an extension")
         data = self.buffer(self.integer(view, name, "buffer"))
@@ -256,7 +256,7 @@ class _Reader:
         return np.ndarray((count, width), _TYPES[kind], data, start + offset, (stride, size))
 
     def replaced(self, sparse: Any, where: str, values: NDArray[Any], kind: int) -> NDArray[Any]:
-        """`values` with those that a sparse accessor gives in their places."""
+        """`values` with the replacements of a sparse accessor."""
         expect(isinstance(sparse, dict), f"{where}: expected an object")
         count = self.integer(sparse, where, "count", least=1)
         expect(count <= len(values), f"{where}: expected a count of at most {len(values)}, found {count}")
@@ -283,7 +283,7 @@ class _Reader:
                 if index or self.body is None:
                     raise Refusal(f"{where}: expected a uri, found none")
                 data = self.body
-            # Chunks and some exporters' files are filled up to a multiple of four.
+            # Chunks and some exporters' files are padded to a multiple of four.
             right = length <= len(data) < length + 4
             expect(right, f"{where}: expected {length} bytes as it says, found {len(data)}")
             self.buffers[index] = data[:length]

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: `v` and `f` lines; groups, materials, normals and texture coordinates are ignored."""
+"""Read Wavefront OBJ: `v` and `f` lines; groups, materials, normals and texture coordinates are ignored."""
 
 import re
 from collections.abc import Iterator
@@ -8,11 +8,11 @@ import numpy as np
 from loewner._validate import Floats, Ints
 from loewner.mesh_files.parts import Refusal, Triangles, expect, fans, floats, in_line, integers, is_integer, quoted
 
-# Bytes whose words are taken apart at a time; they take some twenty times as much memory.
+# Bytes whose words are split at a time; they take about twenty times as much memory.
 BLOCK = 1 << 23
 
-# Lines that say nothing of the surface. What is not here nor understood is refused: it may be a damaged `v`, and with
-# that line left out all vertices behind it would be others.
+# Lines that do not affect the surface. Other unknown lines are refused: one may be a damaged `v`, and omitting it would
+# renumber all later vertices.
 _PASSED_OVER = frozenset(
     b"vt vn vp g o s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj".split()
 )
@@ -38,7 +38,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
         for number, line in enumerate(block, first):
             head = line[:2]
             if head == b"vn" or head == b"vt":
-                head = line[:3]  # quicker than taking it apart, and most lines are of these four
+                head = line[:3]  # faster than splitting, and most lines are of these four kinds
                 if head == b"vn " or head == b"vt ":
                     continue
             if head != b"v " and head != b"f ":
@@ -76,12 +76,12 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _plain(data: bytes) -> bytes:
-    """The same text with plain line ends and continued lines joined; all other lines keep their numbers."""
+    """The text with plain line ends and continued lines joined; all other lines keep their numbers."""
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"\\\n" in data:
-        # The line goes on in the next one; blank lines behind it keep the numbers of those that follow.
+        # The line continues in the next one; blank lines after it preserve the numbers of the following lines.
         data = re.sub(rb"(?:[^\n]*\\\n)+[^\n]*", _continued, data)
     return data
 
@@ -92,7 +92,7 @@ def _continued(match: re.Match[bytes]) -> bytes:
 
 
 def _blocks(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Lines without comments, some at a time, each time with the number of the first."""
+    """Yield blocks of lines without comments, each with the number of its first line."""
     number, start = 1, 0
     while start < len(data):
         end = data.find(b"\n", start + BLOCK)
@@ -103,10 +103,11 @@ def _blocks(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 
 def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> Floats:
-    """All numbers of `v` lines, a row for each; of `width` if that is not 0."""
+    """All numbers of `v` lines, one row each, with `width` columns if that is not 0."""
     width = width or len(vertex_lines[0].split()) - 1
     flat = b" ".join(vertex_lines).split()
-    # The words begin with "v", which is no number: where the lines are not all as long, it turns up as one.
+    # Each line begins with "v", which is not a number: if the lines differ in length, it ends up in a column of
+    # numbers.
     if width in _WIDTHS and len(flat) == len(vertex_lines) * (width + 1):
         try:
             return np.stack([floats(flat[k :: width + 1]) for k in range(1, width + 1)], axis=1)
@@ -121,7 +122,7 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
 
 
 def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], Ints]:
-    """Corners of all faces, one after the other, and how many each has."""
+    """Corners of all faces, concatenated, and the number of corners of each face."""
     sizes = np.fromiter((len(line.split()) for line in face_lines), dtype=np.int64, count=len(face_lines)) - 1
     if sizes.min() < 3:
         k = int(np.argmax(sizes < 3))

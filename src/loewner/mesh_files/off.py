@@ -1,4 +1,4 @@
-"""Object File Format: a header, three counts, vertices, faces; with colours and normals, in text."""
+"""Read the Object File Format in text: a header, three counts, vertices and faces, with colours and normals."""
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from loewner.mesh_files.parts import (
     quoted,
 )
 
-# Numbers in a line of a vertex: x y z, a normal, a colour of three or four.
+# Numbers in the line of a vertex: x y z, a normal, a colour of three or four numbers.
 _WIDTHS = {b"OFF": (3,), b"NOFF": (6,), b"COFF": (6, 7), b"CNOFF": (9, 10)}
 
-# Numbers of a face's colour: none, one of a table, red green blue, and alpha.
+# Numbers of a face's colour: none, an index into a table, red green blue, and alpha.
 _COLOURS = (0, 1, 3, 4)
 
 
@@ -50,7 +50,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
             check_range(corners, v, "a face")
             return points, fans(corners, sizes)
     except Refusal:
-        pass  # which is told below, with its line
+        pass  # which is reported below, with its line
     parts = [_face(line, number, v) for line, number in zip(faces, numbers, strict=True)]
     return points, fans(np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64))
 

@@ -11,8 +11,8 @@ from loewner._validate import Floats, Ints
 Triangles = Ints
 T = TypeVar("T", np.float64, np.int64)
 
-# Most vertices, and most triangles, of a mesh: a file of 2 GiB holds about as many. A short file can name the same
-# ones a million times over.
+# Limit on the vertices, and on the triangles, of a mesh: a file of 2 GiB holds about this many. A short file can use
+# the same ones a million times.
 MOST = 50_000_000
 
 
@@ -37,7 +37,7 @@ def quoted(token: bytes | str) -> str:
 
 
 def is_float(token: bytes) -> bool:
-    """Whether `floats` accepts it: Python's grammar without the underscores."""
+    """Whether `floats` accepts a token: Python's grammar without underscores."""
     try:
         float(token)
     except ValueError:
@@ -46,7 +46,7 @@ def is_float(token: bytes) -> bool:
 
 
 def is_integer(token: bytes) -> bool:
-    """Whether `integers` accepts it."""
+    """Whether `integers` accepts a token."""
     return token.lstrip(b"+-").isdigit() and len(token) <= 19 and token.lstrip(b"+-") in (token, token[1:])
 
 
@@ -63,7 +63,7 @@ def floats(tokens: Sequence[bytes]) -> Floats:
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
-    """Whole numbers of tokens; the first token that is not one, or is absurdly large, is refused."""
+    """Whole numbers of tokens; the first token that is not a whole number, or is absurdly large, is refused."""
     try:
         numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -75,7 +75,7 @@ def integers(tokens: Sequence[bytes]) -> Ints:
 
 
 def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], tokens: Sequence[bytes]) -> NDArray[T]:
-    """Convert the words of a line; a refusal is given its number."""
+    """Convert the words of a line; a refusal includes the line's number."""
     try:
         return convert(tokens)
     except Refusal as refusal:
@@ -83,7 +83,7 @@ def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], token
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:
-    """Triangles of polygons, each a fan about its first corner; `corners` has the corners of all, one after another."""
+    """Triangles of polygons, each a fan about its first corner; `corners` has the corners of all, concatenated."""
     count = sizes - 2
     expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
     first = np.repeat(np.cumsum(sizes) - sizes, count)
@@ -92,7 +92,7 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 
 
 def strip(corners: Ints) -> Triangles:
-    """Triangles of a strip, all oriented like its first."""
+    """Triangles of a strip, all oriented like the first."""
     triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
@@ -120,7 +120,7 @@ def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles
 
 
 def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
-    """A mesh moved by an affine map; a mirror would turn its triangles inside out, so they are reversed."""
+    """A mesh moved by an affine map; triangles are reversed by a mirror, so that they are not inside out."""
     if np.linalg.det(T[:3, :3]) < 0:
         triangles = triangles[:, ::-1]
     return vertices @ T[:3, :3].T + T[:3, 3], triangles
@@ -134,14 +134,14 @@ def check_range(corners: Ints, count: int, what: str, line: int | None = None) -
 
 
 def plain_lines(data: bytes) -> list[bytes]:
-    """Lines, which end in LF, CR LF or CR."""
+    """Split a text into lines, which end in LF, CR LF or CR."""
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return data.split(b"\n")
 
 
 def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
-    """Words of all lines that have any, and the line numbers."""
+    """Words of all non-empty lines, and the line numbers."""
     lines = plain_lines(data)
     if comment is not None and comment in data:
         lines = [line.partition(comment)[0] for line in lines]

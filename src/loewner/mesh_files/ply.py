@@ -1,4 +1,4 @@
-"""Polygon File Format: a header that declares elements, their content in text or in binary of either byte order."""
+"""Read the Polygon File Format: a header that declares elements, and their content in text or binary."""
 
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -41,7 +41,7 @@ _TYPES = {
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 
-# Longest line of a header that is looked for [bytes]; most properties of an element. Scanners write some twenty.
+# Limits on the length of a header's line [bytes] and on the properties of an element. Scanners write about twenty.
 HEADER_LINE, MOST_PROPERTIES = 1 << 16, 1000
 
 
@@ -65,7 +65,7 @@ class _Element:
 
 @dataclass
 class _Content:
-    """Of an element: its scalars, and its list of corners, one after the other."""
+    """The content of an element: its scalars, and its lists of corners, concatenated."""
 
     scalars: dict[str, Any]
     corners: Ints
@@ -95,7 +95,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Byte order ("" for text), elements, and where the header ends."""
+    """Byte order ("" for text), elements, and the end of the header."""
     order: str | None = None
     elements: list[_Element] = []
     position, number = 0, 0
@@ -169,7 +169,7 @@ def _text(data: bytes, start: int, elements: list[_Element]) -> list[_Content]:
     lines, numbers = data_lines(data[start:])
     before = data.count(b"\n", 0, start)
     numbers = [n + before for n in numbers]
-    # An element without properties has empty lines, which are not among these.
+    # The lines of an element without properties are empty, and not included here.
     wanted = [e.count if e.properties else 0 for e in elements]
     _end(len(lines), sum(wanted), "lines")
     contents, first = [], 0
@@ -180,7 +180,7 @@ def _text(data: bytes, start: int, elements: list[_Element]) -> list[_Content]:
 
 
 def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int]) -> _Content:
-    """Columns of scalars; the lines are taken apart one by one only where there are lists."""
+    """Columns of scalars; lines are split one by one only if there are lists."""
     properties = element.properties
     scalars: dict[str, Any] = {p.name: np.empty(0) for p in properties if p.length is None}
     if not any(p.length for p in properties):
@@ -197,7 +197,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
             raise
         return _Content(scalars, _no_integers(), _no_integers())
     if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
-        with suppress(Refusal):  # which is told below, with its line
+        with suppress(Refusal):  # which is reported below, with its line
             lengths = integers([line[0] for line in lines])
             if (lengths == len(lines[0]) - 1).all():
                 return _Content({}, integers([word for line in lines for word in line[1:]]), lengths)
@@ -252,7 +252,7 @@ def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> li
 
 
 def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Content, and where it ends. Lists are taken to be as long as those of the first row, until one is not."""
+    """Content and its end; lists are assumed to be as long as in the first row until one is not."""
     row = _layout(element, data, start, order) if element.count else []
     if row is None:
         raise Refusal(
@@ -282,7 +282,7 @@ def _binary_element(element: _Element, data: bytes, start: int, order: str) -> t
 
 
 def _layout(element: _Element, data: bytes, start: int, order: str) -> list[tuple[str | None, str, int | None]] | None:
-    """Of the first row: name, type and length of all that follows one another; a list's own length has no name."""
+    """Layout of the first row: name, type and length of its fields in order; a list's own length has no name."""
     row: list[tuple[str | None, str, int | None]] = []
     for p in element.properties:
         kind = order + p.type
@@ -302,7 +302,7 @@ def _layout(element: _Element, data: bytes, start: int, order: str) -> list[tupl
 
 
 def _binary_rows(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Row by row, for lists of different lengths."""
+    """Read rows one by one, for lists of different lengths."""
     little = "little" if order == "<" else "big"
     parts = [
         (p.name, order + p.type, int(p.type[1]), p.length and (int(p.length[1]), p.length[0] == "i"))

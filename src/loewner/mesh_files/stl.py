@@ -1,4 +1,4 @@
-"""STL, binary and text: triangles, each with its own corners."""
+"""Read STL, binary or text: triangles, each with its own corners."""
 
 import struct
 
@@ -10,7 +10,7 @@ from loewner.mesh_files.parts import Refusal, Triangles, data_lines, expect, flo
 HEADER, FACET = 84, 50  # bytes
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
-# Lines of a facet in text: how each begins, and how many numbers follow.
+# Lines of a facet in text: the beginning of each, and the number of numbers that follow.
 _LINES = (
     ((b"facet", b"normal"), 3),
     ((b"outer", b"loop"), 0),
@@ -23,7 +23,7 @@ _LINES = (
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Three vertices for each triangle, in its order; normals in the file are ignored."""
+    """Read three vertices for each triangle, in the file's order; normals in the file are ignored."""
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET * count:
         corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)
@@ -36,7 +36,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _text(data: bytes) -> Floats:
-    """Corners of all facets of all solids of a file in text."""
+    """Corners of all facets of all solids in a text file."""
     lines = [line for line in map(bytes.strip, plain_lines(data.lower())) if line]
     begins = [i for i, line in enumerate(lines) if line.startswith(b"solid") and line.split()[0] == b"solid"]
     ends = [i for i, line in enumerate(lines) if line.startswith(b"endsolid") and line.split()[0] == b"endsolid"]
@@ -50,7 +50,7 @@ def _text(data: bytes) -> Floats:
     for k, (words, count) in enumerate(_LINES):
         mine = inside[k :: len(_LINES)]
         flat, size = b" ".join(mine).split(), len(words) + count
-        # The words are no numbers: where the lines are not all as long, they turn up as some.
+        # The keywords are not numbers: if the lines differ in length, they end up in columns of numbers.
         if len(flat) != size * len(mine) or any(set(flat[j::size]) - {word} for j, word in enumerate(words)):
             _refuse_first(data, begins, ends)
         try:
@@ -63,7 +63,7 @@ def _text(data: bytes) -> Floats:
 
 
 def _refuse_first(data: bytes, begins: list[int], ends: list[int]) -> None:
-    """Refuse a file for its first line that is not as it should be."""
+    """Refuse a file because of its first malformed line."""
     lines, numbers = data_lines(data)
     for first, last in zip(begins, ends, strict=True):
         for i in range(first + 1, last):

@@ -1,4 +1,4 @@
-"""The paper's experiment: its data set, four detectors, tables and figures; and its own methods, for comparison.
+"""The paper's experiment: its data set, four detectors, tables and figures, and its own methods for comparison.
 
 `run` performs the experiment and returns an `Experiment`; `tables.rows` gives its tables as text. The modules follow
 the paper's order: `dataset`, `fitting`, `detectors`, `results`, `tables`, `sheets`, `figures`, `report`, `experiment`.

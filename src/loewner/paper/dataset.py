@@ -17,7 +17,7 @@ from loewner._validate import Floats
 
 POINTS_PER_BODY = 20
 LARGEST_SHIFT = 2.0  # metres
-BYTES_PER_PAIR = 4 * 8 * (2 * POINTS_PER_BODY * 3 + 1)  # uniform numbers, and on the way three times as many
+BYTES_PER_PAIR = 4 * 8 * (2 * POINTS_PER_BODY * 3 + 1)  # uniform numbers, and three times as many temporarily
 DATA_SETS = {"radius": "radius uniform in [0, 1]", "volume": "uniform in the volume of the ball"}
 
 
@@ -73,7 +73,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     Raises
     ------
     InputError
-        If `pairs` or `seed` is not such a number, or the pairs do not fit into memory.
+        If `pairs` or `seed` is out of range, or the pairs do not fit into memory.
     UnknownNameError
         If the data set is neither of the two.
 
@@ -87,7 +87,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     n, seed = _validate.whole_number(pairs, "pairs", 1), _validate.whole_number(seed, "seed", 0, _validate.LARGEST_SEED)
     _validate.choice(dataset, "dataset", DATA_SETS)
     _validate.fits_memory(n * BYTES_PER_PAIR, f"{n} pairs of hulls")
-    # One row of numbers per pair, whatever the number of pairs.
+    # One row of numbers per pair, independent of the number of pairs.
     uniform = np.random.default_rng(seed).random((n, 2 * POINTS_PER_BODY * 3 + 1))
     balls = _points_in_ball(uniform[:, :-1].reshape(n, 2, POINTS_PER_BODY, 3), dataset)
     shift = LARGEST_SHIFT * uniform[:, -1]

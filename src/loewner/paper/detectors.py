@@ -1,8 +1,8 @@
 """The paper's four detectors, compiled, and their confusion with the truth.
 
 Use detector 3 (level surfaces) for the paper's estimate: it also works well on other shapes. Detector 4 (center lines)
-does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half of those of thin rods
-and over two thirds of those of thin plates. Detector 1 is the earlier method and serves only as the baseline.
+does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half for thin rods and
+over two thirds for thin plates. Detector 1 is the earlier method and serves only as the baseline.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ DETECTORS = {
     4: "center-line near points",
 }
 HEURISTICS = ("centroid", "center")
-SHORTEST_TIMING = 0.05  # seconds; quicker runs are repeated, for the clock's sake
+SHORTEST_TIMING = 0.05  # seconds; shorter runs are repeated because of the clock's resolution
 
 
 @dataclass(frozen=True)
 class Confusion:
-    """Counts of a detector's answers against the truth; "positive" is a collision.
+    """Counts of a detector's answers compared with the truth; "positive" is a collision.
 
-    The paper prints them as ((tp, fp), (fn, tn)): rows are the detector, columns the truth.
+    The paper prints them as ((tp, fp), (fn, tn)), with the detector in rows and the truth in columns.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Confusion:
 
     @classmethod
     def of(cls, collides: Bools, truth: Bools) -> Confusion:
-        """Count answers against the truth.
+        """Count answers compared with the truth.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Pairs:
         Parameters
         ----------
         a, b : Bodies
-            Equal numbers of bodies.
+            Sequences of equal length.
         heuristic : {"centroid", "center"}
             Center of detector 1's shrunk outer ellipsoid: the mean of the vertices or the outer center.
 
@@ -282,9 +282,10 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
 
 
 def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> float:
-    """Time of one check in microseconds, averaged over the pairs, on one thread, compiled beforehand.
+    """Measure the time of one check in microseconds, averaged over the pairs, on one thread, compiled beforehand.
 
-    The median of at least three passes; below about a hundred pairs it includes a visible share of the call itself.
+    The result is the median of at least three passes; below about a hundred pairs the call itself takes a visible
+    share.
     """
     n = len(_expect_pairs(pairs))
     if n == 0:
@@ -300,7 +301,7 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
 
 
 def estimate(pairs: Pairs) -> Answers:
-    """The library's own rule, F_in F_out <= 1 for the pairs that the two exact overlap checks leave open.
+    """Apply the library's own rule, F_in F_out <= 1, to the pairs that the two exact overlap checks leave open.
 
     Parameters
     ----------

@@ -35,14 +35,14 @@ def distance_estimate(
     inner_1, outer_1, inner_2, outer_2 : Ellipsoids
         In 3-D, all in one frame, in metres; batches broadcast.
     method : {"rimon-boyd", "lin-han", "center-line"}
-        Near points as in `loewner.near_points`, as used by detectors 3, 2 (to 0.01 rad) and 4. "center-line" misses
-        many collisions of thin pieces.
+        Near points of `loewner.near_points`, used by detectors 3, 2 (to 0.01 rad) and 4 respectively. "center-line"
+        misses many collisions of thin pieces.
 
     Returns
     -------
     ndarray, shape (...)
-        f in metres; at most 0 counts as a collision. It proves nothing, even where the ellipsoids settle the pair: use
-        `loewner.classify` for that.
+        f in metres; values of at most 0 count as collisions. They prove nothing, even where the ellipsoids settle the
+        pair: use `loewner.classify` for proofs.
 
     Raises
     ------

@@ -73,7 +73,7 @@ def run(
     _validate.callback(progress, "progress")
     counts = None if json is None else _validate.path(json, "json")
     data = sample(pairs, seed, dataset)
-    # What could keep the results from being written is found out before the work, not after it.
+    # Obstacles to writing the results are found before the work, not after it.
     if counts is not None and not folder_exists(counts.parent):
         raise FileError(f"{counts}: expected a name in an existing folder, found no folder {counts.parent}")
     if counts is not None and folder_exists(counts):
@@ -86,7 +86,7 @@ def run(
     def fitted(done: int, total: int) -> None:
         tell("hulls and fits", done, total)
 
-    # All hulls in one go; then the first of each pair and the second.
+    # All hulls at once; then the first and the second of each pair.
     bodies = Bodies.from_points(np.concatenate([data.points_1, data.points_2]), progress=fitted)
     bodies_1, bodies_2 = bodies[:n], bodies[n:]
     model = Pairs.from_bodies(bodies_1, bodies_2)
@@ -144,7 +144,7 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
 
 
 def folder_exists(path: Path) -> bool:
-    """False also for names that no file system accepts, such as names that are too long."""
+    """Whether a folder exists; False also for names that no file system accepts, such as names that are too long."""
     try:
         return path.is_dir()
     except OSError:

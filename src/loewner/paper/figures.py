@@ -1,6 +1,6 @@
 """Figures 1 to 4 of the paper, drawn from the experiment's own pairs (3 is a flow chart).
 
-Figures 1 and 2 are plane sections through the near-point line, so every marked point lies in the section. Needs
+Figures 1 and 2 are plane sections through the near-point line, so every marked point lies in the section. Drawing needs
 matplotlib (extra "plots").
 """
 
@@ -65,12 +65,12 @@ def render(figure: Any, kind: str) -> bytes:
 
     stream = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "loewner"}):
-        # Only SVG would carry the date.
+        # By default SVG contains the date.
         figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata={"Date": None} if kind == "svg" else None)
     return stream.getvalue()
 
 
-# -- figures 1 and 2: what f and the earlier method look at ----------------------------------------
+# -- figures 1 and 2: the points that f and the earlier method use ---------------------------------
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Line:
 
 
 def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
-    """Near points of two inner ellipsoids and where their line leaves outer 1 (beta) and enters outer 2 (alpha)."""
+    """Near points of inner ellipsoids, and points where their line leaves outer 1 (beta) and enters outer 2 (alpha)."""
     near = near_points(*inner, method=method, angle=PAPER_ANGLE)
     L = float(near.distance)
     away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center
@@ -95,7 +95,7 @@ def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, 
 
 
 def _exit(E: Ellipsoids, p: Floats, e: Floats) -> float:
-    """Where the ray p + t e leaves an ellipsoid that holds p."""
+    """Parameter t at which the ray p + t e leaves an ellipsoid that contains p."""
     v, w = np.linalg.solve(E.factor, np.stack([e, p - E.center], axis=1)).T
     a, b, c = v @ v, v @ w, min(w @ w - 1.0, 0.0)
     return float((-b + np.sqrt(b * b - a * c)) / a)
@@ -109,7 +109,7 @@ def _faces(piece: Piece) -> tuple[Floats, Floats]:
 
 
 def _polytope_exit(normals: Floats, offsets: Floats, p: Floats, e: Floats) -> float:
-    """Where the ray p + t e leaves a polytope that holds p."""
+    """Parameter t at which the ray p + t e leaves a polytope that contains p."""
     speed, slack = normals @ e, offsets - normals @ p
     ahead = speed > 0
     return float((slack[ahead] / speed[ahead]).min())
@@ -144,7 +144,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
     earlier = kind == "heuristic"
     inner, outer = _ellipsoids(experiment, k, kind)
     line = line_of_pair(inner, outer, "rimon-boyd" if earlier else "lin-han")
-    # The plane also follows the offset of the centers from the line, so that both bodies show well.
+    # The plane also follows the offset of the centers from the line, so that both bodies are clearly visible.
     across = (outer[0].center + outer[1].center) / 2 - line.v1
     across = across - (across @ line.e) * line.e
     if np.linalg.norm(across) < 1e-9:
@@ -249,9 +249,9 @@ ARROWS = (
 
 
 def arrow_path(start: str, end: str) -> Floats:
-    """Corners of an arrow from the border of one box to that of another, shape (2 or 3, 2).
+    """Corners of an arrow from the border of one box to the border of another, shape (2 or 3, 2).
 
-    Straight down, or sideways, or sideways and then down where an answer skips the questions below.
+    It runs straight down, or sideways, or sideways and then down if an answer skips the questions below.
     """
     x0, y0, width_0, height_0 = BOXES[start][:4]
     x1, y1, width_1, height_1 = BOXES[end][:4]
@@ -284,7 +284,7 @@ def _flow_chart() -> Any:
         ax.plot(*corners[:-1].T, color=GREY, lw=1.1)
         tip = {"arrowstyle": "-|>", "color": GREY, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
         ax.annotate("", corners[-1], corners[-2], arrowprops=tip)
-        # The answer stands beside the first stretch: right of it going down, above it going sideways.
+        # The answer is beside the first segment: to its right if it runs down, above it if it runs sideways.
         (x, y), down = corners[:2].mean(axis=0), corners[0, 0] == corners[1, 0]
         ax.annotate(
             answer, (x, y), (5, 0) if down else (0, 4), textcoords="offset points",
@@ -340,7 +340,7 @@ def _surface(E: Ellipsoids) -> Floats:
 
 
 def _look_across(ax: Any, points: Floats, pairs: Any, k: int) -> None:
-    """Fit the axes to the points at equal scale, and look at right angles to the line of centers."""
+    """Fit the axes to the points at equal scale, and view them perpendicular to the line of centers."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = (low + high) / 2, (high - low).max() / 2
     ax.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1, 1]))

@@ -15,7 +15,7 @@ from loewner.errors import LoewnerError
 from loewner.fits import Fit, mvce, mvie
 from loewner.paper.lifted_mvie import mvce_by_lifted_mvie
 
-MOST_POLYHEDRA = 2000  # those of the paper's 1000 pairs
+MOST_POLYHEDRA = 2000  # the polyhedra of the paper's 1000 pairs
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Fitting:
     name : str
         A key of `FITS`.
     tried, failed : int
-        Fits that ended in a `LoewnerError` failed: no ellipsoid within the tolerance.
+        Numbers of fits; a fit failed if it ended in a `LoewnerError`, without an ellipsoid within the tolerance.
     largest_gap : float
         The largest certified gap in log-volume among the successful fits; NaN if there are none.
     microseconds : float

@@ -1,6 +1,7 @@
 """Appendix B of the paper: the smallest ellipsoid around points by the largest one in a polytope one dimension higher.
 
-A check on `loewner.mvce`, which is faster: this solves in dimension n + 1, with two half-spaces for each point.
+It serves as a check on `loewner.mvce`, which is faster: the lifted problem has dimension n + 1 and two half-spaces for
+each point.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     Returns
     -------
     Fit
-        The ellipsoid contains every point exactly as stored, whatever the rounding.
+        The ellipsoid as stored contains every point exactly, in spite of rounding.
 
     Raises
     ------
     InputError
         If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        If there are fewer than n + 1 points, or all lie in a flat.
+        If there are fewer than n + 1 points, or all lie in a hyperplane.
     ConvergenceError
         If the requested gap was not reached.
 
@@ -79,7 +80,7 @@ def _lifted(points: Floats, tol: float) -> Fit:
     factor = frame @ (np.sqrt(1.0 - t * t) * np.linalg.qr(inverse).R.T)
     factor *= np.sign(np.diagonal(factor))
     center = origin - frame @ (inverse.T @ r)
-    # Each point's dual weight: the multipliers of its two half-spaces, which the MVIE's own duals are.
+    # Each point's dual weight is the sum of the multipliers of its two half-spaces, the duals of the MVIE.
     weights = multipliers[:m] + multipliers[m:]
     error = entries.enclose(points, center, factor)
     gap = entries.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf

@@ -1,6 +1,6 @@
 """Appendix A of the paper: the overlap of two ellipsoids by an eigenproblem.
 
-The reference for `loewner.overlap`, which is faster and keeps its digits for thin ellipsoids.
+It is the reference for `loewner.overlap`, which is faster and stays accurate for thin ellipsoids.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from loewner.ellipsoid_pairs import PairArrays
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError
 
-# How far off E2 the touching point may lie, relative to E2, before its eigenvalue is refused. The eigenproblem
-# squares the axis ratio: from about 1 : 100 on some pairs come out wrong.
+# Largest relative distance of the touching point from E2 at which its eigenvalue is accepted. The eigenproblem squares
+# the axis ratio: from about 1 : 100 on, some pairs come out wrong.
 LARGEST_MISS = 1e-6
 
 
@@ -39,7 +39,7 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     InputError
         If dimensions differ or batch shapes do not broadcast.
     ConvergenceError
-        If the eigenproblem lost its digits, as it does for thin ellipsoids.
+        If the eigenproblem lost its accuracy, as it does for thin ellipsoids.
 
     References
     ----------
@@ -55,7 +55,7 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     """
     pair = PairArrays(E1, E2, "overlap_by_eigenvalue", dim=None)
     try:
-        with np.errstate(all="ignore"):  # what leaves the floats misses the second ellipsoid, and is told so
+        with np.errstate(all="ignore"):  # overflow misses the second ellipsoid, and is reported
             return _solved_by_eigenvalue(pair)
     except np.linalg.LinAlgError as error:
         raise ConvergenceError(
@@ -64,10 +64,10 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
 
 def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
-    """Appendix A, in its own letters.
+    """Appendix A in its own notation.
 
-    The paper asks first whether either center lies in the other ellipsoid. "Is a in E2" is the case
-    the eigenproblem cannot answer (no scaled E1 touches E2 from outside); b in E1 it gets right by itself.
+    The paper first tests whether either center lies in the other ellipsoid. The eigenproblem cannot answer the case of
+    a in E2 (no scaled E1 touches E2 from outside); it answers b in E1 correctly by itself.
     """
     F1, F2, batch = pair.F1, pair.F2, pair.batch
     if not len(F1):
@@ -97,8 +97,8 @@ def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
     eigenvalues = np.linalg.eigvals(block)
     lam = eigenvalues[np.arange(len(a)), np.argmin(eigenvalues.real, axis=-1)].real
 
-    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar; the inverse by the singular values already at hand. A point off
-    # E2 (or NaN) tells that the eigenvalue lost its digits, and then it decides nothing.
+    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar, with the inverse from the singular values that are already computed. A
+    # point off E2 (or NaN) shows that the eigenvalue has lost its accuracy and decides nothing.
     coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
     y = np.einsum("kij,kj->ki", V, coordinates)
     miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)

@@ -101,7 +101,7 @@ STYLE = (
 
 
 def html(experiment: Experiment, images: dict[str, bytes]) -> str:
-    """The report as one HTML file that needs no other; `images` as made by `write`, PNG ones are used."""
+    """The report as one self-contained HTML file, with the PNG files among `images`, which are made by `write`."""
     parts: list[str] = []
     escape = _html.escape
     for kind, content in _blocks(experiment):
@@ -139,7 +139,7 @@ def _html_row(sheet: sheets.Sheet, cells: tuple[str, ...], kind: str) -> str:
     return "<tr>" + "".join(f"<{kind}{style}>{_html.escape(cell)}</{kind}>" for style, cell in texts) + "</tr>"
 
 
-# -- what it says ----------------------------------------------------------------------------------
+# -- content ---------------------------------------------------------------------------------------
 
 
 def _blocks(experiment: Experiment) -> list[tuple[str, Any]]:

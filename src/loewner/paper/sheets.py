@@ -1,7 +1,7 @@
-"""The tables as text, the same for the terminal and the report: ours beside the paper's, at most 80 columns wide.
+"""The tables as text for the terminal and the report: our numbers beside the paper's, at most 80 columns wide.
 
-Cells marked as the paper's name the table and the cells of their source; all other numbers are counted or measured in
-this run.
+Cells with numbers of the paper name the table and the cells of their source; all other numbers are counted or measured
+in this run.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SAID = ("collision", "free")  # rows of a confusion matrix
 ESTIMATE = (
     "Collision where the contact functions F of the inner ellipsoids and of the outer ones have a product of at most 1."
 )
-NUMBER = re.compile(r"-|[\d.,]+(e[+-]\d+)?( [\[(].*[\])])?")  # with what follows it in brackets
+NUMBER = re.compile(r"-|[\d.,]+(e[+-]\d+)?( [\[(].*[\])])?")  # with the following cell in brackets
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Sheet:
     head : tuple of str
     rows : tuple of tuple of str
     note : str
-        How to read it, and the source of the paper's numbers in it.
+        Explanation of the table, and the source of the paper's numbers in it.
     """
 
     title: str
@@ -60,12 +60,12 @@ class Sheet:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Which columns hold numbers, and are aligned to the right."""
+        """Which columns contain numbers, which are right-aligned."""
         return tuple(all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*self.rows, strict=True))
 
     @property
     def aligned(self) -> tuple[tuple[str, ...], ...]:
-        """Head and rows, the cells of a column padded to one width."""
+        """Head and rows, with the cells of each column padded to the same width."""
         padded = []
         for column, right in zip(zip(self.head, *self.rows, strict=True), self.numeric, strict=True):
             width = max(map(len, column))
@@ -111,7 +111,8 @@ def right(experiment: Experiment) -> Sheet:
             table = f"{result.id} {letter}" if result.id else letter
             rows.append(_right(table, result, part, printed[part]))
             if result.id == 2:
-                # The paper printed detector 4's numbers here too (docs/design/paper.md), so compare those as well.
+                # The paper also printed detector 4's numbers here (docs/design/paper.md), so compare with these as
+                # well.
                 rows.append(_right(table, fourth, part, printed[part]))
     return Sheet(
         "Right answers in percent, and are the counts consistent with the paper's?",
@@ -124,7 +125,7 @@ def right(experiment: Experiment) -> Sheet:
 
 
 def outside(experiment: Experiment) -> Sheet:
-    """Errors where a detector's own overlap checks decided, which should make none."""
+    """Errors among the pairs that a detector's overlap checks decided; there should be none."""
     rows = []
     for result in (*experiment.detectors, experiment.estimate):
         own = errors_outside(result.all, result.ambiguous)
@@ -193,12 +194,12 @@ def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
 
 
 def _name(result: Result) -> str:
-    """What a detector, or the estimate, is called in a row."""
+    """Name of a detector, or of the estimate, in a row."""
     return f"{result.id}: {result.name}" if result.id else result.name
 
 
 def _head(table: Table) -> tuple[str, str]:
-    """What a table is about, as a title and as the head of a column."""
+    """Subject of a table, as a title and as the head of a column."""
     if table.cells[0].paper_count is None:
         return f"{table.detector} (not in the paper)", "estimate"
     return f"detector {table.detector}", f"detector {table.detector.partition(':')[0]}"
@@ -259,7 +260,7 @@ def _gap(gap: float) -> str:
 
 
 def colliding(experiment: Experiment) -> str:
-    """How many pairs collide, beside the paper's."""
+    """Number of colliding pairs, beside the paper's."""
     own, total = int(experiment.truth.sum()), len(experiment)
     return (
         f"{own:,} of {total:,} pairs collide, {percent(own / total)} % (the paper: {PAPER_COLLIDING} of "

@@ -1,4 +1,4 @@
-"""Tables 1 to 4, (a) and (b), next to the paper's own numbers; whether they are consistent is computed."""
+"""Tables 1 to 4, (a) and (b), next to the paper's own numbers, with a test of their consistency."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ PAPER = {
 PAPER_PAIRS = PAPER[1][0].total
 PAPER_COLLIDING = PAPER[1][0].tp + PAPER[1][0].fn  # the same in all four tables
 
-# What Table 3 implies about the data: inner ellipsoids overlap, ambiguous and colliding, ambiguous and
-# free, outer ellipsoids apart. Beside each class the cells that it comes from.
+# Classes of the data that Table 3 implies: inner ellipsoids overlap, ambiguous and colliding, ambiguous and free, outer
+# ellipsoids apart. Each class is followed by the cells from which it is computed.
 CLASSES = ("inner overlap", "ambiguous, colliding", "ambiguous, free", "outer apart")
 CLASS_SOURCES = ("(a) (1,1) - (b) (1,1)", "(b) (1,1) + (2,1)", "(b) (1,2) + (2,2)", "(a) (2,2) - (b) (2,2)")
 PAPER_CLASSES = (
@@ -38,7 +38,7 @@ PAPER_CLASSES = (
 )
 
 CELLS = ("true collision", "false collision", "missed collision", "true free")
-SIGNIFICANCE = 0.01  # below this p the numbers are called different
+SIGNIFICANCE = 0.01  # below this p the numbers count as different
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ class Table:
     accuracy : float
         Share of right answers.
     p_value : float
-        The p-value that these counts and the paper's come from one distribution (chi-square, homogeneity).
+        The p-value for the hypothesis that these counts and the paper's come from one distribution (chi-square,
+        homogeneity).
     statement : str
         The p-value in words.
     microseconds : float
@@ -97,7 +98,7 @@ class Table:
 
 
 def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
-    """p-value of Pearson's chi-square that two rows of counts share one distribution; NaN if one is empty."""
+    """Pearson's chi-square p-value for two rows of counts to share one distribution; NaN if a row is empty."""
     table = np.array([counts, others], dtype=float)
     table = table[:, table.sum(axis=0) > 0]
     rows, columns = table.sum(axis=1), table.sum(axis=0)
@@ -121,7 +122,7 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
         whole = _table(f"{title} (a)", name, result.all, every, result.microseconds, milliseconds)
         part = _table(f"{title} (b)", name, result.ambiguous, hard, result.ambiguous_microseconds, hard_milliseconds)
         if result.id == 2:
-            # The paper printed detector 4's numbers here too (docs/design/paper.md), so compare those as well.
+            # The paper also printed detector 4's numbers here (docs/design/paper.md), so compare with these as well.
             whole, part = _with_fourth(whole, fourth.all, every), _with_fourth(part, fourth.ambiguous, hard)
         found += [whole, part]
     own: Result = experiment.estimate
@@ -131,12 +132,12 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
 
 
 def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
-    """Count the four exact classes of the pairs, and compute the p-value against the counts implied by Table 3.
+    """Count the four exact classes of the pairs, and compute their p-value against the counts implied by Table 3.
 
     Returns
     -------
     counts : tuple of int
-        In the order of `CLASSES`; the checks are the estimate's own, which are exact.
+        In the order of `CLASSES`, by the estimate's checks, which are exact.
     p_value : float
     """
     _expect_experiment(experiment)
@@ -227,13 +228,13 @@ def _table(
 
 
 def _with_fourth(table: Table, fourth: Confusion, printed: Confusion) -> Table:
-    """Add to table 2's statement how the printed numbers fit detector 4."""
+    """Extend table 2's statement by how well the printed numbers fit detector 4."""
     p = homogeneity(fourth.counts, printed.counts)
     return replace(table, statement=f"{table.statement}; printed is detector 4: {statement(p)}")
 
 
 def statement(p: float) -> str:
-    """Whether a p-value is consistent with one distribution for two rows of counts, in words."""
+    """State in words whether a p-value is consistent with one distribution for two rows of counts."""
     if math.isnan(p):
         return "-"
     verdict = "yes" if p >= SIGNIFICANCE else "no"

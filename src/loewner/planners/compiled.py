@@ -1,4 +1,4 @@
-"""RRT-Connect and shortening, compiled: memory for their kernels, and errors from their codes."""
+"""Calls of the compiled RRT-Connect and shortening: memory for their kernels, and errors from their codes."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from loewner.errors import PlanningError
 from loewner.planners.judge import Judge
 from loewner.planners.space import Space
 
-# The longest motion of a tree, as a share of the way from one end of the limits to the other: 1 rad for a usual arm.
+# The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
 SHARE = 1 / 12
 
-# Configurations that trees have room for at first.
+# Initial capacity of trees, in configurations.
 CAPACITY = 2048
 
-# Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: the first time and at
-# most; iterations are fewer where so many take longer than this [s].
+# Iterations and cuts between two checks of the clock and for an interrupt, initially and at most; there are fewer
+# iterations if they would take longer than this [s].
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
 
-# Cuts that are tried by default: more find little, and take longer than the search itself.
+# Default number of cuts to try: more find little, and take longer than the search itself.
 CUTS = 60
 
-# Configurations that a path may gain while it is shortened.
+# Number of configurations that a path may gain while it is shortened.
 MOST_ROOM = 4096
 
 
@@ -44,13 +44,13 @@ class Trees(NamedTuple):
 
     @classmethod
     def of(cls, joints: int, capacity: int) -> Trees:
-        """Room for this number of configurations in each tree."""
+        """Allocate trees with room for this number of configurations each."""
         fits_memory(2 * capacity * 8 * (joints + 3), f"trees of {capacity} configurations")
         nodes, parents = np.empty((2, joints, capacity)), np.empty((2, capacity), dtype=np.int64)
         return cls(nodes, parents, np.empty((2, capacity)))
 
     def rooted(self, start: Floats, goals: Floats) -> Trees:
-        """The trees with roots: a start, shape (joints,), and goals, shape (goals, joints)."""
+        """Add roots to the trees: a start, shape (joints,), and goals, shape (goals, joints)."""
         count = len(goals)
         self.nodes[0, :, 0], self.nodes[1, :, :count] = start, goals.T
         self.parents[0, 0], self.parents[1, :count] = -1, -1
@@ -89,12 +89,12 @@ def connect(
     timeout: float,
     seed: int,
 ) -> Floats:
-    """A path from a configuration to one of several, shape (k, dof), by RRT-Connect.
+    """Find a path from a configuration to one of several, shape (k, dof), by RRT-Connect.
 
     Raises
     ------
     PlanningError
-        If no path was found within the iterations, or in time.
+        If no path was found within the iterations or in time.
     """
     joints, many, root = len(space.columns), len(goals), start[space.columns]
     numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((4, joints))
@@ -151,7 +151,7 @@ def _irrationals(joints: int) -> tuple[Floats, Floats]:
 
 
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
-    """The way through both trees."""
+    """The path through both trees."""
     first, rest = trees.branch(0, int(state[OF_START]))[::-1], trees.branch(1, int(state[OF_GOAL]))
     turned = False
     if space.turning.any():
@@ -159,8 +159,8 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
         turned = bool(turns.any())
         rest = np.where(turns == 0, rest, rest - 2 * np.pi * turns)
     path = space.configurations(np.concatenate([first, rest]))
-    # Whole turns are rounded, and steps are laid from the start: what was judged was not quite this. And where starts
-    # matter, they were those of a scene that may have changed.
+    # Whole turns are rounded, and steps are counted from the start, so the path differs slightly from the judged
+    # motions. Also, where starts matter, they were checked in a scene that may have changed.
     if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
         raise PlanningError(
             "expected a path that is free when it is checked as a whole, found one that is not; "
@@ -170,7 +170,7 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
 
 
 def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) -> str:
-    """What is said of a search that found nothing."""
+    """Message about a search that found nothing."""
     seen = judge.how_surfaces_are_seen()
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (

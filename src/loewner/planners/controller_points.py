@@ -1,4 +1,4 @@
-"""Points of a trajectory as controllers receive them, and the curve that they execute between the points."""
+"""Points of a trajectory for controllers, and the curve that controllers execute between the points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loewner.errors import FileError, InputError
 from loewner.robots.curves import CURVE_ROUNDINGS, Curve, form_of
 from loewner.scene_files.yaml_scenes import yaml_data
 
-# What points are read from; the largest file [bytes]; how deep in other messages a trajectory may be.
+# Endings of files with points; the largest file [bytes]; how deeply a trajectory may be nested in other messages.
 ENDINGS = (".csv", ".json", ".yaml", ".yml")
 MOST_BYTES = 2**28
 DEEPEST = 6
@@ -28,21 +28,22 @@ VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
 
 class ControllerPoints:
-    """Points with times that a joint trajectory controller interpolates, as ros2_control's does.
+    """Points with times that a joint trajectory controller interpolates, such as ros2_control's.
 
-    Straight lines where there are positions only, cubic polynomials where there are velocities as well, and quintic
-    ones where there are accelerations too.
+    It interpolates positions alone by straight lines, positions and velocities by cubic polynomials, and positions,
+    velocities and accelerations by quintic polynomials.
 
     Parameters
     ----------
     times : array_like, shape (n,)
-        Seconds; they increase.
+        Increasing times, in seconds.
     positions : array_like, shape (n, dof)
         Radians or metres.
     velocities, accelerations : array_like, shape (n, dof), optional
-        At the same times; accelerations only with velocities.
+        Rates at the same times, in radians or metres per second and per second squared; accelerations require
+        velocities.
     names : sequence of str, optional
-        The columns. Without names they are taken in the order of `Robot.configuration_names`.
+        Names of the columns; by default the order of `Robot.configuration_names`.
 
     Raises
     ------
@@ -97,8 +98,8 @@ class ControllerPoints:
         ----------
         path : path
             A ``.json`` or ``.yaml`` file with a ``trajectory_msgs/JointTrajectory`` of ROS, by itself or within another
-            message; or a ``.csv`` file whose columns are ``time``, the joints' names and, if known, ``NAME velocity``
-            and ``NAME acceleration`` of each joint. Files of `Trajectory.save` are read as well.
+            message; or a ``.csv`` file whose columns are ``time``, the joints' names and optionally ``NAME velocity``
+            and ``NAME acceleration`` for each joint. Files written by `Trajectory.save` can be read as well.
 
         Returns
         -------
@@ -109,7 +110,7 @@ class ControllerPoints:
         FileError
             If the file does not exist, or contains no such points.
         InputError
-            If the name has another ending.
+            If the file name has another ending.
         MissingExtraError
             If PyYAML is needed and not installed.
 
@@ -128,7 +129,7 @@ class ControllerPoints:
         try:
             if suffix == ".csv":
                 return cls._of_table(data.decode("utf-8-sig"))
-            # A recorded message ends in a line that separates it from the next one.
+            # A recorded message ends with a separator line.
             held = json.loads(data) if suffix == ".json" else yaml_data(data.rstrip().removesuffix(b"---"), source)
             return cls._of_message(held)
         except FileError:
@@ -157,7 +158,7 @@ class ControllerPoints:
 
     @classmethod
     def _of_message(cls, held: Any) -> ControllerPoints:
-        """Points from a message, or from what `Trajectory.save` writes."""
+        """Points from a message or from a file of `Trajectory.save`."""
         if isinstance(held, Mapping) and "blended" in held:
             return cls(held["times"], held["positions"], held["velocities"], names=held["names"])
         message = _message(held, DEEPEST)
@@ -210,7 +211,7 @@ def _message(held: Any, depth: int) -> Any:
 
 
 def _seconds(given: Any) -> float:
-    """A duration as ROS writes it, or in seconds."""
+    """Seconds of a duration, which is given in ROS's form or as a number."""
     if not isinstance(given, Mapping):
         return float(given)
     whole = given["sec"] if "sec" in given else given["secs"]

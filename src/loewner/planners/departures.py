@@ -16,8 +16,8 @@ from loewner.robots.proofs import prove_by_rules
 from loewner.robots.verdicts import contacts
 from loewner.scenes import Contact
 
-# Metres beyond the margin to move apart by; the first that is proven is taken. Joints do not move along lines, and
-# short motions are straighter.
+# Distances beyond the margin by which to move apart [m]; the first that is proven is used. Joints do not move bodies
+# along lines, and short motions are straighter.
 RISES = (0.02, 0.01, 0.005, 0.002)
 
 
@@ -31,7 +31,7 @@ class Departures:
     start, goals : ndarray, shapes (dof,) and (goals, dof)
         As given by the user.
     free_start, free_goals : ndarray, of the same shapes
-        The same configurations where no contact has to end or begin.
+        Free configurations near them; the configurations themselves if no contact has to end or begin.
     """
 
     space: Space
@@ -47,7 +47,7 @@ class Departures:
         Raises
         ------
         PlanningError
-            If a contact at the start, or at the only goal, may end by the rules, but no motion was found that ends it.
+            If the rules allow a contact at the start or the only goal to end, but no motion that ends it was found.
         """
         free_start, free_goals = start, goals
         if ready.leaving.any():
@@ -105,7 +105,7 @@ def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[
 def _way(space: Space, ready: Problem, q: Floats, touching: tuple[Contact, ...]) -> Floats:
     """The change of configuration, for each metre, that moves what touches apart along the normals without turning it.
 
-    As nearly as the joints can, in the sense of least squares.
+    The joints achieve this as nearly as possible, in the sense of least squares.
     """
     robot = space.checker.robot
     poses = robot.forward_kinematics(q)

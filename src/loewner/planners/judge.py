@@ -1,6 +1,6 @@
-"""Whether motions are free, for planners: proven, or sampled in steps.
+"""Judge for planners whether motions are free, by proof or by samples.
 
-One `Judge` decides about a path from its first motion to its last shortening. The scene may change meanwhile, and
+One `Judge` decides about a path from its first motion to its last shortening: the scene may change meanwhile, and
 motions that are free at different times need not form a path that is free at any time.
 """
 
@@ -26,7 +26,7 @@ from loewner.robots.edges import MOST_STEPS
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove, prove_by_rules
 
-# Metres: what comes nearer than this to colliding may count as not free.
+# Motions that come nearer than this to colliding [m] may count as not free.
 TOLERANCE = 1e-5
 
 
@@ -103,14 +103,14 @@ class Judge:
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
-        """Which motions of a batch are free; what cannot be settled is not."""
+        """Which motions of a batch are free; unsettled ones are not."""
         if not self.resolution:
             return self.proven(straight(self.ready.robot, Q0, Q1))
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
         return np.asarray(found == Verdict.FREE)
 
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
-        """Which courses of a batch are proven free; with `off`, all configurations so far away from them too."""
+        """Which courses of a batch are proven free, with all configurations that deviate from them by up to `off`."""
         return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
 
 
@@ -123,7 +123,7 @@ def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float)
 
 
 def checked_path(robot: Robot, path: ArrayLike) -> Floats:
-    """A path as users give it, shape (k, dof), two rows at least."""
+    """Check a user's path, shape (k, dof), with at least two rows."""
     rows = robot.checked(path, "path")
     if rows.ndim != 2 or len(rows) < 2:
         raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
@@ -147,7 +147,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     """
     free = judge.free(path[:-1], path[1:])
     if not free.all() and len(judge.ready.ruled):
-        touching = np.flatnonzero(~free)  # in the order of the path, which is what the rules are about
+        touching = np.flatnonzero(~free)  # in the order of the path, on which the rules depend
         receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
         free[touching] = receding.verdicts == Verdict.FREE
         rows = np.setdiff1d(np.append(touching, touching + 1), [0, len(path) - 1])

@@ -1,4 +1,4 @@
-"""OMPL's planners, with every state and every motion judged by a `CollisionChecker`.
+"""Plan with OMPL, with every state and motion judged by a `CollisionChecker`.
 
 OMPL is imported only when a function here is called: ``pip install "loewner[planners]"``.
 """
@@ -34,17 +34,17 @@ def space_information(
     certified: bool = False,
     resolution: float = 0.05,
 ) -> Any:
-    """An OMPL ``SpaceInformation`` whose states and motions the checker judges, for your own planners.
+    """Make an OMPL ``SpaceInformation`` whose states and motions the checker judges, for your own planners.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Changes of its scene apply from the next checked state on.
+        Changes of its scene take effect at the next checked state.
     joints : str or iterable of str, optional
         A group, or names of joints: the dimensions of the state space, in the order of the robot's
         `configuration_names`. Default: all.
     fixed : array_like, shape (dof,), optional
-        Values that the other joints keep. Default: `Robot.configuration`'s, all 0.
+        Values that the other joints keep. Default: the values of `Robot.configuration`, all 0.
     certified : bool
         Prove the motions that OMPL checks, as `plan` does; otherwise sample them in steps.
     resolution : float
@@ -105,14 +105,14 @@ def search(
     simplify: bool,
     seed: int,
 ) -> Floats:
-    """OMPL's path from a configuration to one of the goals.
+    """Find a path from a configuration to one of the goals with OMPL.
 
     Parameters
     ----------
     resolution : float
-        For planners that divide motions themselves.
+        Largest step for planners that divide motions themselves.
     step : float
-        For motions that OMPL checks: 0 if they have to be proven.
+        Largest step for motions that OMPL checks; 0 if they must be proven.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def search(
         If no path was found in time, or the path does not pass a second check.
     """
     with _quietly():
-        _ompl("util").RNG.setSeed(int(seed) + 1)  # 0 is none to OMPL
+        _ompl("util").RNG.setSeed(int(seed) + 1)  # OMPL takes 0 as no seed
         path = _solve(space, make, q, goals, timeout, _information(space, resolution, step), simplify)
     values = path[:, space.columns]
     ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
@@ -134,7 +134,7 @@ def search(
 def _solve(
     space: Space, make: Callable[[Any], Any], q: Floats, goals: Floats, timeout: float, information: Any, simplify: bool
 ) -> Floats:
-    """The path as OMPL leaves it."""
+    """The path that OMPL returns."""
     base, geometric = _ompl("base"), _ompl("geometric")
     count = len(space.columns)
     problem, region = base.ProblemDefinition(information), base.GoalStates(information)
@@ -151,7 +151,7 @@ def _solve(
     planner.setProblemDefinition(problem)
     planner.setup()
     planner.solve(timeout)
-    # A path that only comes near the goal is a solution to OMPL, and none here.
+    # OMPL also counts a path that only comes near the goal as a solution; here it is none.
     if not problem.hasExactSolution():
         raise PlanningError(
             f"expected a path from start to goal, found none by {planner.getName()} within {timeout:g} s"
@@ -163,7 +163,7 @@ def _solve(
 
 
 def _information(space: Space, resolution: float, step: float) -> Any:
-    """The space as OMPL takes it."""
+    """The space in the form that OMPL takes."""
     base = _ompl("base")
     dimensions = base.RealVectorStateSpace(0)
     for column, lower, upper in zip(space.columns, space.lower, space.upper, strict=True):
@@ -176,7 +176,7 @@ def _information(space: Space, resolution: float, step: float) -> Any:
 
     information.setStateValidityChecker(valid)
     information.setMotionValidator(_motion_validator()(information, space, step))
-    # Planners that divide motions by themselves take a share of the space's extent.
+    # Planners that divide motions themselves take a share of the space's extent.
     information.setStateValidityCheckingResolution(
         float(np.clip(resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
     )
@@ -186,13 +186,13 @@ def _information(space: Space, resolution: float, step: float) -> Any:
 
 @cache
 def _motion_validator() -> Any:
-    """The class, made when OMPL is needed for the first time."""
+    """The class of the motion validator, made when OMPL is first needed."""
     parent: Any = _ompl("base").MotionValidator
 
     class Motions(parent):  # type: ignore[misc]
-        """Asks whether motions are free in the scene as it is then.
+        """Checks whether motions are free in the scene's current state.
 
-        It keeps no reference to the ``SpaceInformation``, which keeps one to it: the two would never be freed.
+        It keeps no reference to the ``SpaceInformation``, which refers to it: the two would never be freed.
         """
 
         def __init__(self, information: Any, space: Space, step: float) -> None:

@@ -1,4 +1,4 @@
-"""The public functions `plan` and `shorten`; they use the compiled planner by default, and OMPL's by name."""
+"""The public functions `plan` and `shorten`; they use the compiled planner by default, and OMPL's planners by name."""
 
 from __future__ import annotations
 
@@ -40,28 +40,28 @@ def plan(
         Bodies attached in its scene move along.
     start : array_like, shape (dof,)
     goal : array_like, shape (dof,) or (goals, dof)
-        One goal or several; reaching any of them is enough. Goals that cannot be reached for an obvious reason (outside
-        the limits, colliding) are ignored, as long as one remains.
+        One goal or several; reaching any of them is enough. Goals that are obviously unreachable (outside the limits,
+        or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
         A group, or names of joints: these move, and all others keep the values of `start`. Default: all.
     planner : str or callable, optional
         None: RRT-Connect, compiled. Otherwise a class of ``ompl.geometric``, such as "BITstar" or "PRM"; or a function
         that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
     certified : bool
-        Every motion is proven free by `CollisionChecker.certify_edges`. Otherwise motions are sampled in steps.
+        Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.
     resolution : float
         For motions that are not proven: the largest Euclidean distance between two checked configurations, in the units
-        of the joints. OMPL's planners that divide motions themselves use it in any case.
+        of the joints. OMPL's planners that divide motions themselves always use it.
     max_iterations : int
         For the compiled planner: the number of configurations drawn at random before it gives up.
     timeout : float
         Seconds for the search; simplifying takes additional time. OMPL's planners that seek a shortest path use all of
-        them.
+        this time.
     simplify : bool
         Shorten the path; OMPL's path simplifier also smooths its paths.
     seed : int
-        Equal seeds give equal paths, as long as the timeout does not end the search. OMPL keeps one seed for the
-        process: this sets it.
+        Equal seeds give equal paths, unless the timeout ends the search. OMPL has one seed for the whole process, which
+        this sets.
 
     Returns
     -------
@@ -73,10 +73,10 @@ def plan(
     Raises
     ------
     PlanningError
-        If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if no
-        short motion along its normal ends a contact at the start or begins one at the goal; if no path was found within
-        the iterations or in time (the message reports how far the search came); or if OMPL's path does not pass the
-        last check (the message names the motion).
+        If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if
+        no short motion along the contact normal ends a contact at the start or begins one at the goal; if no path was
+        found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
+        final check (the message names the motion).
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within.
@@ -91,8 +91,9 @@ def plan(
 
     Notes
     -----
-    A start in contact by `Scene.leave`, or a goal by `Scene.reach`, is left or reached along the contact normals: the
-    first motion, or the last one, moves the touching body straight away from the other body, or towards it.
+    A path leaves a start that is in contact by `Scene.leave`, and approaches a goal that is in contact by
+    `Scene.reach`, along the contact normals: its first or last motion moves the touching body straight away from the
+    other body, or towards it.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
     Yershova et al. (ICRA 2005). A motion of a tree is at most a twelfth of the diagonal of the limits long.
@@ -131,16 +132,16 @@ def shorten(
     max_iterations: int = compiled.CUTS,
     seed: int = 0,
 ) -> Floats:
-    """Shorten a path: remove and cut corners wherever the straight motion is free.
+    """Shorten a path by removing and cutting corners wherever the straight motion is free.
 
     Parameters
     ----------
     checker : CollisionChecker
     path : array_like, shape (k, dof)
-        Two configurations or more; between two of them joint values change linearly, and orientations follow the
+        Two or more configurations; between two of them joint values change linearly, and orientations follow the
         shorter arc.
     certified, resolution
-        As for `plan`; the resolution in the units of the joints.
+        As for `plan`; `resolution` is in the units of the joints.
     max_iterations : int
         Number of cuts to try, between points drawn at random.
     seed : int
@@ -149,7 +150,7 @@ def shorten(
     Returns
     -------
     ndarray, shape (m, dof)
-        With the same ends.
+        A path with the same ends.
 
     Raises
     ------

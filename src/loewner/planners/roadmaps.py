@@ -1,8 +1,8 @@
-"""Roadmaps: a network of motions proven free, made once, that answers many queries in one scene.
+"""Roadmaps: networks of motions proven free, made once, that answer many queries in one scene.
 
 A roadmap keeps every motion that it tried, not only the free ones: when the scene changes, all of them are proven again
-in one batch. That alone does not make a path valid: each path is proven once more as a whole, since whole turns are
-rounded, the scene may change meanwhile, and a file's claims are not a proof.
+in one batch. In addition, each path is proven once more as a whole, since whole turns are rounded, the scene may change
+meanwhile, and a file's claims are not a proof.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
 
-# Motions that are proven at a time, and nodes whose neighbours are sought: an interrupt is noticed between.
+# Motions that are proven, and nodes whose neighbours are sought, at a time; an interrupt is noticed in between.
 AT_A_TIME, NODES_AT_A_TIME = 16_384, 1024
 
-# Motions that a query tries at most, between start, goals and their nearest nodes.
+# Limit on the motions that a query tries between start, goals and their nearest nodes.
 MOST_TRIED = 4096
 
-# Configurations whose neighbours one thread seeks alone.
+# Number of configurations up to which one thread seeks all neighbours.
 ALONE = 64
 
-# Bytes that a motion of a roadmap takes at most while it is made: its ends, its length, its places in the graph.
+# Most bytes per motion while a roadmap is made: its ends, its length, its entries in the graph.
 BYTES = 96
 
 
 class _Links(NamedTuple):
-    """Free motions between a query's ends and the nodes; the start is one more node, numbered after the last.
+    """Free motions between a query's ends and the nodes; the start is numbered as an additional last node.
 
     Attributes
     ----------
     nodes, lengths : ndarray, shape (s,)
-        Of motions from the start.
+        Nodes and lengths of motions from the start.
     goals, from_nodes, to_lengths : ndarray, shape (g,)
-        Of motions to goals.
+        Goals, nodes and lengths of motions to goals.
     """
 
     nodes: Ints
@@ -60,7 +60,7 @@ class _Links(NamedTuple):
     to_lengths: Floats
 
     def joined(self, more: _Links) -> _Links:
-        """These and more."""
+        """These links and more."""
         a, b = self, more
         return _Links(
             np.concatenate([a.nodes, b.nodes]), np.concatenate([a.lengths, b.lengths]),
@@ -70,7 +70,7 @@ class _Links(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """A path: numbers of nodes, the start's first, a goal, and which of the links leads to it."""
+    """A path: numbers of its nodes from the start on, the goal, and the link that leads to the goal."""
 
     nodes: Ints
     goal: int
@@ -79,17 +79,17 @@ class _Way(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Graph:
-    """Which motions are free, at one state of the scene.
+    """The free motions at one state of the scene.
 
     Attributes
     ----------
     version : int
-        The scene's.
+        Version of the scene.
     proven : bool
-        By this process; otherwise a file says so.
+        Whether this process proved the motions; otherwise a file claims that they are free.
     free : ndarray of bool, shape (motions,)
     matrix : csr_array, shape (nodes, nodes)
-        Lengths of the free ones, both ways.
+        Lengths of the free motions, in both directions.
     labels : ndarray of int, shape (nodes,)
         Number of the connected component of each node.
     """
@@ -102,7 +102,7 @@ class _Graph:
 
     @classmethod
     def of(cls, version: int, count: int, edges: Ints, lengths: Floats, free: Bools, *, proven: bool) -> _Graph:
-        """The graph of some nodes and those motions that are free."""
+        """The graph of some nodes and the free motions between them."""
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import connected_components
 
@@ -127,7 +127,7 @@ class _Graph:
                 ),
                 shape=(count + 1, count + 1),
             )
-            # A straight motion to a goal leaves only what is shorter to be sought.
+            # If there is a straight motion to a goal, only shorter paths are sought.
             straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
             far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
         totals = far[links.from_nodes] + links.to_lengths
@@ -142,15 +142,15 @@ class _Graph:
 
 @dataclass(frozen=True, eq=False)
 class _Neighbours:
-    """Which nodes are nearest.
+    """Search for the nearest nodes.
 
     Attributes
     ----------
     space : Space
     count : int
-        Of nodes.
+        Number of nodes.
     tree : KDTree
-        Of the values of the joints that move; those that turn without limits wrap.
+        Tree over the values of the moving joints; values of joints that turn without limits wrap.
     """
 
     space: Space
@@ -159,19 +159,19 @@ class _Neighbours:
 
     @classmethod
     def of(cls, space: Space, nodes: Floats) -> _Neighbours:
-        """Made ready to be asked about some nodes."""
+        """Prepare the search among some nodes."""
         from scipy.spatial import KDTree
 
         box = np.where(space.turning, 2 * np.pi, 0.0) if space.turning.any() else None
         return cls(space, len(nodes), KDTree(cls._wrapped(space, nodes), boxsize=box))
 
     def of_all(self, Q: Floats, many: int) -> Ints:
-        """So many of the nodes nearest to each configuration, the nearest first, shape (N, many)."""
+        """The given number of nodes nearest to each configuration, nearest first, shape (N, many)."""
         values = self._wrapped(self.space, Q)
         return self._nearest(values, many)
 
     def pairs(self, neighbours: int) -> Ints:
-        """Pairs of nodes one of which is among the nearest of the other, each once, ascending, shape (m, 2)."""
+        """Pairs of nodes with one among the nearest of the other, each once and ascending, shape (m, 2)."""
         each = min(neighbours, self.count - 1)
         if each == 0:
             return np.empty((0, 2), dtype=np.int64)
@@ -180,7 +180,7 @@ class _Neighbours:
         keys = []
         for first in range(0, self.count, NODES_AT_A_TIME):
             numbers = np.arange(first, min(first + NODES_AT_A_TIME, self.count))
-            near = self._nearest(self.tree.data[numbers], each + 1)  # itself among them
+            near = self._nearest(self.tree.data[numbers], each + 1)  # including the node itself
             pairs = np.sort([np.repeat(numbers, each + 1), near.ravel()], axis=0)
             keys.append((pairs[0] * self.count + pairs[1])[pairs[0] != pairs[1]])
         return np.stack(np.divmod(np.unique(np.concatenate(keys)), self.count), axis=1)
@@ -192,30 +192,30 @@ class _Neighbours:
         def share(first: int, last: int) -> None:
             found[first:last] = self.tree.query(values[first:last], ranks)[1]
 
-        # The tree's own threads would go on after an interrupt, and write to memory that is no longer theirs.
+        # The tree's own threads would continue after an interrupt, and write to memory that has been freed.
         in_shares(share, len(values), ALONE)
         return found
 
     @staticmethod
     def _wrapped(space: Space, Q: Floats) -> Floats:
-        """Values of the joints that move; of those that turn without limits from 0 to a whole turn."""
+        """Values of the joints that move, reduced to 0 .. a whole turn for joints that turn without limits."""
         values: Floats = Q[:, space.columns]
         if space.turning.any():
             turned = np.mod(values[:, space.turning], 2 * np.pi)
-            values[:, space.turning] = np.where(turned < 2 * np.pi, turned, 0.0)  # rounded up, of one just below 0
+            values[:, space.turning] = np.where(turned < 2 * np.pi, turned, 0.0)  # a value just below 0 is rounded up
         return values
 
 
 @guarded
 class Roadmap:
-    """Configurations and motions between them that are proven free, for many queries; `roadmap` makes one.
+    """Configurations, and motions between them that are proven free, for many queries; made by `roadmap`.
 
     Notes
     -----
-    It belongs to a checker. After a change of the scene, the next query first proves all motions again in one batch,
-    including the motions that were not free before. `len` returns the number of nodes.
+    A roadmap belongs to a checker. After a change of the scene, the next query first proves all motions again in one
+    batch, including the motions that were not free before. `len` returns the number of nodes.
 
-    Any thread may use it. An interrupted call leaves the roadmap as it was.
+    Any thread may use a roadmap. An interrupted call leaves it unchanged.
 
     Examples
     --------
@@ -255,7 +255,7 @@ class Roadmap:
 
     @property
     def checker(self) -> CollisionChecker:
-        """The checker of the roadmap; for another checker make or load another roadmap."""
+        """The checker of the roadmap; for another checker, make or load another roadmap."""
         return self._space.checker
 
     @property
@@ -286,8 +286,8 @@ class Roadmap:
         ----------
         start : array_like, shape (dof,)
         goal : array_like, shape (dof,) or (goals, dof)
-            One goal or several; with several, the path leads to the goal that is nearest over the roadmap. Goals that
-            are outside the limits or collide are ignored, as long as one remains.
+            One goal or several; with several goals, the path leads to the one nearest along the roadmap. Goals that are
+            outside the limits or collide are ignored, as long as one remains.
         simplify : bool
             Shorten the path, as `shorten` does.
 
@@ -301,12 +301,12 @@ class Roadmap:
         Raises
         ------
         PlanningError
-            If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if
-            no motion between the start, or a goal, and the nodes near it is free; or if no component of the roadmap
+            If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths);
+            if no motion between the start or a goal and nearby nodes is free; or if no component of the roadmap
             connects the start to a goal.
         InputError
-            If an argument has the wrong shape or value, or start or goal differ from the nodes in a joint that is not
-            the roadmap's.
+            If an argument has the wrong shape or value, or start or goal differs from the nodes in a joint that does
+            not move.
         UnknownNameError
             If the scene now names a link that the robot does not have.
 
@@ -322,11 +322,11 @@ class Roadmap:
         q, goals = checked_ends(self.checker, start, goal)
         # Where a joint has no limits, they follow from start and goals.
         space = Space.of(self.checker, self.joint_names, q, goals)
-        if not space.outside(q):  # limits are told of before all else
+        if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
         goals = space.checked_goals(q, goals)
         while (found := self._found(q, goals)) is None:
-            pass  # what was known of the motions is no longer so
+            pass  # the verdicts of the motions are outdated
         judge, rows = found
         return compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed) if simplify else rows
 
@@ -336,12 +336,12 @@ class Roadmap:
         Parameters
         ----------
         path : path
-            Its name must end in ``.npz``. An existing file is replaced as a whole, or not at all.
+            Its name must end in ``.npz``. An existing file is replaced atomically.
 
         Raises
         ------
         InputError
-            If the path is not a path, or its name ends otherwise.
+            If the path is not a path, or its name has another ending.
         FileError
             If the file cannot be written.
 
@@ -360,7 +360,8 @@ class Roadmap:
             "free": graph.free.astype(np.int64),
             "settings": np.array([self._neighbours, self._seed]),
             "joints": np.array(self.joint_names),
-            # Changed by another thread meanwhile: then it belongs to no scene, and whoever loads it proves all anew.
+            # Another thread has changed the scene meanwhile: the file then belongs to no scene, and loading it proves
+            # everything anew.
             "fingerprint": np.array(ready.fingerprint() if ready.version == graph.version else ""),
         }
         _archives.write(path, ROADMAPS, arrays)
@@ -373,7 +374,7 @@ class Roadmap:
         ----------
         path : path
         checker : CollisionChecker
-            For a robot with the same joints.
+            A checker for a robot with the same joints.
 
         Returns
         -------
@@ -402,7 +403,7 @@ class Roadmap:
         >>> Roadmap.load("arm.npz", CollisionChecker(robot.placed(T)))
         Roadmap(joints rail, elbow: 100 nodes, 1093 motions, to be proven for the scene as it is now)
         """
-        ready = prepared_of(checked_checker(checker))  # what is wrong with the scene is not told of the file
+        ready = prepared_of(checked_checker(checker))  # faults of the scene are not reported as faults of the file
 
         def made(told: dict[str, Any]) -> Roadmap:
             space, found = _checked(told, checker)
@@ -416,7 +417,7 @@ class Roadmap:
     # -- which motions are free -----------------------------------------------------------------
 
     def _now(self) -> _Graph:
-        """The graph for the scene as it is now."""
+        """The graph for the scene's current state."""
         graph = self._graph
         if graph is not None and graph.version == prepared_of(self.checker).version:
             return graph
@@ -425,7 +426,7 @@ class Roadmap:
     @guarded
     def _proven(self) -> _Graph:
         """All motions proven anew."""
-        # What changes from here on is noticed the next time.
+        # Later changes are noticed by the next query.
         judge = Judge.of(self.checker, 0.0)
         sound = self._space.free_among(self._nodes)
         free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
@@ -443,14 +444,14 @@ class Roadmap:
     # -- queries --------------------------------------------------------------------------------
 
     def _found(self, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
-        """The shortest path over motions that are free, and what proved it as a whole; None if that proved more."""
+        """The judge and the shortest path over free motions, proven as a whole; None if the graph has changed."""
         known = graph = self._now()
         links = self._links(graph, Judge.of(self.checker, 0.0), q, goals)
         while (way := graph.shortest(links)) is not None:
             rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
             for k in range(1, len(rows)):
                 rows[k] = self._space.unwound(rows[k - 1], rows[k])
-            judge = Judge.of(self.checker, 0.0)  # for the scene as it has come to be
+            judge = Judge.of(self.checker, 0.0)  # for the scene's current state
             unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
             if len(unfree) == 0:
                 return judge, rows
@@ -465,20 +466,20 @@ class Roadmap:
         )
 
     def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """Free motions to the nearest nodes: to so many that start and a goal come to be connected.
+        """Free motions to the nearest nodes, as many as are needed to connect the start to a goal.
 
         Raises
         ------
         PlanningError
-            If they do not.
+            If they do not become connected.
         """
         ends = np.concatenate([q[None], goals])
         most = min(len(self), max(self._neighbours, MOST_TRIED // len(ends)))
         links = self._straight(judge, q, goals)
         if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
-            return links  # nothing is shorter than straight to the nearest goal
+            return links  # nothing is shorter than a straight motion to the nearest goal
         tried, last = 0, min(self._neighbours, most)
-        labels = np.append(graph.labels, -1)  # the start's own is that of straight motions to goals
+        labels = np.append(graph.labels, -1)  # the start's label is for straight motions to goals
         while True:
             links = links.joined(self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:]))
             if np.isin(labels[links.from_nodes], np.append(labels[links.nodes], -1)).any():
@@ -488,13 +489,13 @@ class Roadmap:
             tried, last = last, min(2 * last, most)
 
     def _straight(self, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """The free ones of motions from the start straight to goals."""
+        """The free straight motions from the start to goals."""
         free, lengths = self._judged(judge, np.broadcast_to(q, goals.shape), goals)
         at = np.flatnonzero(free)
         return _Links(at[:0], lengths[:0], at, np.full(len(at), len(self)), lengths[at])
 
     def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints) -> _Links:
-        """The free ones of motions from the start to nodes (row 0) and from nodes to goals (a row each)."""
+        """The free motions from the start to nodes (row 0) and from nodes to goals (a row for each goal)."""
         from_start, to_goals = near[0], near[1:].ravel()
         numbers, s = np.repeat(np.arange(len(goals)), near.shape[1]), len(from_start)
         a = np.concatenate([np.broadcast_to(q, (s, len(q))), self._nodes[to_goals]])
@@ -507,7 +508,7 @@ class Roadmap:
         return judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b)
 
     def _without(self, graph: _Graph, links: _Links, way: _Way, unfree: Ints) -> tuple[_Graph, _Links]:
-        """What is left for this query without motions of a path, by their numbers on it."""
+        """Graph and links for this query without some motions of a path, given by their numbers on it."""
         last = len(way.nodes) - 1
         from_start, to_goal = np.ones(len(links.nodes), dtype=bool), np.ones(len(links.goals), dtype=bool)
         free = graph.free.copy()
@@ -527,7 +528,7 @@ class Roadmap:
         return self._graph_of(graph.version, free, proven=True), left
 
     def _lengths_of(self, a: Floats, b: Floats) -> Floats:
-        """How long motions are over the joints that move."""
+        """Lengths of motions, over the joints that move."""
         lengths: Floats = np.linalg.norm((self._space.unwound(a, b) - a)[..., self._space.columns], axis=-1)
         return lengths
 
@@ -542,13 +543,13 @@ def roadmap(
     neighbours: int | None = None,
     seed: int = 0,
 ) -> Roadmap:
-    """Make a roadmap: configurations, and the motions between neighbours that are proven free, for many queries.
+    """Make a roadmap of configurations and of motions between neighbours that are proven free, for many queries.
 
     Parameters
     ----------
     checker : CollisionChecker
         Bodies attached in its scene move along. If bodies come and go, make the roadmap in a scene with few bodies:
-        configurations that collide now are excluded for good.
+        configurations that collide now are permanently excluded.
     samples : int or array_like, shape (n, dof)
         The number of configurations to draw, uniformly within the limits; or the configurations themselves. The free
         ones become the nodes.
@@ -556,11 +557,11 @@ def roadmap(
         A group, or names of joints: these move, and all others are kept. Default: all.
     fixed : array_like, shape (dof,), optional
         Values that the other joints keep. Default: the values in the first given configuration, or in
-        `Robot.configuration`, which are all 0. A joint that turns without limits is drawn from half a turn on either
-        side of its value here.
+        `Robot.configuration`, which are all 0. A joint that turns without limits is drawn within half a turn of its
+        value here.
     neighbours : int, optional
-        Number of nearest neighbours to which each node is connected if possible. Default: for n nodes and d joints e
-        (1 + 1/d) ln n, as in PRM*: with a growing number of samples, the paths converge to the shortest ones.
+        Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
+        and d joints, as in PRM*, so that the paths converge to the shortest ones as the number of samples grows.
     seed : int
         Equal seeds give equal roadmaps, and equal paths.
 
@@ -644,13 +645,13 @@ def _count(samples: Any) -> int | None:
     """How many samples to draw; None if they seem to be given."""
     try:
         whole = not isinstance(samples, bool) and operator.index(samples) is not None
-    except Exception:  # no integer, or what an object of the caller's raises
+    except Exception:  # not an integer, or an error from the caller's object
         whole = False
     return _validate.whole_number(samples, "samples", 1) if whole else None
 
 
 def _check_given(space: Space, Q: Floats, name: str) -> None:
-    """Refuse configurations outside the limits, or that differ where nothing moves."""
+    """Refuse configurations that are outside the limits, or differ in joints that do not move."""
     outside = _outside(space, Q)
     if outside.any():
         k = int(outside.argmax())
@@ -670,13 +671,13 @@ def _outside(space: Space, Q: Floats) -> Bools:
     values = Q[:, space.columns]
     beyond = (values < space.lower) | (values > space.upper)
     found = np.zeros(len(Q), dtype=bool)
-    for k in np.flatnonzero(beyond.any(axis=1)):  # by a rounding is not outside
+    for k in np.flatnonzero(beyond.any(axis=1)):  # a rounding error does not count as outside
         found[k] = bool(space.outside(Q[k]))
     return found
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:
-    """Why start and goals are not connected."""
+    """The reason why start and goals are not connected."""
     total = len(graph.labels)
     for name, found in (("start", links.nodes), ("goal", links.from_nodes)):
         if len(found) == 0:
@@ -701,7 +702,7 @@ def _why(graph: _Graph, links: _Links, tried: int) -> str:
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not belong together; shapes are known before any number is."""
+    """Refuse arrays whose shapes do not match; shapes are known before the numbers are read."""
     nodes, edges, free, settings = (shapes[name] for name in ROADMAPS.arrays)
     if len(nodes) != 2 or 0 in nodes:
         raise InputError(f"nodes: expected shape (n, dof), found {nodes}")
@@ -726,12 +727,12 @@ ROADMAPS = Format(
 
 
 def _checked(told: dict[str, Any], checker: CollisionChecker) -> tuple[Space, str]:
-    """Look at all that a file says; its space, and the fingerprint.
+    """Check the contents of a file; return its space, and the fingerprint.
 
     Raises
     ------
     InputError
-        If it is no roadmap, or none for this robot.
+        If it is not a roadmap, or not for this robot.
     """
     robot, joints = checker.robot, told["joints"].ravel().tolist()
     known = [name for name in joints if name in robot.configuration_names and name in robot.joint_names]

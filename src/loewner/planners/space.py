@@ -1,4 +1,4 @@
-"""The space that planners search: moving joints and their limits; whether start and goals can be on a path."""
+"""The space that planners search: moving joints and their limits, with checks of start and goals."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from loewner.robots.checker import prepared_of
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
-# What is off by less than this, in the units of the joints, is probably off by rounding.
+# A smaller deviation, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
 
-# Configurations and pairs that a message names at most.
+# Limit on the configurations and pairs that a message names.
 NAMED = 5
 
 
@@ -37,7 +37,7 @@ class Space:
     columns : ndarray of int64, shape (joints,)
         Columns of the moving joints in configurations.
     still : ndarray, shape (dof,)
-        A configuration whose other entries are kept.
+        A configuration whose entries for other joints are kept.
     lower, upper : ndarray, shape (joints,)
         Range to search: the limits, or half a turn beyond start and goals.
     turning : ndarray of bool, shape (joints,)
@@ -53,7 +53,7 @@ class Space:
 
     @classmethod
     def of(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
-        """The space of some joints; for a joint without limits it reaches half a turn beyond start and goals."""
+        """The space of some joints; for a joint without limits its range extends half a turn beyond start and goals."""
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper
@@ -85,7 +85,7 @@ class Space:
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
     def checked_goals(self, q: Floats, goals: Floats) -> Floats:
-        """The goals that can be reached, as far as a quick check shows, from a start that can be left.
+        """The goals that a quick check does not exclude, after checking the start.
 
         Limits are checked first: for values in degrees, any other message would be misleading.
 
@@ -98,7 +98,7 @@ class Space:
         """
         Q = np.concatenate([q[None], goals])
         within = self._inside(Q)
-        if within.all():  # as a rule, and soon done
+        if within.all():  # the usual case, which is fast
             faults, inside = [""] * len(goals), within[1:]
         else:
             _refuse_start(self.outside(q))
@@ -112,7 +112,7 @@ class Space:
         good: Floats = goals[inside][free[1:]]
         if len(good):
             return good
-        # Only those are looked at closely that the message names: there may be thousands.
+        # Only the goals that the message names are examined closely: there may be thousands.
         named = [fault or self._fault(goal) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
         raise _no_goal(named + faults[NAMED:])
 
@@ -160,7 +160,7 @@ class Space:
             )
 
     def _fault(self, q: Floats) -> str:
-        """Why a configuration within the limits that is not free cannot be on a path."""
+        """The reason why a configuration within the limits that is not free cannot be on a path."""
         contacts, doubt = verdicts.contacts(prepared_of(self.checker), q)
         if doubt:
             return f"one that cannot be proven free: {doubt}"
@@ -179,7 +179,7 @@ class Space:
 
 
 def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
-    """Start, shape (dof,), and goals, shape (goals, dof), as given by users."""
+    """Check a user's start and goals; their shapes are then (dof,) and (goals, dof)."""
     robot = checked_checker(checker).robot
     q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
@@ -211,12 +211,12 @@ def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
 
 
 def _by_a_hair(excess: float) -> str:
-    """What is added to a message whose numbers may look alike."""
+    """An addition to a message whose numbers may look equal."""
     return f" (by {excess:.1g}: clip or copy it)" if excess < A_HAIR else ""
 
 
 def _no_goal(faults: list[str]) -> PlanningError:
-    """What is said where every goal has a fault."""
+    """The error if every goal has a fault."""
     if len(faults) == 1:
         return PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
     listed = "; ".join(f"goal[{k}]: {fault}" for k, fault in enumerate(faults[:NAMED]))

@@ -1,4 +1,4 @@
-"""Times for the configurations of a path: within limits of velocity and acceleration, and on motions proven free.
+"""Assign times to the configurations of a path, within velocity and acceleration limits and on motions proven free.
 
 A trajectory consists of pieces of constant acceleration: along a motion the robot accelerates, keeps its speed and
 decelerates, and across a corner it follows a parabola. All of this is in closed form, so the limits hold at every time
@@ -30,39 +30,41 @@ from loewner.planners.space import checked_checker
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
 
-# Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
+# Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
 UP_IN = 1.0
 
-# A blend that is not proven is halved so often; then the robot stops at the corner.
+# A blend that is not proven is halved this many times; then the robot stops at the corner.
 HALVINGS = 5
 
-# Seconds that half a blend takes at least, unless a motion is shorter: nearly straight corners would need none.
+# Shortest duration of half a blend [s], unless a motion is shorter: nearly straight corners would need none.
 LEAST_BLEND = 1e-3
 
-# What computed blends may be off by, in units of the largest value and of the way at full speed in all of the time.
+# Bound on the error of computed blends, in units of the largest value and of the distance at full speed in the whole
+# time.
 BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B35
 
-# A row counts as on the straight between its neighbours within this share of their values.
+# A row counts as lying on the straight line between its neighbours within this share of their values.
 ROUNDED = 1e-15
 
-# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it
-# is a stop: in so short a phase, rounding would show in the acceleration.
+# Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase, and a
+# blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
 SHORTEST = 1e-7
 
-# Corners whose blends are chosen together: the effort grows with the square of it, and those far off hardly matter.
+# Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
 CHOSEN_AT_A_TIME = 32
 
-# The largest share of a motion that a blend may take. Something has to be left, to change the speed on.
+# The largest share of a motion that a blend may take; the rest is needed to change the speed.
 LARGEST_SHARE = 0.49
 
-# Rows on one straight that are taken for one motion, at most.
+# Largest number of rows on a straight line that are merged into one motion.
 MOST_MERGED = 4096
 
-# Seconds that a motion takes at full speed, those to reach it, and one by either, at most: squares are within range.
+# Limit on the seconds of a motion at full speed, on the seconds to reach it, and on their reciprocals: squares stay in
+# range.
 LARGEST_RATIO = 1e100
 
-# How far pieces of a file may be from constant acceleration, for each joint: as a share of its range, and in units of
-# its largest value and of the way at its largest velocity in all of the time.
+# Allowed deviation of a file's pieces from constant acceleration, for each joint: as a share of its range, and in units
+# of its largest value and of the distance at its largest velocity in the whole time.
 FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
 LARGEST_FILE = 2**28  # bytes
 
@@ -74,7 +76,7 @@ WRITTEN = (*ENDINGS, ".yaml")
 class Trajectory:
     """Position of a robot at every time; made by `trajectory`, or read by `load`.
 
-    All accelerations are constant between two consecutive `times`.
+    Accelerations are constant between two consecutive `times`.
 
     Attributes
     ----------
@@ -85,7 +87,7 @@ class Trajectory:
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
     blended : ndarray of bool, shape (n - 1,)
-        The intervals in which the robot cuts a corner; everywhere else it is on the path.
+        Whether the robot cuts a corner in each interval; in all others it is on the path.
 
     Examples
     --------
@@ -151,7 +153,7 @@ class Trajectory:
         array([1., 0.])
         """
         k, x, T = self._pieces(t)
-        # Of the three points of a parabola: it never leaves their hull, and ends where they do.
+        # From the three control points of a parabola: it never leaves their hull, and ends where they do.
         middle = self.knots[k] + self.rates[k] * (T / 2)
         found: Floats = (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
         return found
@@ -182,7 +184,7 @@ class Trajectory:
         return found
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Accelerations at times; at a jump, the value after it.
+        """Accelerations at times; at the time of a jump, the value after it.
 
         Parameters
         ----------
@@ -208,7 +210,7 @@ class Trajectory:
         return found
 
     def sample(self, rate: float) -> tuple[Floats, Floats]:
-        """Times at a constant rate, and positions.
+        """Sample times at a constant rate, and the positions at these times.
 
         Parameters
         ----------
@@ -218,7 +220,7 @@ class Trajectory:
         Returns
         -------
         times : ndarray, shape (m,)
-            Multiples of 1 / rate, and the end.
+            Multiples of 1 / rate, and the end of the trajectory.
         positions : ndarray, shape (m, dof)
 
         Raises
@@ -245,10 +247,11 @@ class Trajectory:
         Parameters
         ----------
         path : path
-            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``: 1
-            where the robot cuts a corner until the next row. This and a ``.json`` file are read by `load`. A ``.yaml``
-            file holds a ``trajectory_msgs/JointTrajectory`` of ROS, whose times are rounded to nanoseconds. It has no
-            accelerations, since a controller that interpolates positions and velocities alone follows the trajectory.
+            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``,
+            which is 1 if the robot cuts a corner until the next row. `load` reads ``.csv`` and ``.json`` files. A
+            ``.yaml`` file contains a ``trajectory_msgs/JointTrajectory`` of ROS, with times rounded to nanoseconds. It
+            has no accelerations, since a controller that interpolates only positions and velocities follows the
+            trajectory.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. Between the rows that are
             always written, accelerations are constant.
@@ -292,7 +295,7 @@ class Trajectory:
         FileError
             If the file does not exist, or does not contain a trajectory.
         InputError
-            If the name ends neither in ``.csv`` nor in ``.json``.
+            If the name does not end in ``.csv`` or ``.json``.
 
         Examples
         --------
@@ -321,9 +324,9 @@ class Trajectory:
         Parameters
         ----------
         checker : CollisionChecker
-            Of a robot with joints of these names.
+            A checker for a robot with joints of these names.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may be off at any time.
+            Radians or metres by which each value may deviate at any time.
 
         Returns
         -------
@@ -341,7 +344,7 @@ class Trajectory:
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
-        """Numbers of the pieces, how much of them has passed, and their durations; with an axis for joints."""
+        """Numbers of the pieces, the time passed in them, and their durations, with an axis for joints."""
         at = _validate.finite_array(t, "t", ("...",))
         if at.size and not (at.min() >= 0 and at.max() <= self.duration):
             worst = float(at.min() if at.min() < 0 else at.max())
@@ -361,7 +364,7 @@ class Trajectory:
         return np.append(times[times < self.duration], self.duration)
 
     def _with_ticks(self, rate: float) -> Trajectory:
-        """The same with more knots."""
+        """The same trajectory with more knots."""
         ticks = self._ticks(rate)
         after = np.searchsorted(self.times, ticks)  # the last is the end itself
         # Between two rows that are almost at the same time, accelerations would be noise.
@@ -393,13 +396,13 @@ class Trajectory:
         return "\n".join(lines) + "\n"
 
     def _read_only(self) -> Trajectory:
-        """The same, with arrays that nobody can change."""
+        """The same trajectory with read-only arrays."""
         for array in (self.times, self.knots, self.rates, self.blended):
             array.setflags(write=False)
         return self
 
     def _fault(self) -> str:
-        """What is expected of a trajectory and not found; "" if all is well."""
+        """The first requirement of a trajectory that is violated; "" if there is none."""
         n, dof = self.times.size, len(self.names)
         shapes = [a.shape for a in (self.times, self.knots, self.rates, self.blended)]
         if n == 0 or dof == 0 or shapes != [(n,), (n, dof), (n, dof), (n - 1,)]:
@@ -411,7 +414,7 @@ class Trajectory:
             return "times that start at 0 and increase, found others"
         if self.rates[[0, -1]].any():
             return "rest at both ends, found a velocity"
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused below
             off = np.abs(np.diff(self.knots, axis=0) - (self.rates[1:] + self.rates[:-1]) * T[:, None] / 2)
             size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
             bad = ~(off <= FILE_TOLERANCE * np.ptp(self.knots, axis=0) + FILE_ROUNDINGS * size)
@@ -442,7 +445,7 @@ def trajectory(
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path, as fast as limits of velocity and acceleration allow.
+    """Assign times to a path, as fast as velocity and acceleration limits allow.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
     parabolas (blends) that are proven free of collisions at every time; where none can be proven, the robot stops.
@@ -451,21 +454,21 @@ def trajectory(
     ----------
     robot : Robot
     path : array_like, shape (k, dof)
-        Two configurations or more, as from `plan`; each joint value changes linearly between two of them.
+        Two or more configurations, as from `plan`; each joint value changes linearly between two of them.
     velocity : float or array_like, shape (dof,), optional
         Limits [rad/s or m/s]. Default: the URDF's, `Robot.velocity`.
     acceleration : float or array_like, shape (dof,), optional
         Limits [rad/s² or m/s²]. A URDF has none; by default a joint reaches its velocity limit in one second.
     checker : CollisionChecker, optional
-        A checker for this robot. The motions of the path have to be proven free.
+        A checker for this robot. The motions of the path must be proven free.
     blend : float
-        Fraction of a motion that the blend at each of its ends may take, from 0 (stop at every corner) to 0.49. Only
-        with a checker.
+        Fraction of a motion that the blend at each of its ends may take, from 0 (stop at every corner) to 0.49. Used
+        only with a checker.
 
     Returns
     -------
     Trajectory
-        At rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how it takes the corners.
+        It is at rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how it takes the corners.
 
     Raises
     ------
@@ -560,12 +563,12 @@ class Straights(NamedTuple):
         )
 
     def at(self, k: Any, share: Floats) -> Floats:
-        """Configurations on motions, by the fraction of the motion."""
+        """Configurations at fractions of motions."""
         a, b = self.rows[k], self.rows[k + 1]
         return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
 
     def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where blends leave their motions, the corners, and where blends end; `halves` as for `_passed`."""
+        """Points where blends begin, the corners, and points where blends end; `halves` as for `_passed`."""
         k = np.arange(len(halves))
         return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
 
@@ -574,7 +577,7 @@ class Straights(NamedTuple):
 
 
 def _checked(robot: Robot, path: ArrayLike) -> Floats:
-    """A path as users give it."""
+    """Check a user's path."""
     if not isinstance(robot, Robot):
         raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
     if not robot.runs_straight:
@@ -603,7 +606,7 @@ def _limits(
 
 
 def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
-    """One number above 0 for each joint, or for all."""
+    """Positive numbers, one for each joint, from such numbers or a single one."""
     array = _validate.positive_array(limit, name, ("...",))
     if array.shape not in ((), (robot.dof,)):
         raise InputError(
@@ -613,7 +616,7 @@ def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
 
 
 def _corners(rows: Floats) -> Floats:
-    """The rows at which the path turns, and its ends: without those that come twice, or lie on a straight."""
+    """The ends of the path and the rows at which it turns, without repeats and rows on a straight line."""
     moved = np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))
     rows = rows[moved]
     kept = [0]
@@ -625,7 +628,7 @@ def _corners(rows: Floats) -> Floats:
 
 
 def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
-    """Whether rows lie on the way from a to b, in order, up to rounding."""
+    """Whether rows lie on the straight line from a to b, in order, up to rounding."""
     way = b - a
     j = np.abs(way).argmax()
     if way[j] == 0:
@@ -637,7 +640,7 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 
 
 def _least(ratios: Floats) -> Floats:
-    """The smallest of each row; 0 / 0 is none."""
+    """The smallest ratio of each row, ignoring 0 / 0."""
     return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
 
 
@@ -645,11 +648,11 @@ def _least(ratios: Floats) -> Floats:
 
 
 def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Floats]:
-    """Sizes of blends that are proven free, for each corner, the largest first; with 0, the stop, as the last."""
+    """Sizes of blends that are proven free, for each corner, the largest first; the last is 0, a stop."""
     lengths = straights.lengths
     turns = np.abs(np.diff(straights.full, axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = 1 / (2 * _least(straights.strongest / turns))  # to pass at full speed
+        wanted = 1 / (2 * _least(straights.strongest / turns))  # so that it is passed at full speed
     shorter = np.minimum(lengths[:-1], lengths[1:])
     halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
@@ -674,7 +677,7 @@ def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Flo
 
 
 def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
-    """Sizes of blends, one of the proven ones for each corner, chosen for as many neighbours at a time as are told."""
+    """Sizes of blends, one of the proven sizes for each corner, chosen for `CHOSEN_AT_A_TIME` corners at a time."""
     parts = [
         _shortest_part(straights.part(first, first + len(sizes)), sizes)
         for first, sizes in ((k, proven[k : k + CHOSEN_AT_A_TIME]) for k in range(0, len(proven), CHOSEN_AT_A_TIME))
@@ -684,7 +687,7 @@ def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
 
 
 def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
-    """The same so that no change of one makes the whole shorter, for a path of few corners."""
+    """Sizes of blends for a path with few corners, such that no change of a single one shortens the duration."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = _duration(straights, halves)
     improved = True
@@ -704,12 +707,13 @@ def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
 
 
 def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[float]]:
-    """How fast rows are passed, in shares of full speed, and what the blends leave of the motions, in seconds at it.
+    """Speeds at the rows, as shares of full speed, and the motions' lengths between blends, in seconds at full speed.
 
     Parameters
     ----------
     halves : ndarray, shape (corners,)
-        Seconds at full speed from where a blend begins to the corner, and on to where it ends; 0 for a stop.
+        Seconds at full speed from the beginning of a blend to the corner, and equally from there to its end; 0 for a
+        stop.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         room = _least(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
@@ -726,7 +730,7 @@ def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[flo
 
 
 def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[float, float]]:
-    """What is between two speeds on a straight: for each phase the way, and the speed at its end."""
+    """The phases between two speeds on a straight line: for each the distance, and the speed at its end."""
     peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
     top = max(low, high)
     if peak - top <= SHORTEST * peak:
@@ -735,13 +739,13 @@ def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[f
     level = length - up - down
     if abs(high - low) <= SHORTEST * peak and peak == top:
         return [(length, high)]
-    if level <= SHORTEST * length:  # without it the others take all of the way
+    if level <= SHORTEST * length:  # without this phase the others cover the whole distance
         up, down, level = up * length / (up + down), down * length / (up + down), 0.0
     return [(way, speed) for way, speed in ((up, peak), (level, peak), (down, high)) if way > 0]
 
 
 def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
-    """How long phases take, from a speed on."""
+    """Durations of phases, from a starting speed on."""
     found = []
     for way, end in phases:
         found.append(2 * way / (speed + end))
@@ -750,7 +754,7 @@ def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
 
 
 def _duration(straights: Straights, halves: Floats) -> float:
-    """Seconds that all takes."""
+    """Total duration in seconds."""
     speeds, left = _passed(straights, halves)
     total = sum(2 * half / speed if half else 0.0 for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True))
     for k, (length, gain) in enumerate(zip(left, straights.gains.tolist(), strict=True)):
@@ -759,7 +763,7 @@ def _duration(straights: Straights, halves: Floats) -> float:
 
 
 def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
-    """All phases, one after the other."""
+    """The trajectory of all phases in sequence."""
     speeds, left = _passed(straights, halves)
     first, _, last = straights.corners(halves)
     ends, taken = [*first, straights.rows[-1]], [0.0, *halves.tolist(), 0.0]
@@ -777,7 +781,7 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
             times.append(2 * taken[k + 1] / speeds[k + 1])
             blended.append(True)
     passed = np.cumsum(times)
-    # What takes less than the last digit of the time is over at once.
+    # A phase shorter than the last digit of the time has no duration.
     kept = np.append(np.diff(passed) > 0, True)
     arrays = passed, np.array(knots), np.array(rates), np.append(np.array(blended, dtype=bool), False)
     at, positions, velocities, bent = (array[kept] for array in arrays)
@@ -788,7 +792,7 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
 
 
 def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> Path:
-    """A path that ends in one of these endings."""
+    """Check that a path has one of these endings."""
     checked = _validate.path(path, "path")
     if checked.suffix.lower() not in endings:
         raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}")
@@ -796,7 +800,7 @@ def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> Path
 
 
 def _listed(numbers: list[float]) -> str:
-    """A list in YAML, where a number with an exponent needs a decimal point."""
+    """A list in YAML, in which a number with an exponent needs a decimal point."""
     texts = (repr(number) for number in numbers)
     return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"
 
@@ -806,7 +810,7 @@ def _header(names: tuple[str, ...]) -> list[str]:
 
 
 def _read_csv(text: str) -> Trajectory:
-    """What `_csv` has written."""
+    """Read a text written by `_csv`."""
     header, *rows = csv.reader(io.StringIO(text), strict=True)
     names = tuple(header[1 : len(header) // 2])
     if header != _header(names):
@@ -817,7 +821,7 @@ def _read_csv(text: str) -> Trajectory:
 
 
 def _read_json(text: str) -> Trajectory:
-    """What `_json` has written."""
+    """Read a text written by `_json`."""
     held = json.loads(text)
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):

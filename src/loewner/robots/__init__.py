@@ -1,4 +1,4 @@
-"""Robots: descriptions in files to links with bodies, where these are, and what they collide with.
+"""Robots: reading descriptions into links with bodies, placing the links, and checking them for collisions.
 
 `robot` holds links on joints (read by `urdf`, `srdf` and `link_bodies`). `checker` is what users call; `checked_pairs`
 and `problem` prepare, and `verdicts`, `proofs` and `distances` answer. `sampling` finds pairs that need no check.

@@ -1,4 +1,4 @@
-"""Is a robot free in a scene, at one configuration, at a million, or along motions?
+"""Check a robot in a scene, at one configuration, at a million, or along motions.
 
 A `CollisionChecker` checks arguments, keeps the prepared pairs (`problem`) while the scene does not change, and
 wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
@@ -29,7 +29,7 @@ from loewner.robots.robot import Robot
 from loewner.robots.verdicts import Settled, Verdicts
 from loewner.scenes import Contact, Scene
 
-# Pairs are put in another order after so many configurations, and again each time their number has doubled.
+# Pairs are reordered after this many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
 
 # Version of the scene, queries of one configuration, and the problem behind them: one tuple, for threads and for speed.
@@ -46,15 +46,15 @@ class CollisionChecker:
     scene : Scene, optional
         It may be changed afterwards; the next query uses the changed scene. None: the robot alone.
     allowed : iterable of pairs of str, optional
-        Links that may touch, in addition to the robot's `disabled_pairs`: for instance the keys of `pairs_by_sampling`.
+        Links that may touch, in addition to the robot's `disabled_pairs`; for instance the keys of `pairs_by_sampling`.
     skip_adjacent : bool, optional
-        Skip pairs of links that a joint joins, which mostly overlap by design. Default: only if the robot came without
-        an SRDF, which usually disables the pairs that need it.
+        Skip pairs of links that a joint connects, which mostly overlap by design. Default: only if the robot was read
+        without an SRDF, which usually disables such pairs.
 
     Raises
     ------
     InputError
-        If the robot has no collision geometry: it would always be free.
+        If the robot has no collision geometry, since it would always be free.
     UnknownNameError
         If a link in `allowed` does not belong to the robot.
 
@@ -124,7 +124,7 @@ class CollisionChecker:
 
     # -- queries ------------------------------------------------------------------------------
 
-    # Read-only: what is prepared belongs to these two, and another one would get its answers.
+    # Read-only: the prepared arrays belong to this robot and scene; another one would silently get their answers.
     @property
     def robot(self) -> Robot:
         """The checked robot; for another robot, or another base, make another checker."""
@@ -157,9 +157,9 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, or an entry is not finite; or if there are more than 2^24 pairs to check.
+            If the width is not dof, an entry is not finite, or there are more than 2^24 pairs to check.
         UnknownNameError
-            If the scene attaches to, allows or sets a margin for a link that the robot does not have.
+            If an attachment, an allowed pair or a margin of the scene names a link that the robot does not have.
         ConvergenceError
             If a configuration could not be settled. It never counts as free instead.
 
@@ -180,7 +180,7 @@ class CollisionChecker:
         return verdicts.collisions(self._exact(checked).verdicts, checked)
 
     def classify(self, Q: ArrayLike) -> OneOrMany:
-        """Certified verdicts from the ellipsoids alone.
+        """Compute certified verdicts from the ellipsoids alone.
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class CollisionChecker:
         Notes
         -----
         Joint values change linearly, and quaternions follow the shorter arc. A motion is checked at its ends, then in
-        its middle, then at quarters: collisions tend to be found early.
+        its middle, then at quarters, since collisions tend to be found early in this order.
 
         Examples
         --------
@@ -301,8 +301,8 @@ class CollisionChecker:
             In metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other motion is
             FREE or COLLIDING.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may be off the motion: FREE holds for all these values. A motion on
-            which only such values collide is AMBIGUOUS, and contact at its ends is not allowed.
+            Radians or metres by which each value may deviate from the motion: FREE holds for all deviating values. A
+            motion that collides only for such values is AMBIGUOUS, and contact at its ends is not allowed.
 
         Returns
         -------
@@ -319,7 +319,7 @@ class CollisionChecker:
 
         See Also
         --------
-        valid_edges : The same question at samples, without a claim about the motion between them.
+        valid_edges : Checks samples, without a claim about the motion between them.
 
         Notes
         -----
@@ -363,35 +363,36 @@ class CollisionChecker:
     def certify_trajectory(
         self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
-        """Prove that the curve which a robot executes is free of collisions at every real time.
+        """Prove that a curve executed by a robot is free of collisions at every real time.
 
         Parameters
         ----------
         curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-            A continuous function of time with values of shape (dof,), in pieces of degree 7 at most. Subclasses of
+            A continuous function of time with values of shape (dof,), in pieces of at most degree 7. Subclasses of
             SciPy's types are accepted, such as ``CubicSpline(times, path)``. Columns are in the order of
             `Robot.configuration_names`, unless the curve names them. Quaternions are scaled to norm 1.
         tolerance : float
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may be off the curve at any time: FREE holds for all these values.
+            Radians or metres by which each value may deviate from the curve at any time: FREE holds for all deviating
+            values.
 
         Returns
         -------
         CertifiedTrajectory
-            A tuple of them for a list.
+            One result, or a tuple of results for a list of curves.
 
         Raises
         ------
         InputError
-            If it is no such curve: of another type or for other joints, with jumps, of too high a degree, with numbers
-            that are not finite or times that do not increase.
+            If the curve has another type, other joints, jumps, too high a degree, numbers that are not finite, or times
+            that do not increase.
 
         Notes
         -----
-        Each piece is proven as a polynomial: planes hold over intervals of it, by bounds on its first and second
-        derivatives. docs/certified.md derives them. Pairs named by `Scene.leave` and `Scene.reach` have no exception
-        here: a curve that begins in contact is not FREE.
+        Each piece is proven as a polynomial: a plane separates two bodies over an interval of it, by bounds on the
+        first and second derivatives that docs/certified.md derives. Pairs named by `Scene.leave` and `Scene.reach` are
+        no exception here: a curve that begins in contact is not FREE.
 
         Examples
         --------
@@ -429,7 +430,7 @@ class CollisionChecker:
         return found
 
     def collide_by_pair(self, Q: ArrayLike) -> Bools:
-        """Decide exactly which pairs collide at which configurations; if the pair does not matter, `collide` is faster.
+        """Decide exactly which pairs collide at which configurations; if only the configurations matter, use `collide`.
 
         Parameters
         ----------
@@ -459,7 +460,7 @@ class CollisionChecker:
     @overload
     def distance(self, Q: ArrayLike, *, exact: bool, gradient: bool = ...) -> StateDistance: ...
     def distance(self, Q: ArrayLike, *, exact: bool = False, gradient: bool = False) -> StateDistance:
-        """Bounds on the distance of the nearest pair, and on request its exact distance; margins are ignored.
+        """Compute bounds on the distance of the nearest pair, and on request its exact distance; margins are ignored.
 
         Parameters
         ----------
@@ -485,8 +486,8 @@ class CollisionChecker:
         Notes
         -----
         The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians of the witnesses as
-        points of their links. Where the nearest pair, or its witnesses, are not unique (two pairs tie; faces or edges
-        are parallel) the distance has a kink, and the derivative for one choice is returned. The derivative with
+        points of their links. Where the nearest pair or its witnesses are not unique (two pairs tie, or faces or edges
+        are parallel), the distance has a kink, and the derivative for one choice is returned. The derivative with
         respect to a quaternion is taken through its rotation, so its component along the quaternion is 0.
 
         Examples
@@ -513,7 +514,7 @@ class CollisionChecker:
     def clearance(
         self, Q: ArrayLike, *, softness: float = 0.005, gradient: bool = False
     ) -> OneOrMany | tuple[OneOrMany, Floats]:
-        """Smooth certified lower bound on the distance of the nearest pair, and its gradient.
+        """Compute a smooth certified lower bound on the distance of the nearest pair, and its gradient.
 
         Parameters
         ----------
@@ -540,17 +541,17 @@ class CollisionChecker:
 
         See Also
         --------
-        distance : Exact, with kinks.
+        distance : The exact distance, which has kinks.
 
         Notes
         -----
-        The gap of two ellipsoids is the distance between their supporting planes across their contact normal, n·r (1 -
-        1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed distance, and
-        analytic except where centers coincide. Returns -softness log Σ exp(-g / softness) over the gaps g between the
-        outer ellipsoids of all pairs of pieces, minus a bound on rounding. Static surfaces and clouds contribute up to
-        128 ellipsoids each, around parts of them, unless one of them is a solid. Where the centers of two ellipsoids
-        coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient is finite but
-        may be huge. The derivative with respect to a quaternion is as in `distance`.
+        The gap of two ellipsoids is the distance between their supporting planes perpendicular to their contact normal,
+        n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed distance,
+        and analytic except where centers coincide. The result is -softness log Σ exp(-g / softness) over the gaps g
+        between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Static surfaces and clouds
+        contribute up to 128 ellipsoids each, around parts of them, unless one of them is a solid. Where the centers of
+        two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient
+        is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
 
         Examples
         --------
@@ -570,7 +571,7 @@ class CollisionChecker:
         return (values, slopes.reshape(checked.shape)) if gradient else values
 
     def distance_by_pair(self, Q: ArrayLike, *, within: float, gradient: bool = False) -> PairDistances:
-        """Exact distances of all pairs that come within a distance of each other.
+        """Compute exact distances of all pairs that come within a distance of each other.
 
         Parameters
         ----------
@@ -583,7 +584,7 @@ class CollisionChecker:
         Returns
         -------
         PairDistances
-            One entry for each pair at each configuration where it is within this distance, in the order of the
+            One entry for each pair and each configuration at which it is within this distance, in the order of the
             configurations.
 
         Raises
@@ -613,7 +614,7 @@ class CollisionChecker:
     # -- inside -------------------------------------------------------------------------------
 
     def _exact(self, Q: Floats) -> Verdicts:
-        """Verdict and tier of every configuration, in the scene as it is now; ConvergenceError if one is unsettled."""
+        """Verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
         ready, flat = self._ready(), edges.flat(Q)
         found = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))

@@ -1,9 +1,9 @@
 """Motions that begin or end in contact, by the rules of `Scene.leave` and `Scene.reach`.
 
-Two convex pieces that touch have a plane between them, or nearly so: the plane across their contact normal. Moved back
-by their depth and by the tolerance it leaves one of them in front, and while that piece stays in front the two are no
-deeper in each other than at the start. The space behind the plane is treated as a body, so the proof of motions itself
-settles whether the piece stays in front: docs/certified.md, "Contact that has to end".
+Two convex pieces that touch are separated, or nearly separated, by the plane perpendicular to their contact normal. If
+this plane is moved back by their depth and by the tolerance, one piece is in front of it, and while it stays in front
+the two are no deeper in each other than at the start. The space behind the plane is treated as a body, so the proof of
+motions also settles whether the piece stays in front: docs/certified.md, "Contact that has to end".
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from loewner.queries import Verdict
 from loewner.robots import motions
 from loewner.robots.problem import Problem
 
-# First stretches that are tried, shares of the motion: the longest of them on which the contact recedes.
+# Lengths of the first stretch that are tried, as shares of the motion: the longest on which the contact recedes is
+# used.
 STRETCHES = 2.0 ** -np.arange(16)
 
-# Values that a stretch ends with are off those of the motion by less than this share: `motion_path` rounds by 7 units.
+# Values at the end of a stretch deviate from the motion by less than this share: `motion_path` rounds by 7 units.
 OFF = 32 * 2.0**-53
 
-# Distances below this share of what the robot reaches have no reliable normal.
+# Distances below this share of the robot's reach have no reliable normal.
 LEAST_SHARE = 1e-6
 
-# What the distance to a wall may be off by, as a share of how far away that is: ten times what `distance` promises.
+# Relative error allowed for the distance to a wall: ten times the error that `distance` guarantees.
 FAR_ROUNDINGS = 1e-8
 
-# Share of the tolerance that is left for the proof; the rest is how far the plane is moved back.
+# Share of the tolerance that remains for the proof; the plane is moved back by the rest.
 FOR_PROOF = 0.25
 
-# Pieces that are apart by less than this share of the robot's reach touch: `distance` is no more accurate than a
-# thousandth of it. Pieces that are farther apart have to keep their margin.
+# Pieces that are apart by less than this share of the robot's reach count as touching: `distance` is accurate to a
+# thousandth of it. Pieces farther apart must keep their margin.
 TOUCHING = 1e-9
 
 
@@ -47,7 +48,7 @@ def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) ->
     ----------
     ready : Problem
     pair : int
-        Its index. It is in `ready.leaving` or `ready.reaching`.
+        Index of the pair, which is in `ready.leaving` or `ready.reaching`.
     a, b : ndarray, shape (dof,)
         The motion, as `motions.settle` takes it.
     tolerance : float
@@ -61,8 +62,8 @@ def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) ->
         Fraction of the motion; NaN where FREE.
     """
     middle = ready.robot.between(a, b, 0.5)
-    # Stretches from the end where contact is allowed, with the fractions of the motion at which they begin and end. How
-    # deep a contact is from which a motion starts is a fact; where a motion ends it is a choice.
+    # Stretches from the end where contact is allowed, with the fractions of the motion at which they begin and end. The
+    # depth of a contact at the start of a motion is a fact; at its end it is a choice.
     stretches = {
         (True, False): [(a, b, 0.0, 1.0, np.inf)],
         (False, True): [(b, a, 1.0, 0.0, tolerance)],
@@ -99,9 +100,9 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
 def _leaves(
     ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
 ) -> tuple[list[float], float]:
-    """Where a motion may not be free for one pair that may be in contact at its start; nowhere if it is proven free.
+    """Fraction at which a motion may not be free for a pair that may start in contact, and a critical distance.
 
-    And the signed distance from which on the two collide there: their margin, or what they have at the start.
+    At a smaller signed distance the two collide there: it is their margin, or their distance at the start.
     """
     off = OFF * np.maximum(np.maximum(np.abs(a), np.abs(b)), 1.0)[None]
     alone = ready.only(np.array([pair]))
@@ -109,7 +110,7 @@ def _leaves(
     found = motions.settle(alone, np.stack([a, b])[None], FOR_PROOF * tolerance, off)
     if found.verdicts[0] == Verdict.FREE:
         return [], margin
-    if at_start > margin + tolerance:  # no contact that could end
+    if at_start > margin + tolerance:  # no contact to end
         return [float(found.fractions[0])], margin
     if at_start < -deepest:
         return [0.0], -deepest
@@ -146,8 +147,8 @@ def _reach(ready: Problem, pair: int, a: Floats, b: Floats) -> float:
 def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[Problem, float]:
     """The pieces of the first body against planes in front of which they begin, instead of pieces that they touch.
 
-    And the tolerance of the proof that they stay in front. The plane of pieces that touch leaves them most of the
-    tolerance; the plane of pieces that are apart leaves them their margin and nothing else.
+    Also returns the tolerance of the proof that they stay in front. The plane of touching pieces leaves most of the
+    tolerance; the plane of separate pieces leaves only their margin.
     """
     i, j = (int(k) for k in ready.pairs[pair])
     shares = np.append(0.0, STRETCHES[::-1])
@@ -158,16 +159,16 @@ def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: f
     touching = at_start <= margin + tolerance
     apart, planes = every[~touching], every[touching]
     reach = _reach(ready, pair, a, b)
-    # Two that just touch have no normal that could be computed; a little later on the way they have, or moved apart by
-    # a little. Any will do, since the proof fails with a bad one.
+    # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
+    # have one. Any normal is safe, since the proof fails with a bad one.
     u, v = planes.T
     found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
     when, nth = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
     moved = np.tile(T[0, i], (len(planes), 1, 1))
     moved[:, :3, 3] -= LEAST_SHARE * reach * found.normal[0]
     apart_by_little = queries.distance(ours[u], moved, theirs[v], T[0, j], exact=True).normal
-    # In the frame of the second body, which carries the planes. A cube stands for what is behind one of them: it
-    # reaches farther than the robot does.
+    # In the frame of the second body, which carries the planes. The space behind a plane is represented by a cube that
+    # reaches farther than the robot.
     R = T[when, j, :3, :3]
     normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
     # How far the piece reaches along the normal, whatever that is: from its distance to a wall beyond it.

@@ -18,7 +18,7 @@ def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
 
 
 def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
-    """One configuration of each course, shape (N, dof), at fractions of shape (N,)."""
+    """One configuration on each course, shape (N, dof), at fractions of shape (N,)."""
     degree = courses.shape[1] - 1
     if degree == 1:
         return interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])

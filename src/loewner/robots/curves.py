@@ -21,13 +21,13 @@ from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
 from loewner.robots.robot import Robot
 
-# What control points that are computed from another form may be off by, in units of the largest numbers in them.
+# Bound on the error of control points that are converted from another form, in units of their largest numbers.
 CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B51
 
-# Two segments of a curve meet if they are no farther apart than this share of the curve's values.
+# Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
 
-# Norms of quaternions where a segment starts.
+# Allowed deviation from 1 of the norms of quaternions at the start of a segment.
 NORMS = (0.5, 2.0)
 
 
@@ -39,10 +39,10 @@ class Curve(NamedTuple):
     names : tuple of str or None
         The columns, if they are named.
     times : ndarray, shape (n + 1,)
-        Where segments begin and end [s].
+        Times at which segments begin and end [s].
     courses : ndarray, shape (n, degree + 1, dof)
     off : ndarray, shape (n, dof)
-        What rounding may do to values.
+        Bounds on the rounding of values.
     """
 
     names: tuple[str, ...] | None
@@ -58,17 +58,17 @@ class CertifiedTrajectory:
     Attributes
     ----------
     verdict : Verdict
-        FREE: every pair is farther apart than its margin at every time, proven. COLLIDING: at ``time``, which may be
-        rounded, the robot collides. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
+        FREE: it is proven that every pair is farther apart than its margin at every time. COLLIDING: at ``time``, which
+        may be rounded, the robot collides. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
         arithmetic could not settle it; treat it as not free.
     time : float
         Seconds; NaN where FREE. The robot may collide earlier as well.
     names : tuple of str
         The pair of bodies; empty where FREE.
     times : ndarray, shape (n + 1,)
-        Where the segments begin and end.
+        Times at which the segments begin and end.
     segments : CertifiedMotions
-        The same for each of the n segments, with fractions of a segment instead of times.
+        Results for each of the n segments, with fractions of a segment instead of times.
 
     Examples
     --------
@@ -115,7 +115,7 @@ def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error
 
 
 def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
-    """The earliest of the worst segments."""
+    """The result of a curve, from the earliest of its worst segments."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         for k in np.flatnonzero(segments.verdict == verdict)[:1]:
             time = times[k] + segments.fraction[k] * (times[k + 1] - times[k])
@@ -135,13 +135,13 @@ def curves_of(robot: Robot, given: Any) -> list[Curve]:
 
 
 def curve_of(robot: Robot, given: Any, name: str) -> Curve:
-    """The courses of a curve that a user gives.
+    """The courses of a user's curve.
 
     Raises
     ------
     InputError
-        If it is no curve of this robot: of another type, with other columns, numbers that are not finite, times that do
-        not increase, a degree above 7, or a jump.
+        If it has another type, other columns than the robot, numbers that are not finite, times that do not increase, a
+        degree above 7, or a jump.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)
@@ -158,7 +158,7 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         points = _elevated(points, 3 - points.shape[1])
     points, off = points.copy(), curve.off.copy()
     for columns in robot._quaternions.values():
-        # Deviations are bounded by the angle that they turn a quaternion of norm 1.
+        # Deviations are bounded by the angle by which they turn a quaternion of norm 1.
         with np.errstate(over="ignore"):
             norms = np.linalg.norm(points[:, 0, columns], axis=1)
         for k in np.flatnonzero(~((norms >= NORMS[0]) & (norms <= NORMS[1])))[:1]:
@@ -228,7 +228,7 @@ def _of_b_spline(knots: Floats, c: Floats, degree: int, name: str) -> Curve:
 
 
 def _elevated(points: Floats, by: int) -> Floats:
-    """The same courses, as polynomials of a degree that is higher by some."""
+    """The same courses as polynomials of a higher degree."""
     for _ in range(by):
         degree = points.shape[1] - 1
         share = (np.arange(1, degree + 1) / (degree + 1))[:, None]
@@ -238,7 +238,7 @@ def _elevated(points: Floats, by: int) -> Floats:
 
 
 def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
-    """The curve with the robot's columns: names decide, where there are any."""
+    """The curve with the robot's columns, which are matched by name if the curve has names."""
     wanted = robot.configuration_names
     if curve.names is None or curve.names == wanted:
         return curve
@@ -277,7 +277,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 
 
 def joint_errors(robot: Robot, given: ArrayLike) -> Floats:
-    """How far each value may be off, shape (dof,), from one number or one for each."""
+    """Allowed deviation of each value, shape (dof,), from one number or one for each."""
     array = _validate.finite_array(given, "joint_error", ("...",))
     if array.shape not in ((), (robot.dof,)) or (array < 0).any():
         raise InputError(

@@ -26,9 +26,9 @@ class StateDistance(Generic[Exact, Vector]):
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids: the least over all checked pairs.
+        Certified bounds from the ellipsoids: the minimum over all checked pairs.
     distance : float or ndarray, or None
-        With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest.
+        With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest pair.
     names : tuple of str, or ndarray of str, shape (..., 2), or None
         Names of this pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
@@ -209,7 +209,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
     ConvergenceError
         If squares of positions overflow.
     """
-    if not ready.starts_matter:  # a solid counts as a whole, not by its surface
+    if not ready.starts_matter:  # a solid counts as a whole, not only its surface
         ready = ready.in_parts
     _expect_pairs(ready, "clearance")
     n, dof = Q.shape
@@ -242,5 +242,5 @@ def _nearest_with_care(ready: Problem, q: Floats) -> tuple[Any, ...]:
         one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
         if one.distance < best:
             best, nearest, found = one.distance, int(p), one
-    assert found is not None  # the first bound is below all upper ones
+    assert found is not None  # the first lower bound is below all upper bounds
     return best, ready.pairs[nearest], found.witness_a, found.witness_b, found.normal

@@ -1,4 +1,4 @@
-"""Motions as rows of their ends; and the samples of a motion in order: its ends, its middle, then ever finer.
+"""Motions as rows of their ends, and the order in which a motion is sampled: its ends, its middle, then ever finer.
 
 Collisions tend to be found early in this order.
 """
@@ -18,13 +18,13 @@ from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.robots.robot import Robot
 
-# Configurations of edges that are worth a call.
+# Smallest number of configurations of edges that is worth a call.
 AT_LEAST = 64
 
-# Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
+# Configurations of edges that are made at a time, unless there are more edges: for ten joints, they take 80 MB.
 MOST_AT_ONCE = 2**20
 
-# A quotient of a length and a step so near to a whole number may be rounded to either side of it.
+# A quotient of a length and a step this near to a whole number may be rounded to either side of it.
 NEARLY_WHOLE = 1e-9
 
 # Results of a motion: a verdict, a fraction, a pair, and the work that was done, in bytes.
@@ -57,14 +57,14 @@ def steps(lengths: float | Floats, step: float) -> int | Ints:
 
 
 def nearly_whole(quotients: Floats) -> Ints:
-    """Indices of quotients that rounding may put on either side of a whole number, or that overflowed."""
+    """Indices of quotients that rounding may move across a whole number, or that overflowed."""
     with np.errstate(invalid="ignore"):
         far = np.abs(quotients - np.rint(quotients)) > NEARLY_WHOLE * (1.0 + quotients)
     return np.flatnonzero(~far)
 
 
 def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
-    """Yield which edges to check at which fractions, coarsely first; an edge that is not `valid` is skipped.
+    """Yield edges and fractions at which to check them, coarsest first; an edge that is not `valid` is skipped.
 
     Parameters
     ----------

@@ -23,13 +23,13 @@ from loewner.coverage import Covering
 from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots.urdf import Description, Shape
 
-# glTF files may keep their points in other files, so that their own bytes do not tell their content.
+# glTF files may keep their points in other files, so their own bytes do not determine their content.
 NOT_CACHED = (".gltf", ".glb")
 
-# What a mesh of a link can become: its convex hull, convex pieces, or the triangles themselves.
+# Representations of a link's mesh: its convex hull, convex pieces, or the triangles themselves.
 MODELS = ("hull", "pieces", "surface")
 
-# What makes a body of a mesh file, apart from the kernels.
+# Modules that make a body from a mesh file, apart from the kernels.
 _MAKERS = (
     "mesh_files",
     "meshes.py",
@@ -54,7 +54,7 @@ _PRIMITIVES: dict[str, Callable[..., Body]] = {
 
 @dataclass(frozen=True, eq=False)
 class _Mesh:
-    """What `Body.from_mesh` needs of a mesh."""
+    """The parts of a mesh that `Body.from_mesh` needs."""
 
     vertices: Floats
     faces: meshes.Triangles
@@ -119,7 +119,7 @@ def link_bodies(
 
 
 def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
-    """What speaks against metres, body by body."""
+    """Reasons to doubt that bodies are in metres, by body."""
     for name, body in made.items():
         rows = packed_of(body).kernel.table
         if len(rows):
@@ -147,10 +147,10 @@ def _body(
         if not cache or file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
             return _mesh_body(file, shape, model, tol)
         kept = _sources.cache_folder() / "bodies" / f"{_key(file, shape, model, tol)}.npz"
-        with suppress(FileError):  # none there yet, or a damaged one
+        with suppress(FileError):  # missing or damaged
             return Body.load(kept)
         body = _mesh_body(file, shape, model, tol)
-        with suppress(OSError):  # no place for a cache is no error
+        with suppress(OSError):  # a cache that cannot be written is no error
             kept.parent.mkdir(parents=True, exist_ok=True)
             body.save(kept)
         return body
@@ -168,7 +168,7 @@ def primitive(shape: Shape) -> Body:
 def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
     """Vertices and triangles of a mesh, at its pose in the link."""
     vertices, triangles = meshes.load(file)
-    if shape.scale.prod() < 0:  # mirrored: inside out without this
+    if shape.scale.prod() < 0:  # a mirrored mesh would otherwise be inside out
         triangles = triangles[:, ::-1]
     return (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3], triangles
 
@@ -180,8 +180,8 @@ def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
 
 @cache
 def _code() -> str:
-    """Hash of the code that makes bodies: what another version made of a file, with a fault perhaps, is not used."""
-    import hashlib  # OpenSSL's library comes with it, which only robots with meshes need
+    """Hash of the code that makes bodies, so that bodies of another version, perhaps a faulty one, are not reused."""
+    import hashlib  # it loads OpenSSL, which only robots with meshes need
 
     digest = hashlib.sha256(_sources.source_hash().encode())
     home = Path(meshes.__file__).parent
@@ -192,7 +192,7 @@ def _code() -> str:
 
 
 def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
-    """Hash of all that decides a fit: what is in the file, where it stands, how it is fitted, and by which code."""
+    """Hash of everything that determines a fit: contents of the file, pose, options of the fit, and code."""
     import hashlib
 
     digest = hashlib.sha256(repr((_code(), file.suffix.lower(), model, tol)).encode())
@@ -202,7 +202,7 @@ def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
 
 
 def _union(parts: list[Body]) -> Body:
-    """One body of all shapes of a link, with what their meshes leave uncovered."""
+    """One body from all shapes of a link, with the covering of their meshes."""
     body = Body.union(parts)
     known = [part.covering for part in parts if part.covering is not None]
     if not known:
@@ -215,7 +215,7 @@ def _union(parts: list[Body]) -> Body:
             max_uncovered=max(c.max_uncovered for c in known),
             excess_volume=float("nan"),
             samples=sum(c.samples for c in known),
-            # Out of its own mesh, a piece may be inside of another one's: a bound it is all the same.
+            # A piece that sticks out of its own mesh may lie inside another mesh; the bound is still valid.
             max_protrusion=max(c.max_protrusion for c in known),
         ),
     )
@@ -228,7 +228,7 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
     """Find a file that a URDF names."""
     looked = list(dict.fromkeys(_candidates(shape.file_name, urdf, folders)))
     for path in looked:
-        if os.path.isfile(path):  # Path.is_file raises where a name is too long, or no name at all
+        if os.path.isfile(path):  # Path.is_file raises if a name is too long or invalid
             return path
     irregular = next((path for path in looked if os.path.exists(path)), None)
     if irregular is not None:
@@ -244,7 +244,7 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
 
 
 def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
-    """Places where a mesh may be: the packages given, those of ROS, then folder by folder up from the URDF."""
+    """Places where a mesh may be: the given packages, ROS's packages, then the folders above the URDF, upwards."""
     scheme, separator, rest = name.rpartition("://")
     home = Path(os.path.realpath(urdf)).parent
     given = [Path(folder) for folder in folders]
@@ -256,7 +256,7 @@ def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]
                 yield folder / inside
     elif not separator or scheme == "file":
         for folder in (home, *given):
-            yield folder / rest  # an absolute path stays what it is
+            yield folder / rest  # an absolute path is kept
 
 
 def _ros_folders() -> Iterator[Path]:

@@ -20,7 +20,7 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     """Links and joints of a model, and the bodies of the links.
 
     Each body is a link, in its own frame. If several joints move a body, or its anchor is not its origin, a chain of
-    links without bodies is above it. Each further part of a body is a link that is fixed to it.
+    links without bodies is inserted above it. Each further part of a body is a link that is fixed to it.
     """
     above: dict[str, Joint] = {}
     joints: dict[str, Joint] = {}
@@ -65,12 +65,12 @@ def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
 
 
 def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
-    """The joints between a body and its parent, from there on.
+    """The joints between a body and its parent, starting at the parent.
 
-    A hinge and a ball turn about their anchor. So the link that hangs on it has its origin there, and what comes next
-    is moved back.
+    A hinge and a ball turn about their anchor, so the link below has its origin there, and the next frame is moved
+    back.
     """
-    T_above_body = body.T_parent_body  # the body's frame, as far as it has moved, in the link that comes last
+    T_above_body = body.T_parent_body  # the body's frame so far, relative to the last link
     if body.joints and body.joints[0].kind == "free":  # its values are the pose in the world
         T_above_body = np.eye(4)
     last = len(body.joints) - 1

@@ -1,8 +1,8 @@
-"""Distances of bodies from the joints that turn them: the input of the proof of a motion from robot and scene.
+"""Distances of bodies from the joints that turn them: input from robot and scene for the proof of a motion.
 
 A ball about a body is carried along the tree of joints, starting with the joint next to the body: a joint that turns
-sweeps it around its axis, and the ball about the swept region continues to the next joint. Sliding joints are at 0
-here; their travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md,
+sweeps it around its axis, and a ball about the swept region continues to the next joint. Sliding joints are at 0 here;
+their travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md,
 "Motions".
 """
 
@@ -15,18 +15,18 @@ from loewner._kernels.records import MotionTables, Tree
 from loewner._validate import Floats, Ints
 from loewner.bodies import Packed
 
-# An allowance for rounding, and for what a base or a body that is accepted as rigid may stretch lengths by.
+# An allowance for rounding, and for the stretching by poses of a base or a body that are accepted as rigid.
 STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
 
-# Angles at which a joint's rotation is compared with an orthonormal one. What differs is a sum of waves of up to twice
-# the angle, and the largest value of such a sum is less than twice the largest of eight samples.
+# Angles at which a joint's rotation is compared with an orthonormal one. The difference is a sum of waves of up to
+# twice the angle, and its maximum is less than twice the largest of eight samples.
 ANGLES = np.arange(8) * (np.pi / 4)
 
 
 def motion_tables(
     tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, standing: Floats, poses: Floats, rows: Floats
 ) -> MotionTables:
-    """Prepare the additional input of `entries.certify_motions` beside the checked pairs.
+    """Prepare the input of `entries.certify_motions` in addition to the checked pairs.
 
     Parameters
     ----------
@@ -53,21 +53,21 @@ def motion_tables(
         reach=np.ascontiguousarray(np.concatenate([moving, still]) * STRETCH),
         standing_rows=np.ascontiguousarray(rows),
         sizes=far[len(link) :] + np.abs(poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1),
-        # What is far out on the robot moves most, and hits most often.
+        # Bodies far out on the robot move most, and collide most often.
         order=np.argsort(-depth[pairs[:, 0]], kind="stable"),
         chain=np.array([1 + depth.max(initial=0), _longest(tree, link, far), _bend(tree)]),
     )
 
 
 def _farthest(packed: Packed) -> Floats:
-    """How far the points of each body are from its origin, at most."""
+    """Largest distance of each body's points from its origin."""
     table, start = packed.kernel.table, packed.piece_start
     far = [table[i:j, columns.REACH].max(initial=0.0) for i, j in zip(start[:-1], start[1:], strict=True)]
     return np.array(far, dtype=np.float64)
 
 
 def _paths(tree: Tree) -> tuple[Ints, Ints]:
-    """Joints between the world and each link, as `records.MotionTables` has them."""
+    """Joints between the world and each link, in the form of `records.MotionTables`."""
     paths: list[list[int]] = []
     for link, (above, kind) in enumerate(zip(tree.parent.tolist(), tree.kind.tolist(), strict=True)):
         paths.append((paths[above] if above >= 0 else []) + ([link] if kind != columns.FIXED else []))
@@ -76,10 +76,10 @@ def _paths(tree: Tree) -> tuple[Ints, Ints]:
 
 
 def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
-    """The farthest that balls get from the joints, shape (balls, links); -1 is the link of what stands in the world."""
+    """Largest distances of balls from the joints, shape (balls, links); the link of static bodies is -1."""
     count, links = len(link), len(tree.parent)
     reach = np.zeros((count, links))
-    # The ball in the frame of each link, and in the world's behind them; only once it is known.
+    # The ball in the frame of each link, with the world's frame last; filled in as it becomes known.
     center, radius = np.full((links + 1, count, 3), np.nan), np.full((links + 1, count), np.nan)
     for k in np.unique(link):
         center[k, link == k], radius[k, link == k] = centers[link == k], radii[link == k]
@@ -92,7 +92,7 @@ def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
         far, c, r = _swept(center[k, at], radius[k, at], axis, int(tree.kind[k]))
         reach[at, k] = far
         center[tree.parent[k], at], radius[tree.parent[k], at] = c @ R.T + t, r
-    for k in range(links):  # down: from each link to those that hang on it
+    for k in range(links):  # down: from each link to its children
         at = np.flatnonzero(np.isnan(radius[k]) & ~np.isnan(radius[tree.parent[k]]))
         if len(at) == 0:
             continue
@@ -105,7 +105,7 @@ def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
 
 
 def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Floats, Floats, Floats]:
-    """How far balls are from a joint's axis, and balls about all that is swept when it turns."""
+    """Distances of balls from a joint's axis, and balls about the regions they sweep when it turns."""
     if kind in (columns.FIXED, columns.PRISMATIC):
         return np.zeros(len(radius)), center, radius
     # A floating or ball joint may turn about any axis through its origin: its own is 0.
@@ -115,19 +115,19 @@ def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Flo
 
 
 def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
-    """Rotation and translation of a joint at 0, and the unit axis that it turns about, in the frame that it moves."""
+    """Rotation and translation of a joint at 0, and the unit axis of its rotation, in the frame that it moves."""
     row = tree.constants[link]
     fixed = row[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
     R = fixed + row[columns.COSINE : columns.COSINE + 9].reshape(3, 3)
     axis = np.zeros(3)
     if tree.kind[link] in (columns.REVOLUTE, columns.PLANAR):
-        longest = fixed[np.argmax(np.linalg.norm(fixed, axis=1))]  # rows of R axis axisᵀ: along it, whatever R is
+        longest = fixed[np.argmax(np.linalg.norm(fixed, axis=1))]  # rows of R axis axisᵀ: along the axis
         axis = longest / np.linalg.norm(longest)
     return R, row[columns.TRANSLATION : columns.TRANSLATION + 3], axis
 
 
 def _longest(tree: Tree, link: Ints, far: Floats) -> float:
-    """Sum of the lengths along the longest chain of links, from the world's origin to a body's farthest point."""
+    """Length of the longest chain of links, from the world's origin to a body's farthest point."""
     lengths = np.linalg.norm(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3], axis=1)
     for k, above in enumerate(tree.parent):
         lengths[k] += lengths[above] if above >= 0 else 0.0
@@ -135,7 +135,7 @@ def _longest(tree: Tree, link: Ints, far: Floats) -> float:
 
 
 def _bend(tree: Tree) -> float:
-    """How far the rotations of all links together may be from orthonormal, as their constants are."""
+    """Bound on the departure of all links' rotations together from orthonormality, from their constants."""
     total = 0.0
     for row, kind in zip(tree.constants, tree.kind, strict=True):
         fixed, sine, cosine = (

@@ -18,7 +18,7 @@ from loewner.errors import InputError
 from loewner.queries import Verdict
 from loewner.robots.problem import Problem
 
-# Motions a thread takes at a time, at least: some 0.3 ms of work.
+# Smallest number of motions that a thread takes at a time: about 0.3 ms of work.
 LEAST_SHARE = 16
 
 NO_STRAYS = np.empty((0, 0))
@@ -31,12 +31,12 @@ class CertifiedMotions:
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
-        FREE: every pair is farther apart than its margin at every real fraction from 0 to 1, proven. COLLIDING: the
-        configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the tolerance,
-        or arithmetic could not settle it; treat it as not free.
+        FREE: it is proven that every pair is farther apart than its margin at every real fraction from 0 to 1.
+        COLLIDING: the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and
+        the tolerance, or arithmetic could not settle it; treat it as not free.
     fraction : float or ndarray
-        Fraction of the motion, as `Robot.between` takes it; NaN where FREE. Where COLLIDING, it gives a colliding
-        configuration, not necessarily the first one.
+        Fraction of the motion, as `Robot.between` takes it; NaN where FREE. Where COLLIDING, the configuration there
+        collides, but is not necessarily the first to do so.
     names : tuple of str, or ndarray of str, shape (..., 2)
         The pair that collides or is ambiguous there; empty where FREE.
     poses, searches : int or ndarray of int64
@@ -69,7 +69,8 @@ class Found(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (N,)
-        As for `CertifiedMotions`; or TOO_LONG; or, from `settle`, BY_CARE: COLLIDING if `collide` confirms it.
+        As for `CertifiedMotions`, or TOO_LONG. `settle` also returns BY_CARE, which means COLLIDING if `collide`
+        confirms it.
     fractions : ndarray, shape (N,)
     pairs : ndarray of int64, shape (N,)
         Indices of the pairs; -1 for none.
@@ -88,7 +89,7 @@ class Found(NamedTuple):
         Raises
         ------
         InputError
-            With the number of the first one.
+            The message gives the number of the first such motion.
         """
         for k in (self.verdicts == codes.TOO_LONG).nonzero()[0][:1]:
             raise InputError(
@@ -118,15 +119,15 @@ def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None
     ----------
     ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
-        See `courses`. In C order, writeable.
+        See `courses`; in C order and writeable.
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof), optional
-        How far values may be from the course's at the same fraction: FREE holds for all such configurations.
+        How far values may deviate from the course at the same fraction: FREE holds for all such configurations.
 
     Notes
     -----
-    Where `ready.starts_matter`, FREE supposes that the motion is free at its start.
+    Where `ready.starts_matter`, FREE presupposes that the motion is free at its start.
     """
     ready = ready.in_parts
     total = len(courses)

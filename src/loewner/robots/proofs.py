@@ -1,4 +1,4 @@
-"""Proofs of motions: the kernel's planes, confirmed collisions, starts inside solids, contact by a rule."""
+"""Prove motions: the kernel's planes, confirmed collisions, starts inside solids, contact allowed by a rule."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
     ----------
     ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
-        See `courses`. In C order, writeable.
+        See `courses`; in C order and writeable.
     tolerance : float
         In metres.
     off : ndarray, shape (N, dof), optional
-        How far joint values may be from the course at the same fraction: FREE holds for all such configurations.
+        How far joint values may deviate from the course at the same fraction: FREE holds for all such configurations.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
 def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None) -> Found:
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
-    Pairs of `Scene.leave` and `Scene.reach` may be in contact at their ends, unless values may be off by a joint error.
+    Pairs of `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error.
     """
     courses = straight(ready.robot, a, b)
     if joint_error is not None and joint_error.any():
@@ -66,7 +66,7 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
 def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
     """Leave as COLLIDING only what collides at the configurations that users get for a fraction.
 
-    Values that run straight are the same bit for bit, but polynomials and orientations, for which NumPy's sines are not
+    Values that change linearly agree bit for bit, but polynomials and orientations, for which NumPy's sines differ from
     the kernel's, may differ in the last place.
     """
     doubtful = found.verdicts == codes.BY_CARE

@@ -1,4 +1,4 @@
-"""Robots: links connected by joints, with their bodies, and the poses of the links in many configurations."""
+"""Robots: links connected by joints, with their bodies, and the poses of the links at many configurations."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, read_urdf
 from loewner.robots.watch import LARGEST_VALUE, Watch
 
-# How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
+# Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
 
 # Kinds of joints whose last four values are a quaternion.
 WITH_QUATERNION = ("floating", "ball")
 
-# Configurations a thread takes at a time, at least: about 0.1 ms of work.
+# Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
 
 
 def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
-    """The contents of a URDF that is given in one of two ways."""
+    """The contents of a URDF that is given as a path or a text."""
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
@@ -82,10 +82,11 @@ class Robot:
         "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF has, has the last four.
     lower, upper : ndarray, shape (dof,)
         Limits, in radians for joints that turn and metres for joints that slide; infinite where there are none.
-        Configurations outside are allowed everywhere; a configuration far outside causes one warning (see `checked`).
+        Configurations outside the limits are accepted everywhere; one far outside causes a single warning (see
+        `checked`).
     velocity : ndarray, shape (dof,)
         The largest rate of each value [rad/s or m/s]: the URDF's limit, or less where a mimic joint would exceed its
-        own. NaN where the URDF gives none above 0, and for planar and floating joints.
+        own. NaN where the URDF gives no positive limit, and for planar and floating joints.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry. Here, and in the next two
         attributes, any other name is an UnknownNameError that lists the known names.
@@ -97,14 +98,14 @@ class Robot:
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
-        Sorted pairs of links with bodies that a joint joins, directly or through links without bodies and at most one
-        moving joint.
+        Sorted pairs of links with bodies that a joint connects, directly or through links without bodies and at most
+        one moving joint.
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. If a text was read, a name in the working directory at that time.
+        The file that was read: a URDF or an MJCF. For a text, a placeholder name in the current working directory.
     package_dirs : tuple of Path
-        Further folders that are searched for its meshes.
+        Additional folders that are searched for its meshes.
 
     Examples
     --------
@@ -134,11 +135,11 @@ class Robot:
     urdf: Path
     package_dirs: tuple[Path, ...]
     _columns: dict[str, slice] = field(repr=False)
-    # For messages: which joint a mimicking one follows; links that have visual geometry only.
+    # For messages: the joint that each mimicking joint follows, and the links that only have visual geometry.
     _mimics: dict[str, str] = field(repr=False)
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
-    # Its source format, "URDF" or "MJCF"; and the text, if that was not in a file.
+    # The source format, "URDF" or "MJCF", and the text if it was not read from a file.
     _format: str = field(repr=False)
     _text: str | None = field(repr=False)
 
@@ -157,24 +158,24 @@ class Robot:
         cache: bool = True,
         progress: Progress | None = None,
     ) -> Robot:
-        """Read a robot.
+        """Read a robot from a URDF.
 
         Parameters
         ----------
         path : path, optional
             URDF file, xacro expanded.
         text : str, optional
-            The contents of such a file, instead of a path: ROS's ``/robot_description``. Relative paths of meshes in it
-            are resolved from the working directory.
+            The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
+            meshes in it are resolved from the working directory.
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
             Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
             environment, and the folders above the URDF, are also searched.
         meshes : {"hull", "pieces", "surface"}
-            Representation of each collision mesh: its convex hull, which contains it; convex pieces, into which a mesh
-            that is not convex is split (`Body.from_mesh`), once: see `cache`; or its triangles (`Body.from_surface`),
-            including the enclosed space if the mesh is closed.
+            Representation of each collision mesh: its convex hull, which contains it; convex pieces (`Body.from_mesh`),
+            into which a non-convex mesh is split once (see `cache`); or its triangles (`Body.from_surface`), including
+            the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         tol : float
@@ -194,9 +195,9 @@ class Robot:
             If a file is missing or cannot be read; for a mesh the message names its link and the places that were
             searched. If one of `package_dirs` is not a folder.
         InputError
-            If there is neither path nor text, or both; if a path is not a path (but XML text, for instance), the SRDF
-            is a URDF, the links do not form a tree, or a joint is not well defined; GeometryError if a shape is flat or
-            has no size.
+            If neither or both of path and text are given; if a path is not a path (but XML text, for instance), the
+            SRDF is a URDF, the links do not form a tree, or a joint is not well defined; GeometryError if a shape is
+            flat or has no size.
         UnknownNameError
             If a joint refers to a name that does not exist, or the SRDF is another robot's.
         MissingExtraError
@@ -205,9 +206,9 @@ class Robot:
         Warns
         -----
         UserWarning
-            If the SRDF names some links or joints that the robot does not have, or none that it has; if it names
-            another robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or an
-            origin not in radians.
+            If the SRDF names links or joints that the robot does not have, or none that it has; if it names another
+            robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or an origin not
+            in radians.
 
         Examples
         --------
@@ -341,9 +342,9 @@ class Robot:
         )
 
     def placed(self, T_world_base: ArrayLike) -> Robot:
-        """The same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
+        """Return the same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
-        If a robot has been placed before, the new pose is given in the same frame as the old one.
+        If the robot has been placed before, the new pose replaces the old one.
 
         Parameters
         ----------
@@ -370,7 +371,7 @@ class Robot:
 
     @guarded
     def disabling(self, pairs: Iterable[Pair]) -> Robot:
-        """The same robot with more pairs of links exempt from checking, in addition to its `disabled_pairs`.
+        """Return the same robot with more pairs of links exempt from checking, in addition to its `disabled_pairs`.
 
         Parameters
         ----------
@@ -396,13 +397,13 @@ class Robot:
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
 
     def link_pairs(self, pairs: Iterable[Pair], name: str = "pairs") -> frozenset[Pair]:
-        """Pairs of two different links of this robot, checked, each sorted by name.
+        """Check pairs of two different links of this robot, and sort each by name.
 
         Parameters
         ----------
         pairs : iterable of pairs of str
         name : str
-            The caller's name for them, for messages.
+            The caller's name for the pairs, for messages.
 
         Returns
         -------
@@ -446,12 +447,12 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
 
         Warns
         -----
         UserWarning
-            As `checked`.
+            As for `checked`.
 
         Examples
         --------
@@ -466,7 +467,7 @@ class Robot:
         return link_poses(self, checked.reshape(count, self.dof)).reshape(*batch, links, 4, 4)
 
     def jacobian(self, Q: ArrayLike, link: str, point: ArrayLike | None = None) -> Floats:
-        """How a point of a link moves with the configuration.
+        """Jacobian of a point of a link: how it moves with the configuration.
 
         Parameters
         ----------
@@ -478,7 +479,7 @@ class Robot:
         Returns
         -------
         ndarray, shape (..., 6, dof)
-            In the world's axes, for each value of the configuration: the velocity of the point [m], then the angular
+            For each value of the configuration, in the world's axes: the velocity of the point [m], then the angular
             velocity of the link [rad].
 
         Raises
@@ -490,7 +491,7 @@ class Robot:
 
         Notes
         -----
-        Columns of a quaternion are derivatives of its rotation: a change of the quaternion's length alone rotates
+        The columns of a quaternion are derivatives of its rotation: changing only the quaternion's length rotates
         nothing.
 
         Examples
@@ -513,9 +514,9 @@ class Robot:
         return J.reshape(*batch, 6, self.dof)
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
-        """Configurations as kernels take them: C-order float64, finite, with quaternions of norm 1.
+        """Check configurations and return them in the form that kernels take: C-order float64.
 
-        Every function that takes configurations checks them with this one.
+        Every function that takes configurations checks them with this function.
 
         Parameters
         ----------
@@ -531,16 +532,16 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
 
         Warns
         -----
         UserWarning
-            Given once for a robot and its copies, if a value is far outside its limits: an angle by more than a turn,
-            or a length by more than a metre and ten times the range of the limits; or if a joint that turns without
-            limit is beyond ±50 rad. It names the joint, and suggests degrees or millimetres.
+            Given once for a robot and its copies, if a value is far outside its limits (an angle by more than a turn,
+            or a length by more than a metre and ten times the range of the limits), or if a joint that turns without
+            limits is outside ±50 rad. It names the joint, and suggests that values may be in degrees or millimetres.
         """
-        # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
+        # A fast path for a single configuration, whose few entries cost less than NumPy's overhead.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
@@ -560,10 +561,10 @@ class Robot:
             if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
                 worst = norm.flat[np.abs(norm - 1).argmax()]
                 raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
-        return array if array.flags.carray else array.copy()  # read-only: to Numba another type
+        return array if array.flags.carray else array.copy()  # read-only arrays are another type to Numba
 
     def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
-        """One configuration as kernels take it.
+        """Check one configuration and return it in the form that kernels take.
 
         Parameters
         ----------
@@ -579,7 +580,7 @@ class Robot:
         Raises
         ------
         InputError
-            As for `checked`, or if there is more than one.
+            As for `checked`, or if there is more than one configuration.
         """
         checked = self.checked(q, name)
         if checked.ndim != 1:
@@ -588,13 +589,13 @@ class Robot:
         return checked
 
     def configuration(self, values: Mapping[str, ArrayLike] | str | None = None) -> Floats:
-        """One configuration, by names.
+        """Make one configuration from named values.
 
         Parameters
         ----------
         values : dict or str, optional
             Values by joint name or configuration name, or the name of a state. All other joints are at 0 (a quaternion
-            at the identity), whether or not their limits allow it.
+            at the identity), even if this is outside their limits.
 
         Returns
         -------
@@ -643,14 +644,14 @@ class Robot:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
         A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
-        one limit is drawn from a range of 2π that starts there, or that reaches the far end of -π .. π if that is
-        farther. A limit beyond ±1e6 counts as none for drawing, but is still respected.
+        one limit is drawn from a range that starts there and has length 2π, or reaches the far end of -π .. π if that
+        is farther. A limit outside ±1e6 counts as none for drawing, but is still respected.
 
         Parameters
         ----------
         n : int
         seed : int
-            Neither may be negative.
+            Both are non-negative.
 
         Returns
         -------
@@ -659,7 +660,7 @@ class Robot:
         Raises
         ------
         InputError
-            If one is not such an integer, or n configurations do not fit into memory.
+            If one is not a non-negative integer, or n configurations do not fit into memory.
 
         Examples
         --------
@@ -685,8 +686,8 @@ class Robot:
         Parameters
         ----------
         reach : float
-            Range for values without a limit (or with one beyond ±1e6, which some programs write for none): this far
-            from 0, or twice as far from the other limit if that is farther.
+            Range for values without a limit (or with a limit outside ±1e6, which some programs write for none): this
+            far from 0, or twice as far from the other limit if that is farther.
 
         Returns
         -------
@@ -708,7 +709,7 @@ class Robot:
 
     @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> OneOrMany:
-        """Euclidean distances of configurations in the units of the joints; for orientations, the angle between them.
+        """Euclidean distances of configurations in the units of the joints, with the angle between orientations.
 
         Parameters
         ----------
@@ -743,7 +744,7 @@ class Robot:
 
     @kept
     def runs_straight(self) -> bool:
-        """Whether all motions between configurations are straight: no joint has an orientation of its own."""
+        """Whether all motions between configurations are straight, since no joint has a quaternion."""
         return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
@@ -773,7 +774,7 @@ class Robot:
 
     @kept
     def _quaternions(self) -> dict[str, slice]:
-        """Columns of the orientations of joints that have one."""
+        """Columns of the quaternions of joints that have one."""
         widths = {len(VALUES[kind]) for kind in WITH_QUATERNION}
         return {
             joint: slice(at.stop - 4, at.stop) for joint, at in self._columns.items() if at.stop - at.start in widths
@@ -830,7 +831,7 @@ def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
 
 
 def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:
-    """The fastest that the values of configurations may change; NaN where that is not known."""
+    """The largest rates of configuration values; NaN where unknown."""
     velocity = np.full(dof, np.nan)
     for joint in robot.joints.values():
         moved, multiplier = (joint.name, 1.0) if joint.mimic is None else (joint.mimic.joint, joint.mimic.multiplier)

@@ -1,4 +1,4 @@
-"""Pairs of links that need no check, found by sampling."""
+"""Find, by sampling, pairs of links that need no check."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ def pairs_by_sampling(
     known_free: ArrayLike | None = None,
     always: float = 0.95,
 ) -> dict[Pair, str]:
-    """Pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant finds them.
+    """Find pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant does.
 
     Parameters
     ----------
     robot : Robot
         Its `disabled_pairs` are skipped.
     samples : int
-        Random configurations within the limits, see `Robot.random_configurations`.
+        Number of random configurations within the limits; see `Robot.random_configurations`.
     seed : int
     known_free : array_like, shape (..., dof), optional
-        Configurations at which the robot is known to be free, for instance its current one: pairs that collide there do
-        so because the bodies are larger than the links.
+        Configurations at which the robot is known to be free, for instance its current one: pairs that collide there
+        only do so because bodies are larger than the real links.
     always : float
-        Fraction of the samples, above 0 and at most 1, from which two links count as always colliding.
+        Fraction of the samples, above 0 and at most 1, at which two links must collide to count as always colliding.
 
     Returns
     -------
     dict
-        Sorted pairs of links with a reason: "adjacent" if a joint joins them; "default" if they collide at
+        Sorted pairs of links with a reason: "adjacent" if a joint connects them; "default" if they collide at
         `known_free`; "always", or "never", if they collide at all samples or at none. Rigidly joined links are never
         checked and are not listed.
 

@@ -13,20 +13,20 @@ from loewner.errors import UnknownNameError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description
 from loewner.robots.xml_elements import LISTED, Element, by_name, known, read_xml, some
 
-# What pinocchio calls the free base that it puts under a robot; its SRDF files name it without declaring it.
+# pinocchio's name for the free base that it adds to a robot; its SRDF files use it without declaring it.
 UNDECLARED_BASE = "root_joint"
 
-# Elements of SRDF files that are known, to us or to programs that add their own; any other is most likely a slip.
+# Known elements of SRDF files, including other programs' additions; any other is most likely a mistake.
 SRDF_TAGS = frozenset((
     "group", "group_state", "disable_collisions", "enable_collisions", "disable_default_collisions", "virtual_joint",
     "end_effector", "passive_joint", "joint_property", "link_sphere_approximation",
     "gripper", "handle", "contact", "position", "rotor_params", "specificities",
 ))  # fmt: skip
 
-# Joints that all groups together may have at most: far more than any robot has.
+# Limit on the number of joints of all groups together: far more than any robot has.
 MOST_MEMBERS = 2**22
 
-# An SRDF that knows less than this share of the names it could know was written for another robot.
+# If less than this share of the names in an SRDF belong to the robot, it was written for another robot.
 LEAST_IN_COMMON = 0.25
 
 # Group, and values by joint; the group is "" for a state of the whole robot.
@@ -53,7 +53,7 @@ class Semantics:
 
 
 class _Names:
-    """Looks names up in the URDF, and keeps count: an SRDF of another robot finds few."""
+    """Looks names up in the URDF and counts hits, which are few for an SRDF of another robot."""
 
     def __init__(self, robot: Description, without_values: Collection[str]) -> None:
         self.robot = robot
@@ -70,7 +70,7 @@ class _Names:
         return self._of("joint", element, "name", self.robot.joints)
 
     def group(self, element: Element, attribute: str, groups: Collection[str]) -> str | None:
-        """Name of a group, if there is such a one in this file."""
+        """Name of a group, if this file has such a group."""
         name = element.text(attribute)
         if name in groups:
             return name
@@ -86,7 +86,7 @@ class _Names:
         return None
 
     def settle(self, path: Path) -> None:
-        """Refuse the SRDF of another robot; say which names of a bigger variant of this one are left out."""
+        """Refuse the SRDF of another robot; warn of ignored names, which a larger variant of this robot may have."""
         if not self.unknown:
             return
         foreign = [key for key in self.unknown if key[0] != "group"]
@@ -112,16 +112,16 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     Raises
     ------
     FileError, InputError
-        As `read_urdf`.
+        As for `read_urdf`.
     UnknownNameError
         If hardly any of the links and joints that it names belong to this robot.
 
     Warns
     -----
     UserWarning
-        If some do not (an SRDF is often shared with a larger variant of the robot), or a group is named that is not in
-        the file; if it names nothing of this robot, if it is for a robot of another name, or if it has elements that
-        are not defined in SRDF.
+        If some do not (an SRDF is often shared with a larger variant of the robot), or it names a group that it does
+        not contain; if it names nothing of this robot, is for a robot of another name, or has elements that are not
+        defined in SRDF.
     """
     root = read_xml(path, "an SRDF")
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
@@ -138,7 +138,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
 
 
 def _oddities(root: Element, names: _Names) -> Iterator[str]:
-    """What is no error in an SRDF, but mostly a slip."""
+    """Warnings about content of an SRDF that is allowed but probably a mistake."""
     robot, name = names.robot, root.attributes.get("name", "")
     if name and name != robot.name:
         yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
@@ -208,7 +208,7 @@ def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
 
 
 def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> list[str]:
-    """Joints that an entry of a group means: one, the one above a link, or those between links."""
+    """Joints of an entry of a group: a joint, the joint above a link, or the joints between two links."""
     if element.tag == "joint":
         joint = names.joint(element)
         return [] if joint is None else [joint]
@@ -221,7 +221,7 @@ def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> lis
 
 
 def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) -> list[str]:
-    """Order groups such that each comes after those inside it."""
+    """Order groups such that each comes after the groups inside it."""
     order: list[str] = []
     done: set[str] = set()
     for start in elements:
@@ -261,7 +261,7 @@ def _states(root: Element, names: _Names, groups: Collection[str]) -> dict[str, 
     states: dict[str, State] = {}
     driven = set(names.robot.driven)
     for element in root.all("group_state"):
-        # A state outside all groups is a state of the whole robot to some programs.
+        # Some programs write a state outside all groups for the whole robot.
         name = element.text("name")
         group = (names.group(element, "group", groups) or "") if "group" in element.attributes else ""
         values: dict[str, float | tuple[float, ...]] = {}
@@ -274,6 +274,6 @@ def _states(root: Element, names: _Names, groups: Collection[str]) -> dict[str, 
             if kind == "floating":  # x, y, z, then the quaternion as x, y, z, w
                 numbers = [*numbers[:3], numbers[6], *numbers[3:6]]
             values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
-        # The name of a state is its own within its group only.
+        # The name of a state is unique only within its group.
         states[f"{group}/{name}" if name in states else name] = (group, values)
     return states

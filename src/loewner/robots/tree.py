@@ -1,4 +1,4 @@
-"""The joint tree of a robot in the form that kernels take, and which of its links are neighbours."""
+"""The joint tree of a robot in the form that kernels take, and its pairs of adjacent links."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from loewner._validate import Floats, Pair
 from loewner.errors import InputError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description, Joint
 
-# Kinds of joints: what kernels call those of URDF.
+# Kinds of joints: the kernels' names for the types of URDF.
 KINDS = {
     "fixed": columns.FIXED,
     "revolute": columns.REVOLUTE,
@@ -26,7 +26,7 @@ KINDS = {
 
 
 def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
-    """Columns of each driven joint, and their number."""
+    """Columns of each driven joint, and the number of columns."""
     slices, at = {}, 0
     for name in robot.driven:
         slices[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
@@ -35,17 +35,17 @@ def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
 
 
 def adjacent_pairs(robot: Description) -> frozenset[Pair]:
-    """Pairs of links with shapes that a joint joins, or a path over links without shapes with at most one moving joint.
+    """Pairs of links with shapes, joined by a joint or a path over links without shapes with at most one moving joint.
 
     MoveIt's setup assistant allows any number of moving joints on such a path. But links separated by two moving joints
     may well collide, and a pair that is not checked is never found.
     """
-    # Links without shapes that are rigidly joined are one place, named by its topmost link. Around each place are the
-    # links with shapes that fixed joints, and those that moving joints lead to.
+    # Rigidly joined links without shapes form one place, named by its topmost link. Fixed and moving joints lead from
+    # each place to links with shapes.
     place = {name: name for name in robot.shapes}
     fixed: dict[str, set[str]] = {}
     moving: dict[str, set[str]] = {}
-    between: list[Pair] = []  # places that a moving joint joins
+    between: list[Pair] = []  # places that a moving joint connects
     pairs = set()
     for link, shapes in robot.shapes.items():
         if link not in robot.joint_above:
@@ -84,7 +84,7 @@ def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
     parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     multiplier, offset = np.ones(count), np.zeros(count)
     constants = np.zeros((count, columns.CONSTANTS))
-    # For each link the first link of the rigid thing that it is part of, and its pose in there.
+    # For each link, the first link of its rigid group, and its pose in the frame of that link.
     frames: dict[str, tuple[int, Floats]] = {}
     for i, name in enumerate(robot.shapes):
         joint = robot.joint_above.get(name)
@@ -142,7 +142,7 @@ def _joint_constants(joint: Joint, T: Floats) -> Floats:
 def _from_z(axis: Floats) -> Floats:
     """Shortest rotation that takes the z axis to a unit vector."""
     x, y, z = axis
-    if z < 0 and x * x + y * y < 1e-24:  # half a turn, about any axis across: x
+    if z < 0 and x * x + y * y < 1e-24:  # half a turn about any perpendicular axis: x
         return np.diag([1.0, -1.0, -1.0])
     cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))

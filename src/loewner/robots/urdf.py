@@ -1,6 +1,6 @@
-"""URDF files, read and checked to be a tree: links, joints and shapes.
+"""Read URDF files: links, joints and shapes, checked to form a tree.
 
-Visual geometry is for the viewer only, see `read_visuals`.
+Visual geometry is only for the viewer; see `read_visuals`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from loewner._validate import Floats
 from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
 from loewner.robots.xml_elements import LARGEST, LISTED, Element, by_name, known, read_xml, some
 
-# Names of the values of a joint, by kind; a joint of one value gives it its own name. No URDF has a ball joint.
+# Names of the values of a joint, by kind; a single value has the name of its joint. No URDF has a ball joint.
 VALUES: dict[str, tuple[str, ...]] = {
     "fixed": (),
     "revolute": ("",),
@@ -39,11 +39,11 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
     "capsule": (("radius", 1), ("length", 1)),
 }
 
-# An axis is meant as a unit vector. One that is far shorter has the direction of rounding errors, or is damaged; and
-# the squares of lengths below 1e-154 vanish, so that readers do not agree on it.
+# An axis should be a unit vector. The direction of a far shorter one is due to rounding or damage, and squares of
+# lengths below 1e-154 vanish, so readers do not agree on it.
 SHORTEST_AXIS = 1e-9
 
-# Pairs of links that the rules of an SRDF, or links without shapes, may make at most: far more than any robot has.
+# Limit on the number of pairs of links from rules of an SRDF or links without shapes: far more than any robot has.
 MOST_PAIRS = 2**22
 
 
@@ -58,7 +58,7 @@ class Shape:
     sizes : tuple of float
         Edge lengths of a box; radius; radius and length. In metres; empty for meshes.
     file_name : str
-        As given in the URDF; empty for the others.
+        As given in the URDF; empty for other kinds.
     scale : ndarray, shape (3,)
         For a mesh, along its own axes; negative entries mirror.
     origin : ndarray, shape (4, 4)
@@ -77,7 +77,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Mimic:
-    """A joint moves by multiplier * (value of another joint) + offset."""
+    """A joint follows another one: its value is multiplier * (value of the other joint) + offset."""
 
     joint: str
     multiplier: float
@@ -88,8 +88,8 @@ class Mimic:
 class Joint:
     """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF.
 
-    `velocity` is the largest rate of its value [rad/s or m/s]; NaN where the URDF gives nothing above 0. The child is
-    at `origin` where the value is `reference`.
+    `velocity` is the largest rate of its value [rad/s or m/s], or NaN if the URDF gives no positive one. The child is
+    at `origin` if the value is `reference`.
     """
 
     name: str
@@ -154,7 +154,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     Warns
     -----
     UserWarning
-        If a joint mimics one that does not exist, or the angles of an origin are probably in degrees.
+        If a joint mimics a joint that does not exist, or the angles of an origin are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
     links = by_name(root.all("link"))
@@ -190,7 +190,7 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
     shapes : dict
         Link name to its visual shapes, for links that have any.
     faults : list of str
-        The faults of omitted shapes: visual geometry affects no query, so a broken shape is not an error.
+        Faults of shapes that were omitted: visual geometry affects no query, so a broken shape is not an error.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
 
 
 def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint]) -> list[str]:
-    """Order links depth first from the one root."""
+    """Order links depth first from the root, which must be unique."""
     tops = [name for name in links if name not in joint_above]
     if len(tops) > 1:
         root.fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")
@@ -260,7 +260,7 @@ def _joint(element: Element, links: Collection[str]) -> Joint:
 def _axis(joint: Element, kind: str) -> Floats:
     """Axis of a joint, as a unit vector.
 
-    Where a URDF gives none it is x, but z for a planar joint: so do MoveIt and pinocchio.
+    The default is x, but z for a planar joint, as in MoveIt and pinocchio.
     """
     element = joint.first("axis")
     if kind in ("fixed", "floating"):
@@ -292,7 +292,7 @@ def _limits(joint: Element, kind: str) -> tuple[float, float]:
 
 
 def _velocity(joint: Element, kind: str) -> float:
-    """The fastest that a joint of one value moves; many files write 0 for none."""
+    """Velocity limit of a joint with one value; many files write 0 for none."""
     element = joint.first("limit")
     if element is None or VALUES[kind] != ("",):
         return math.nan
@@ -302,7 +302,7 @@ def _velocity(joint: Element, kind: str) -> float:
 
 def _mimic(joint: Element, kind: str) -> Mimic | None:
     element = joint.first("mimic")
-    if element is None or kind == "fixed":  # a gripper welded shut in a reduced model may keep its <mimic>
+    if element is None or kind == "fixed":  # a gripper that is fixed in a reduced model may keep its <mimic>
         return None
     if VALUES[kind] != ("",):
         element.fault("a <mimic> in a joint of one value only", f"one in the {kind} joint {joint.text('name')!r}")
@@ -310,7 +310,7 @@ def _mimic(joint: Element, kind: str) -> Mimic | None:
 
 
 def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
-    """Give joints that mimic one which does not exist a value of their own, as MoveIt and pinocchio do, and say so."""
+    """Give joints that mimic a missing joint a value of their own, as MoveIt and pinocchio do, with a warning."""
     lost = {j.name: j for j in joints.values() if j.mimic is not None and j.mimic.joint not in joints}
     for count, joint in enumerate(lost.values()):
         if count == LISTED:
@@ -324,10 +324,10 @@ def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]
 
 
 def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
-    """Let each joint that mimics another mimic the one at the end of its chain."""
+    """Let each mimicking joint follow the joint at the end of its chain."""
     found = {name: joint for name, joint in joints.items() if joint.mimic is None}
     for start in joints.values():
-        chain: dict[str, Joint] = {}  # from the start up to one that is settled, in order
+        chain: dict[str, Joint] = {}  # from the start up to a settled joint, in order
         at = start
         while at.name not in found:
             if at.name in chain:
@@ -343,7 +343,7 @@ def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
 
 
 def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
-    """Let a joint mimic the one that the joint which it follows mimics, if that does."""
+    """If the joint that is followed itself mimics a third one, let this joint follow the third."""
     own = joint.mimic
     assert own is not None
     if VALUES[followed.kind] != ("",):
@@ -365,7 +365,7 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
 
 
 def _doubt_angles(root: Element) -> None:
-    """Say so if the origins of a URDF seem to be in degrees: once, for all of them are then."""
+    """Warn, once for all origins, if the origins of a URDF seem to be in degrees."""
     for owner in (*root.all("joint"), *(e for link in root.all("link") for e in link.all("collision"))):
         origin = owner.first("origin")
         doubt = "" if origin is None else doubt_about_rpy(origin.finite("rpy", 3, "0 0 0"))

@@ -1,4 +1,4 @@
-"""Verdicts of configurations and of sampled motions. AMBIGUOUS is a value; only the checker raises an exception."""
+"""Verdicts of configurations and of sampled motions; AMBIGUOUS is returned, and only the checker raises for it."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ class Settled:
     Attributes
     ----------
     free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
-        Free, by the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes between
-        the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact search.
+        Free configurations, by the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids;
+        planes between the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact
+        search.
     colliding_by_ellipsoids, colliding_by_search : int
-        Colliding, found by inner ellipsoids or by the exact search.
+        Colliding configurations, found by inner ellipsoids or by the exact search.
 
     Examples
     --------
@@ -108,7 +109,7 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
         )
 
     def share(first: int, last: int) -> None:
-        # Counts of its own: threads that write side by side slow each other down.
+        # Each call has its own counts: threads that write to the same memory slow each other down.
         hits = np.zeros_like(ready.hits)
         run(first, last, hits)
         np.add(ready.hits, hits, out=ready.hits)
@@ -261,7 +262,7 @@ def _worst(verdicts: NDArray[np.int8]) -> int:
 
 
 def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
-    """Where verdicts are AMBIGUOUS; quick where none is."""
+    """Indices of AMBIGUOUS verdicts, with a fast path for none."""
     if not (verdicts[0] == codes.AMBIGUOUS if len(verdicts) == 1 else (verdicts == codes.AMBIGUOUS).any()):
         return _NOWHERE
     return np.flatnonzero(verdicts == codes.AMBIGUOUS)

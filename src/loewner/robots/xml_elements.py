@@ -1,4 +1,4 @@
-"""Elements of robot descriptions in XML, with their lines, which the errors name.
+"""Elements of robot descriptions in XML, with line numbers for error messages.
 
 The standard library's reader is used: it records the line of every element, and elements that are not needed
 (materials, sensors and transmissions) are ignored, even if broken.
@@ -18,20 +18,20 @@ from loewner import _validate
 from loewner._files import read_regular
 from loewner.errors import FileError, InputError
 
-# What a description may have at most: the largest robots known have a hundredth of it. Bytes of a file; elements, and
-# how deep they are nested.
+# Limits on a description, a hundred times the largest known robots: bytes of a file, number of elements, and depth of
+# their nesting.
 MOST_BYTES = 2**25
 MOST_ELEMENTS = 250_000
 DEEPEST = 100
 
-# A number in a description that is larger is none: lengths, factors and offsets [m, rad, 1]. What is made of some
-# thousands of them is still finite.
+# Larger numbers in a description are refused: lengths, factors and offsets [m, rad, 1]. Results from thousands of them
+# are then still finite.
 LARGEST = 1e12
 
-# What to do with the text of a description instead.
+# Advice for a text that is passed as a path.
 ITS_TEXT = {"a URDF": "; give it by text="}
 
-# Names that a message lists at most.
+# Largest number of names that a message lists.
 LISTED = 30
 
 
@@ -50,11 +50,11 @@ class Element:
         return (c for c in self.children if c.tag == tag)
 
     def first(self, tag: str) -> Element | None:
-        """The first of them, if there is one."""
+        """The first child with this tag, if there is one."""
         return next(self.all(tag), None)
 
     def the(self, tag: str) -> Element:
-        """The first of them, which must exist."""
+        """The first child with this tag, which must exist."""
         found = self.first(tag)
         if found is None:
             self.fault(f"a <{tag}> in <{self.tag}>", "none")
@@ -72,7 +72,7 @@ class Element:
         text = self.attributes.get(attribute, default)
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
-        try:  # Python would take "1_0" for ten, and digits of all the world's scripts
+        try:  # Python would accept "1_0" as ten, and digits of other scripts
             values = [float(word) for word in text.split()] if text.isascii() and "_" not in text else []
         except ValueError:
             values = []
@@ -81,7 +81,7 @@ class Element:
         return values
 
     def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """The same numbers, none of them beyond `LARGEST`."""
+        """The required numbers, none larger than `LARGEST`."""
         values = self.numbers(attribute, count, default)
         if not all(abs(v) <= LARGEST for v in values):
             found = cut(self.attributes[attribute])
@@ -99,7 +99,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
         raise InputError(f"expected a path to {what}, found XML text{ITS_TEXT.get(what, '; write it to a file first')}")
     path = _validate.path(path, "path", wanted=f"a path to {what}")
     data = read_regular(path, what, MOST_BYTES) if text is None else _bytes_of(text, what)
-    # A text has been decoded already, whatever its first line says of an encoding.
+    # A text has already been decoded, whatever encoding its first line declares.
     parser = expat.ParserCreate(None if text is None else "utf-8")
     document = Element("", {}, 1, path)
     open_elements = [document]
@@ -118,7 +118,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
         open_elements[-1].children.append(element)
         open_elements.append(element)
 
-    # Entities can stand for more text than memory holds, or for other files; no description needs one of its own.
+    # Entities can expand to more text than memory holds, or to other files; no description needs to define any.
     parser.EntityDeclHandler = lambda name, *rest: refuse(f"the declaration of an entity, {cut(name)}")
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: open_elements.pop()
@@ -126,7 +126,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
         parser.Parse(data, True)
     except FileError:
         raise
-    except (expat.ExpatError, ValueError, LookupError, MemoryError) as error:  # an encoding that nobody knows, or large
+    except (expat.ExpatError, ValueError, LookupError, MemoryError) as error:  # an unknown or large encoding
         line = getattr(error, "lineno", 1)
         raise FileError(f"{path}, line {line}: expected {what}, found broken XML ({error})") from None
     root = document.children[0]
@@ -139,7 +139,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
 
 
 def _bytes_of(text: str, what: str) -> bytes:
-    """A text as the file that it would be."""
+    """The bytes of a text, as they would be in a file."""
     try:
         data = text.encode()
     except UnicodeEncodeError:
@@ -150,7 +150,7 @@ def _bytes_of(text: str, what: str) -> bytes:
 
 
 def by_name(elements: Iterable[Element]) -> dict[str, Element]:
-    """Elements by name, each of which may occur once."""
+    """Elements by name; each name may occur once."""
     named: dict[str, Element] = {}
     for element in elements:
         name = element.text("name")
@@ -167,7 +167,7 @@ def known(names: Iterable[str]) -> str:
 
 
 def some(names: Iterable[str]) -> str:
-    """Names for messages, each once, shortened to a readable number."""
+    """Names for messages, without repeats and limited to a readable number."""
     once = list(dict.fromkeys(names))
     more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
     return ", ".join(once[:LISTED]) + more

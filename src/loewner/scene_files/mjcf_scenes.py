@@ -6,12 +6,12 @@ from loewner.fits import DEFAULT_TOLERANCE
 from loewner.mjcf_models import read_mjcf
 from loewner.scenes import Scene
 
-# Ends of the names of files that are models, not YAML.
+# Endings of the names of model files, as opposed to YAML.
 MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
 def mjcf_scene(file: Path) -> Scene:
-    """All colliding geoms of a model, joints at their references; pairs that MuJoCo does not collide may touch."""
+    """Scene of all colliding geoms, with joints at their references; pairs that MuJoCo does not collide may touch."""
     model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
     for body in model.bodies:
         for part in body.parts:

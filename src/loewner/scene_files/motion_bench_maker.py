@@ -50,19 +50,19 @@ class Problem:
     group : str
         The family of the problem, such as "bookshelf_thin".
     index : int
-        Its number in the family, as counted in the file.
+        Number of the problem in its family, as in the file.
     robot : str
         Name of the robot.
     joint_names : tuple of str
         Names of the columns of `start` and `goals`.
     start : ndarray, shape (dof,)
-        Configuration to start from, in radians or metres.
+        Start configuration, in radians or metres.
     goals : ndarray, shape (k, dof)
         Goal configurations; reaching any one is enough.
     scene : Scene
         Obstacles, in the frame of the robot's base.
     valid : bool or None
-        The file's own claim that the problem is sound, not checked here; None if it makes none.
+        The file's own claim that the problem is valid, which is not checked here; None if there is none.
 
     Examples
     --------
@@ -134,12 +134,12 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
 
 
 def _json_text(file: Path) -> str:
-    """Text of a JSON file that is not nested too deep."""
+    """Text of a JSON file, which must not be nested too deeply."""
     data = read_regular(file, "problems in JSON", MOST_BYTES)
     text = data.decode(json.detect_encoding(data))
     if text.startswith("\ufeff"):
         text = text[1:]
-    # What opens minus what closes; brackets in names can only make it too large, in files that nobody writes.
+    # Opening minus closing brackets; brackets in names can only make it too large, in contrived files.
     depth = deepest = 0
     for bracket in re.finditer(r"[\[{\]}]", text):
         depth += 1 if bracket[0] in "[{" else -1
@@ -150,7 +150,7 @@ def _json_text(file: Path) -> str:
 
 
 def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Make a mapping of its pairs. JSON lets a key come twice, and the first value would be lost."""
+    """Make a mapping from pairs; JSON allows duplicate keys, whose first values would be lost, so they are refused."""
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
@@ -159,14 +159,14 @@ def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class JsonNode(Node):
-    """A place in a JSON file, whose reader records no line numbers."""
+    """A place in a JSON file; the reader of JSON records no line numbers."""
 
     @property
     def line(self) -> None:
         """Unknown."""
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place if of the expected kind: pairs of a mapping, entries of a sequence, a plain value."""
+        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a plain value."""
         raw = self.raw
         found = "mapping" if isinstance(raw, dict) else "sequence" if isinstance(raw, list) else "scalar"
         if found != kind:
@@ -180,7 +180,7 @@ class JsonNode(Node):
         return cut(repr(self.raw) if isinstance(self.raw, str) else reprlib.repr(self.raw))
 
     def _plain(self, kind: type, wanted: str) -> Any:
-        # To Python a bool is an int; to a file it is not.
+        # In Python a bool is an int; in a file it is not.
         if not isinstance(self.raw, kind) or (isinstance(self.raw, bool) and kind is not bool):
             raise self.error(f"expected {wanted}, found {self.described()}")
         return self.raw

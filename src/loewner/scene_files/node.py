@@ -1,7 +1,7 @@
 """Places in a file of nested mappings and sequences: their expected contents, and their names in messages.
 
-A file is read whole or refused: a robot would drive into an obstacle that was skipped. So every key must be known, and
-every fault is reported with its place.
+A file is read completely or refused: a robot would drive into an obstacle that was skipped. Every key must therefore be
+known, and every fault is reported with its place.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any, Self
 
 from loewner.errors import FileError, InputError
 
-# Keys that a message lists at most.
+# Largest number of keys that a message lists.
 LISTED = 30
 
-# How deep entries may be nested in each other.
+# Limit on the depth of nested entries.
 DEEPEST = 50
 
 
@@ -43,11 +43,11 @@ class Node(ABC):
     @property
     @abstractmethod
     def line(self) -> int | None:
-        """Line where it begins, if the reader records it."""
+        """Line at which the place begins, if the reader records it."""
 
     @abstractmethod
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place if of the expected kind: mapping pairs, sequence entries, or a scalar's value."""
+        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a scalar's value."""
 
     @abstractmethod
     def described(self) -> str:
@@ -103,13 +103,13 @@ class Node(ABC):
         return [type(self)(self.file, f"{self.key}[{i}]", raw) for i, raw in enumerate(entries)]
 
     def finite(self, number: float) -> float:
-        """A number read here, which must be finite; NaN if none could be read."""
+        """Check that a number read here is finite; it is NaN if none could be read."""
         if not math.isfinite(number):
             raise self.error(f"expected a finite number, found {self.described()}")
         return number
 
     def length(self) -> float:
-        """A length in metres, not negative."""
+        """A non-negative length in metres."""
         number = self.number()
         if number < 0:
             raise self.error(f"expected a number of metres >= 0, found {number:g}")

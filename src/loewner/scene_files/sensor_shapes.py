@@ -15,7 +15,7 @@ from loewner.bodies import Body
 from loewner.errors import FileError
 from loewner.scene_files.node import Node
 
-# Bytes of a file of numbers: a cloud of ten million points in text.
+# Largest file of numbers in bytes: a cloud of ten million points in text.
 MOST_BYTES = 2**29
 
 Recipe = tuple[Any, Callable[[], Body]]
@@ -83,17 +83,17 @@ def _file(entry: Node) -> Path:
 
 
 def read_array(path: Path) -> Any:
-    """Numbers of a file: an array of NumPy (`.npy`, never a pickle), or lines of numbers (`.xyz`, `.txt`, `.csv`).
+    """Read numbers from a NumPy array (`.npy`, never a pickle) or from lines of text (`.xyz`, `.txt`, `.csv`).
 
     Parameters
     ----------
     path : Path
-        In `.csv` files commas separate the numbers; in the others spaces may instead.
+        In `.csv` files commas separate the numbers; in other text files spaces may do so instead.
 
     Raises
     ------
     FileError
-        If the file is missing, too large or of another kind, or a number is missing in it.
+        If the file is missing, too large or of another kind, or lacks a number.
     """
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".xyz", ".txt", ".csv"):

@@ -28,8 +28,8 @@ from loewner.scenes import MarginKey, Scene
 
 Maker = Callable[..., Body]
 
-# What a file may have at most: bytes; entries, those that an alias stands for counted each time. A scene of a hundred
-# thousand boxes has half of it. YAML is read at some seconds a megabyte.
+# Limits on a file: bytes, and entries, with the entries of an alias counted at each use. A scene of a hundred thousand
+# boxes has half as many. Reading YAML takes a few seconds per megabyte.
 MOST_BYTES = 2**24
 MOST_ENTRIES = 2_000_000
 
@@ -48,7 +48,7 @@ ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
 }
 SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", *SENSOR_SHAPES, "mesh", "saved")
 
-# What YAML calls the plain values; another tag asks for something that a scene has no place for.
+# YAML's tags for plain values; a scene has no use for values with other tags.
 YAML_TAGS = tuple(
     f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")
 )
@@ -75,7 +75,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     MissingExtraError
         If PyYAML is not installed, or MuJoCo for a model, or a package that a mesh needs.
     InputError, GeometryError
-        If a colliding geom of a model cannot be read: as `Robot.from_mjcf`.
+        As for `Robot.from_mjcf`, if a colliding geom of a model cannot be read.
 
     Warns
     -----
@@ -111,7 +111,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
 
 
 def _set_margin(scene: Scene, entry: YamlNode) -> None:
-    """What one entry says: ``[a, 0.02]``, ``[a, b, 0.02]``, or a mapping, which can say all that `set_margin` can."""
+    """Set the margin of one entry: ``[a, 0.02]``, ``[a, b, 0.02]``, or a mapping with all options of `set_margin`."""
     options: dict[str, Any] = {}
     if entry.raw.id != "mapping":
         *items, last = entry.items(2, 3)
@@ -133,7 +133,7 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 
 @guarded
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
-    """Write a scene to YAML, such that the scene read by `load_scene` gives the same verdicts.
+    """Write a scene to YAML, such that `load_scene` reads a scene with the same verdicts.
 
     Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
     next to the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
@@ -172,7 +172,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 
 
 def _document(scene: Scene, file: Path) -> dict[str, Any]:
-    """What the file says of the scene; bodies that it cannot say are saved beside it."""
+    """Contents of the file for a scene; bodies that it cannot express are saved beside it."""
     saved: dict[int, str] = {}
     bodies = {}
     for name in scene:
@@ -194,7 +194,7 @@ def _document(scene: Scene, file: Path) -> dict[str, Any]:
 
 
 def _margin_entry(key: MarginKey, margin: float, lower: bool) -> list[Any] | dict[str, Any]:
-    """What `_set_margin` reads."""
+    """The entry of a margin, as `_set_margin` reads it."""
     names = [name for name in key if name is not None]
     if len(names) == len(key) and not lower:
         return [*names, margin]
@@ -214,7 +214,7 @@ def _yaml() -> Any:
 
 
 def _composed(file: Path) -> Any:
-    """Root node of a YAML file; nodes know their lines, and nothing in the file is run or built."""
+    """Root node of a YAML file; nodes record their lines, and nothing in the file is executed or constructed."""
     data = read_regular(file, "a scene in YAML", MOST_BYTES)
     root = _parsed(data, file, _yaml().compose)
     if root is None:
@@ -223,7 +223,7 @@ def _composed(file: Path) -> Any:
 
 
 def yaml_data(data: bytes, file: Path) -> Any:
-    """Mappings, lists, numbers and texts of a YAML file, as `json.loads` gives them; a FileError names the line."""
+    """Mappings, lists, numbers and texts of a YAML file, as from `json.loads`; a FileError names the line."""
     return _parsed(data, file, _yaml().load)
 
 
@@ -247,12 +247,12 @@ def _parsed(data: bytes, file: Path, parse: Callable[..., Any]) -> Any:
 
 @functools.cache
 def _loader() -> Any:
-    """The class that reads YAML, made when PyYAML is needed for the first time."""
+    """The class that reads YAML, made when PyYAML is first needed."""
     yaml = _yaml()
     parent: Any = yaml.SafeLoader
 
     class Loader(parent):  # type: ignore[misc]
-        """Counts what it composes, so that neither depth nor aliases of aliases make more than a file may hold."""
+        """Counts the nodes that it composes, so that neither depth nor nested aliases exceed the limits on a file."""
 
         def __init__(self, data: bytes) -> None:
             super().__init__(data)
@@ -269,7 +269,8 @@ def _loader() -> Any:
             node = super().compose_node(above, index)
             self.depth -= 1
             if isinstance(event, yaml.AliasEvent):
-                # Inside what it stands for, an alias is one entry: no part of a scene is read any deeper.
+                # Within the entries of an alias, a further alias counts as one entry: no part of a scene is read any
+                # deeper.
                 self.entries = before + self.entries_of.get(event.anchor, 1)
             elif event.anchor is not None:
                 self.entries_of[event.anchor] = self.entries - before
@@ -288,11 +289,11 @@ class YamlNode(Node):
 
     @property
     def line(self) -> int:
-        """Line where it begins."""
+        """Line at which the place begins."""
         return int(self.raw.start_mark.line) + 1
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place if of the expected kind: pairs of a mapping, entries of a sequence, text of a scalar."""
+        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a scalar's text."""
         if self.raw.tag not in YAML_TAGS:
             raise self.error(f"expected {wanted}, found the tag {self.raw.tag}")
         if self.raw.id != kind:
@@ -313,7 +314,7 @@ class YamlNode(Node):
         return value
 
     def number(self) -> float:
-        """A finite number. YAML 1.1 reads 1e-3 as text; here its value counts unless it is quoted."""
+        """A finite number; YAML 1.1 reads 1e-3 as text, which counts as a number here unless it is quoted."""
         value = self.expect("scalar", "a number")
         try:
             plain = self.raw.style is None and value.isascii() and "_" not in value
@@ -330,7 +331,7 @@ class YamlNode(Node):
 
 
 def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> None:
-    """Add one body of a file to the scene; `made` keeps those that were made already, by their recipe."""
+    """Add one body of a file to the scene; `made` keeps the bodies made so far, by their recipes."""
     keys = entry.mapping(None)
     shapes = [key for key in keys if key in SHAPES]
     if len(shapes) != 1:
@@ -359,7 +360,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
-    """What tells the body apart from others, and how to make it."""
+    """A key that identifies equal bodies, and a function that makes the body."""
     entry = keys[shape]
     if shape in AXIS_SHAPES:
         axes = entry.numbers(3)
@@ -392,7 +393,7 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
 
 
 def _model(keys: dict[str, YamlNode]) -> str:
-    """What a mesh becomes; of what says so, and of what goes with a surface only."""
+    """The model of a mesh, from the keys that select it; checks keys that only apply to surfaces."""
     if "decompose" in keys and "model" in keys:
         raise keys["model"].error("expected either model or decompose, found both")
     model = "pieces" if "decompose" not in keys or keys["decompose"].flag() else "hull"
@@ -414,7 +415,7 @@ def _scale(entry: YamlNode) -> list[float]:
 
 
 def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
-    """Pose of a body, of the identity and what is given of it."""
+    """Pose of a body, with the identity for parts that are not given."""
     given = [key for key in POSE_KEYS if key in keys]
     if "pose" in given and len(given) > 1:
         raise entry.error(f"expected either pose or position and a rotation, found {' and '.join(given)}")
@@ -444,13 +445,13 @@ def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
 
 
 def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[str, Any]:
-    """How a body is written; one that no shape makes is saved next to the file, unless `saved` has it already."""
+    """The entry of a body; a body that no shape describes is saved next to the file, unless `saved` contains it."""
     shape = _primitive_of(body)
     if shape is not None:
         return shape
     if id(body) not in saved:
         plain = f"{file.stem}-{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
-        taken = {other.lower() for other in saved.values()}  # not all file systems tell cases apart
+        taken = {other.lower() for other in saved.values()}  # not all file systems distinguish case
         tries = (f"{plain}{mark}.npz" for mark in ("", *(f"-{k}" for k in range(2, len(saved) + 3))))
         saved[id(body)] = next(free for free in tries if free.lower() not in taken)
         body.save(file.parent / saved[id(body)])
@@ -481,7 +482,7 @@ def _same(a: Body, b: Body) -> bool:
 
 
 def _place_of(scene: Scene, name: str) -> dict[str, Any]:
-    """Pose and attachment; a pose is written as position if that is all it is, else as matrix: nothing is rounded."""
+    """Pose and attachment, without rounding: a pure translation is written as a position, other poses as matrices."""
     held = scene.attachments.get(name)
     T = scene.pose(name) if held is None else held.T_link_body
     place: dict[str, Any] = {}

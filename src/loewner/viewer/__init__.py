@@ -1,6 +1,6 @@
-"""A 3-D page in the browser: two bodies, or a robot in a scene, with their verdicts while they are moved (viser).
+"""A 3-D page in the browser (viser): two bodies, or a robot in a scene, with their verdicts while they move.
 
-By default only this machine can open the page (see `host`), and it needs no other address.
+By default only this machine can open the page (see `host`), which loads nothing from other addresses.
 """
 
 from loewner.viewer.pair import PairViewer, show_pair

@@ -1,7 +1,7 @@
-"""Bodies as the page draws them: original mesh, pieces and ellipsoids, each sent once, when it is first shown.
+"""Draw bodies on the page: original mesh, pieces and ellipsoids, each sent once, when it is first shown.
 
-Most pieces are triangles, all of a body in one node. Point clouds are points, and many balls or ellipsoids are copies
-of one ball: as triangles, ten thousand of them would be millions.
+Most pieces are drawn as triangles, in one node per body. Point clouds are drawn as points, and many balls or ellipsoids
+as copies of one ball: ten thousand of them would be millions of triangles.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from loewner.queries import Verdict
 
 Rgb = tuple[int, int, int]
 
-# Told apart by the colour-blind too; the name of the verdict is always written next to its colour.
+# Also distinguishable with colour blindness; the name of the verdict is always written next to its colour.
 VERDICT_COLOURS: dict[Verdict, Rgb] = {
     Verdict.FREE: (34, 136, 51),
     Verdict.AMBIGUOUS: (221, 170, 51),
@@ -42,19 +42,18 @@ INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
 LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
 
-# How much hides what is behind: a piece with something inside it on, and an outer ellipsoid.
+# Opacity of a piece while a layer inside it is shown, and of an outer ellipsoid.
 PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
 
-# Copies of a ball have 320 triangles each, and 80 where there are more of them than this.
+# Copies of a ball have 320 triangles each, or 80 if there are more copies than this.
 MANY_COPIES = 2000
 
-# Of points and lines that show where two bodies are nearest.
+# Colour of points and lines that show where two bodies are nearest.
 INK = (17, 17, 17)
 
-# Layers in the colour that tells what touches, and how each layer is drawn. Where triangles face outward only those
-# that face the camera are drawn: half as many. Of an outer ellipsoid it is those that do not, for the near side would
-# hide what is drawn after it, though it can be seen through. The triangles of a file face anywhere, and so do those of
-# surfaces.
+# Layers whose colour shows contact, and how each layer is drawn. If triangles face outward, only the half that faces
+# the camera is drawn. For an outer ellipsoid it is the far half, since the near side would hide later objects although
+# it is transparent. The triangles of files and surfaces may face anywhere.
 COLOURED = ("meshes", "pieces")
 LOOKS: dict[str, dict[str, Any]] = {
     "meshes": {"flat_shading": True, "side": "double"},
@@ -77,7 +76,7 @@ def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
 
 @dataclass(frozen=True)
 class Triangles:
-    """Triangles: vertices (v, 3) [m] and their numbers (t, 3)."""
+    """Triangles: vertices (v, 3) [m] and indices of vertices (t, 3)."""
 
     vertices: Floats
     triangles: Any
@@ -112,7 +111,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Copies:
-    """Images c + F ball of the unit ball: centers (n, 3) and factors (n, 3, 3) [m]."""
+    """Images c + F u of the unit ball: centers (n, 3) and factors (n, 3, 3) [m]."""
 
     centers: Floats
     factors: Floats
@@ -149,7 +148,7 @@ class Drawing:
     colour : tuple of int
         Colour of pieces and mesh.
     shown : dict
-        Which layers are visible, by name.
+        Visibility of each layer, by name.
     mesh : callable, optional
         Returns the triangles from which the body was made, in its frame, or None if there are none; called when they
         are first shown. A body without a mesh shows its pieces instead, so it does not vanish from the page.
@@ -220,7 +219,7 @@ class Drawing:
         return [] if mesh is None or not len(mesh[1]) else [Triangles(*mesh)]
 
     def _made(self, layer: str) -> list[str]:
-        """Names of the nodes of a layer, made when they are first asked for; none if there is nothing to draw."""
+        """Names of the nodes of a layer, made when they are first needed; empty if there is nothing to draw."""
         if layer not in self._layers:
             look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
             if layer == "pieces" and any(piece.kind in ("surface", "solid") for piece in self._body.pieces):
@@ -249,19 +248,19 @@ class NearPoints:
         self._line = scene.add_line_segments("/near/line", ends, INK, thickness=dot / 2, visible=False)
 
     def show(self, a: Floats, b: Floats) -> None:
-        """Show them at two points of the world."""
+        """Show the marks at two points of the world."""
         for dot, at in zip(self._dots, (a, b), strict=True):
             dot.position, dot.visible = at, True
         self._line.points, self._line.visible = np.array([[a, b]], dtype=np.float32), True
 
     def hide(self) -> None:
-        """Hide them."""
+        """Hide the marks."""
         for node in (*self._dots, self._line):
             node.visible = False
 
 
 def _paint(node: Any, colour: Rgb) -> None:
-    """Give a node its colour: triangles have one, points and copies one for all."""
+    """Set the colour of a node, which is a property of triangles, points or copies."""
     for name in ("color", "colors", "batched_colors"):
         if hasattr(node, name):
             setattr(node, name, colour if name == "color" else np.array(colour, dtype=np.uint8))
@@ -291,7 +290,7 @@ def parts(body: Body) -> list[Part]:
         made.append(Triangles(*joined(of_piece(packed, number) for number in others.tolist())))
     if len(copied):
         frames = packed.frames[copied]
-        radii = frames[:, 0]  # of a ball around a point, or 0 of an ellipsoid
+        radii = frames[:, 0]  # radius of a ball around a point, or 0 for an ellipsoid
         balls = radii[:, None, None] * np.eye(3)
         factors = np.where((radii > 0)[:, None, None], balls, frames[:, 4:].reshape(-1, 3, 3))
         made.append(Copies(frames[:, 1:4], factors))
@@ -328,7 +327,7 @@ def ellipsoids(body: Body, which: str) -> Mesh:
 
 
 def quaternions(rotations: Floats) -> Floats:
-    """Unit quaternions wxyz of rotation matrices, shape (..., 3, 3) to (..., 4)."""
+    """Unit quaternions wxyz, shape (..., 4), of rotation matrices, shape (..., 3, 3)."""
     xyzw = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
     return np.asarray(np.roll(xyzw, 1, axis=-1).reshape(*rotations.shape[:-2], 4))
 

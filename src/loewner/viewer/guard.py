@@ -1,8 +1,8 @@
 """Access control of the page: checks each request, for the page or its websocket, before viser receives it.
 
-viser serves any client that can reach its port. That includes more than the people at this machine: a page of any site,
-open in a browser here, can reach 127.0.0.1 as well (by a websocket to it, or a name that resolves to it). Such requests
-name that site as their Origin or their Host, which no script in a browser can change, so they can be refused.
+viser serves any client that can reach its port. These are not only users of this machine: a page of any site, open in a
+browser here, can reach 127.0.0.1 as well (by a websocket to it, or a name that resolves to it). Such requests name that
+site as their Origin or their Host, which no script in a browser can change, so they can be refused.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from loewner.errors import InputError, MissingExtraError
 
-# How long the server that was just started has to answer the guard's own requests, in seconds.
+# Time limit for the newly started server to answer the guard's own requests, in seconds.
 PATIENCE = 30.0
 
 FORBIDDEN = 403
@@ -33,10 +33,10 @@ FORBIDDEN = 403
 HOST = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[^\s:/@\[\]]+)(?::(?P<port>[0-9]{1,5}))?")
 HTTP_PORT = "80"
 
-# In the page that viser serves.
+# Title in the page that viser serves.
 VISERS_TITLE = b"<title>Viser</title>"
 
-# No host has this name (RFC 2606): it stands for all foreign ones when the guard is tried.
+# No host has this name (RFC 2606): it represents all foreign hosts when the guard is tested.
 FOREIGN = "loewner.invalid"
 
 
@@ -49,7 +49,7 @@ class Listening:
     host : str
         As given by the caller.
     address : str
-        Its numeric address, on which the server listens.
+        Numeric address of the host, on which the server listens.
     family : socket.AddressFamily
     """
 
@@ -64,18 +64,18 @@ class Listening:
 
     @property
     def everywhere(self) -> bool:
-        """Whether it means all addresses of this machine instead of one."""
+        """Whether the address means all addresses of this machine."""
         return ipaddress.ip_address(self.address).is_unspecified
 
     @property
     def own_address(self) -> str:
-        """Address at which this machine itself reaches the server."""
+        """Address at which this machine reaches the server."""
         if not self.everywhere:
             return self.address
         return "::1" if self.family == socket.AF_INET6 else "127.0.0.1"
 
     def url(self, port: int, token: str | None, name: str | None = None) -> str:
-        """Address to type into a browser on this machine, or on another that reaches it by `name`."""
+        """Address to type into a browser on this machine, or on another machine that reaches it by `name`."""
         if name is None:
             name = "localhost" if self.own_address == "127.0.0.1" else self.host if not self.everywhere else "::1"
         host = f"[{name}]" if ":" in name else name
@@ -91,7 +91,7 @@ def listening(host: Any) -> Listening:
             "host: expected an address or the name of a host, found ''; '0.0.0.0' is all of this machine's"
         )
     try:
-        # The server gets this address instead of the name: what was looked at here is what it listens at.
+        # The server gets this address instead of the name, so it listens at exactly the address that was checked.
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
         family, address = min((family, str(where[0])) for family, *_, where in found)
         ipaddress.ip_address(address)
@@ -128,14 +128,14 @@ class Guard:
         Parameters
         ----------
         path : str
-            Including the part after the question mark.
+            Path of the request, including the part after the question mark.
         headers : websockets.Headers
         """
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._knows(hosts[0].lower()):
             return f"expected a Host of this server, such as localhost:{self.port}"
-        # Browsers send no Origin when a page is opened, and always one with a websocket. What sends none there is a
-        # program, which could as well send a right one.
+        # Browsers send no Origin when a page is opened, and always send one with a websocket. A websocket without one
+        # comes from a program, which could just as well send the right one.
         if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             return "expected a page of this server as Origin"
         if self.token is not None and not any(map(self._is_token, (*_queried(path), *self._cookies(headers)))):
@@ -147,7 +147,7 @@ class Guard:
 
         viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address, and shows the content as its
         own: a link to this server with such parameters would be an attack. The policy allows connections to this server
-        only. Nor may a page of another machine frame it, to collect clicks unnoticed.
+        only. It also keeps pages of other machines from framing this one to collect clicks unnoticed.
         """
         self._entitle(response)
         response.headers["Content-Security-Policy"] = (
@@ -160,7 +160,7 @@ class Guard:
             response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _entitle(self, response: Any) -> None:
-        """Write the title into the page, where viser has its own name; another viser's page stays as it is."""
+        """Write the title into the page in place of viser's name; a page of another version of viser is not changed."""
         packed = response.headers.get("Content-Encoding") == "gzip"
         content = gzip.decompress(response.body) if packed else response.body
         if VISERS_TITLE in content:
@@ -180,7 +180,7 @@ class Guard:
             address = ipaddress.ip_address(name)
         except ValueError:
             return False
-        # A number cannot be made to point elsewhere: a foreign site has a name.
+        # A numeric address cannot be redirected: a foreign site has a name.
         return address.is_loopback or self.where.everywhere
 
     def _cookies(self, headers: Any) -> list[str]:
@@ -195,7 +195,7 @@ class Guard:
 def _queried(path: str) -> list[str]:
     try:
         return parse_qs(urlsplit(path).query).get("token", [])
-    except ValueError:  # no address at all, such as one of an open bracket
+    except ValueError:  # not an address, for example an unclosed bracket
         return []
 
 
@@ -207,10 +207,10 @@ def new_token() -> str:
 def install(server: Any, guard: Guard) -> None:
     """Put the guard before a viser server that has just been started, and check that it works.
 
-    viser has no hook for it, so it is installed in the websockets server on which viser is built, which is reached
-    through one of its connections, opened for this purpose. Earlier clients are disconnected in the same turn of the
-    server's loop, during which no client can connect; the page was still empty. If the internals of viser or websockets
-    were different, this step or the check would fail: no page is left open.
+    viser has no hook for this, so the guard is installed in the websockets server on which viser is built, which is
+    reached through one of its connections, opened for this purpose. Earlier clients are disconnected in the same turn
+    of the server's loop, during which no client can connect; the page is still empty then. If the internals of viser or
+    websockets differ, this step or the check fails, and no page is left open.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def install(server: Any, guard: Guard) -> None:
 
     try:
         infra = server._websock_server
-        # Its page can ask viser to publish it at an address of the internet.
+        # viser's page can request to be published at an address on the internet.
         for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
             infra.unregister_handler(message)
         status, first = _ask(guard, guard.port, upgrade=True)
@@ -266,7 +266,7 @@ async def _put(guard: Guard, connections: Any) -> None:
 
 
 def _try(guard: Guard) -> None:
-    """Ask for what must be refused, and see that it is."""
+    """Send requests that must be refused, and check that they are."""
     port, foreign = guard.port, f"http://{FOREIGN}:{guard.port}"
     wrong: list[dict[str, Any]] = [
         {"host": FOREIGN},
@@ -292,7 +292,7 @@ def _ask(
     token: str | None = "",
     upgrade: bool = False,
 ) -> tuple[int, http.client.HTTPConnection]:
-    """Send a request to the server, with its right token or none, and give the status of the answer."""
+    """Send a request to the server, with the right token or none, and return the status of the answer."""
     import viser
 
     headers = {"Host": f"{host}:{port}"}

@@ -1,4 +1,4 @@
-"""The page itself: its server, the thread that answers user actions, and the parts that both kinds of page share."""
+"""The page itself: its server, the thread that answers user actions, and the parts shared by both kinds of page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from loewner.queries import Verdict
 from loewner.viewer import guard
 from loewner.viewer.drawing import Rgb, light, place
 
-# How often the page looks for what has changed from Python, in seconds.
+# Interval in seconds at which the page checks for changes made in Python.
 LOOK_EVERY = 0.1
 
 # Port numbers are below this.
@@ -41,15 +41,15 @@ BAD: Rgb = (119, 119, 119)
 class Viewer:
     """An open page; made by `show_pair` or `show_robot`.
 
-    `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. Of several waiting moves,
-    only the last is answered, so the page never lags behind the mouse.
+    `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. If several moves are
+    waiting, only the last is answered, so the page never lags behind the mouse.
 
     Attributes
     ----------
     server : viser.ViserServer
-        For drawing more on the same page.
+        The server, for drawing more on the same page.
     lock : threading.RLock
-        Hold it to change a scene that the page shows from another thread.
+        Other threads must hold this lock while they change the scene that the page shows.
     answered : int
         Number of updates of the page.
     seconds : float
@@ -87,7 +87,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Address of the page, on this machine; with the token, if others can reach it."""
+        """Address of the page on this machine, with the token if others can reach it."""
         self._check_open()
         return self._guard.where.url(self._guard.port, self._guard.token)
 
@@ -101,14 +101,14 @@ class Viewer:
             self.server.stop()
 
     def wait(self) -> None:
-        """Return when the page is closed by `close`, or by an interrupt from the keyboard."""
+        """Return when `close` or a keyboard interrupt closes the page."""
         try:
             self._closed.wait()
         except KeyboardInterrupt:
             self.close()
 
     def refresh(self) -> None:
-        """Bring the page up to date now; InputError if it is closed."""
+        """Update the page now; InputError if it is closed."""
         self._check_open()
         with self.lock:
             self._apply({})
@@ -121,7 +121,7 @@ class Viewer:
         self.close()
 
     def _warning(self) -> str:
-        """Who can open a page that is not for this machine alone."""
+        """Warning about who can open a page that is not restricted to this machine."""
         where, port = self._guard.where, self._guard.port
         reach = "any of this machine's addresses" if where.everywhere else where.host
         address = where.url(port, self._guard.token, socket.gethostname() if where.everywhere else where.host)
@@ -140,7 +140,7 @@ class Viewer:
         raise NotImplementedError
 
     def _take(self, done: dict[str, Any]) -> None:
-        """Take over what was done on the page: the last value by name of the control."""
+        """Apply the actions on the page: the last value of each control, by name."""
         raise NotImplementedError
 
     def _answer(self) -> None:
@@ -148,11 +148,11 @@ class Viewer:
         raise NotImplementedError
 
     def _changed(self) -> bool:
-        """Whether Python has changed what the page shows, without telling it."""
+        """Whether Python has changed the contents of the page without notifying it."""
         return False
 
     def _look_every(self) -> float:
-        """Seconds until the page looks again, if nothing happens."""
+        """Seconds until the next check for changes, if nothing happens."""
         return LOOK_EVERY
 
     def _tell(self, name: str, value: Any = None) -> None:
@@ -160,18 +160,18 @@ class Viewer:
         self._events.put((name, value))
 
     def _watch(self, handle: Any, name: str) -> Any:
-        """Note whenever somebody uses a control; what Python does to it has no client, and is passed over."""
+        """Note whenever a user changes a control; changes by Python have no client, and are ignored."""
         handle.on_update(lambda event: self._tell(name) if event.client is not None else None)
         return handle
 
     def _show_verdict(self, name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> None:
-        """Fill the panel's first block; texts are escaped here, for names come from files."""
+        """Fill the panel's first block; texts are escaped here, since names come from files."""
         content = _block(name, colour, rows, notes)
         if self._verdict.content != content:
             self._verdict.content = content
 
     def _show_failure(self, error: Exception) -> None:
-        # Neither may the answers to Python: nothing is proven, and what is not known counts as colliding.
+        # Nor may old answers stay in the attributes: nothing is proven, and unknown counts as colliding.
         self.verdict, self.colliding = Verdict.AMBIGUOUS, True
         kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
         self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
@@ -188,7 +188,7 @@ class Viewer:
                     self._apply(done)
 
     def _drained(self) -> dict[str, Any]:
-        """Wait for something to happen, then take all that has."""
+        """Wait for an action, then take all actions that have occurred."""
         done: dict[str, Any] = {}
         try:
             event = self._events.get(timeout=self._look_every())
@@ -206,7 +206,7 @@ class Viewer:
                 self._take(done)
                 self._answer()
             except Exception as error:
-                # A verdict of a moment ago must not stay on the page.
+                # An outdated verdict must not stay on the page.
                 self._show_failure(error)
                 if not isinstance(error, LoewnerError):
                     traceback.print_exc(file=sys.stderr)
@@ -276,7 +276,7 @@ class PoseInputs:
 
 
 def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> str:
-    """The verdict as HTML: a coloured bar, a table, and lines of text; everything escaped."""
+    """The verdict as HTML: a coloured bar, a table, and lines of text, all escaped."""
     cells = "".join(
         f'<tr><td style="padding-right:0.8em;opacity:0.7;white-space:nowrap">{escape(key)}</td>'
         f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums">{escape(text)}</td></tr>'
@@ -291,7 +291,7 @@ def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]
 
 
 def note_lines(notes: list[str]) -> str:
-    """Lines of text as HTML; everything escaped."""
+    """Lines of text as escaped HTML."""
     return f'<div style="{TEXT};overflow-wrap:anywhere">{_lines(notes)}</div>'
 
 
@@ -300,13 +300,13 @@ def _lines(notes: list[str]) -> str:
 
 
 def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Guard]:
-    """Start the server, with the guard before it."""
+    """Start the server behind its guard."""
     try:
         import viser
     except ImportError as error:
         package = (error.name or "viser").partition(".")[0]
         raise MissingExtraError(f"the viewer needs {package}: {installing('viewer')}") from None
-    # viser would quietly take another port, and wait for ever at an address that is none.
+    # viser would silently take another port, and wait forever at an invalid address.
     try:
         with socket.create_server((where.address, port), family=where.family):
             pass
@@ -315,7 +315,7 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
             f"port: expected a free port at {where.host}, could not have {port} "
             f"({os.strerror(error.errno) if error.errno and error.errno > 0 else error}); choose another, or 0 for any"
         ) from None
-    # Browsers open connections ahead of need and drop them; that is no error worth a traceback.
+    # Browsers open connections in advance and drop them, which is not worth a traceback.
     logging.getLogger("websockets.server").addFilter(_worth_logging)
     server = viser.ViserServer(host=where.address, port=port, label=title, verbose=False)
     try:

@@ -17,7 +17,7 @@ from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, NearPoints
 from loewner.viewer.framing import add_ground, aim, diagonal, framed
 from loewner.viewer.page import Mover, PoseInputs, Viewer
 
-# The larger body is left out of the first picture, which shows the smaller one, if that would be so many times as wide.
+# The first view omits the larger body, and shows only the smaller one, if it would be this many times as wide.
 WIDEST = 12.0
 
 
@@ -45,7 +45,7 @@ def show_pair(
         Distance in metres that the bodies must keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
         The meshes from which the bodies were made, in their frames. They form a separate layer, hidden at first,
-        because the pieces are checked and not the meshes. A body without a mesh shows its pieces in that layer.
+        because the pieces are checked, not the meshes. A body without a mesh shows its pieces in that layer.
     host : str
         Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With
         any other host, others can open the page and move the bodies if they have its address, which ends in a random
@@ -53,7 +53,7 @@ def show_pair(
     port : int
         0 means any free port.
     block : bool
-        Return only when the page is closed or the keyboard interrupts.
+        Return only when the page is closed, or on a keyboard interrupt.
 
     Returns
     -------

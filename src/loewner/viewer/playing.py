@@ -1,4 +1,4 @@
-"""Paths that a page plays: the robot's position at each time, and where along the way it collides."""
+"""Paths that a page plays: the robot's position at each time, and where it collides along the path."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from loewner.robots.verdicts import classified
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
 from loewner.viewer.page import TEXT
 
-# A path says nothing about time: it is played at so much of `Robot.distances` a second [rad or m].
+# A path has no times: it is played at this speed, measured by `Robot.distances` [rad or m per second].
 PACE = 1.0
 
-# At so many times, evenly spread, the page asks whether the robot collides there.
+# Number of evenly spaced times at which the page checks for collisions.
 LOOKS = 201
 
-# What is found there; what could not be settled counts as colliding everywhere else, and has a colour of its own.
+# Results of these checks; an unsettled one, which counts as colliding elsewhere, has its own colour here.
 FREE, COLLIDING, UNSETTLED = 0, 1, 2
 COLOURS: dict[int, Rgb] = {
     FREE: VERDICT_COLOURS[Verdict.FREE],
@@ -36,18 +36,18 @@ COLOURS: dict[int, Rgb] = {
 SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 
-# So many stretches that are not free are written out.
+# Number of colliding or unsettled stretches that are listed.
 MOST_STRETCHES = 4
 
 
 class Path:
-    """A path of configurations, with times: the pace is constant from one to the next.
+    """A path of configurations with times: the speed is constant between two of them.
 
     Parameters
     ----------
     robot : Robot
     rows : ndarray, shape (n, dof)
-        At least two.
+        At least two configurations.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
 
 
 def strip(found: Ints, duration: float) -> str:
-    """A bar in the colours of the answers along the way, as HTML, and a text about the stretches that are not free."""
+    """A bar in the colours of the answers along the path, as HTML, and a text about the stretches that are not free."""
     bars = "".join(
         f'<div data-loewner="along {NAMES[kind]}" style="flex:{end - start};background:rgb{COLOURS[kind]}"></div>'
         for kind, start, end in _stretches(found)
@@ -125,6 +125,6 @@ def strip(found: Ints, duration: float) -> str:
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:
-    """Runs of the same: what, first, and one behind the last."""
+    """Runs of equal answers: the answer, the first index, and one past the last."""
     cuts = [0, *(np.flatnonzero(np.diff(found)) + 1).tolist(), len(found)]
     return [(int(found[start]), start, end) for start, end in zip(cuts[:-1], cuts[1:], strict=True)]

@@ -39,22 +39,22 @@ from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
 
-# Links that are larger [m] are ground, and not what the camera starts with. Of the scene it shows what is near the
-# robot: what would make the picture at most so many times as wide.
+# Larger links [m] count as ground, and the camera does not start with them. Bodies of the scene are included in the
+# first view if they make it at most this many times as wide.
 WORLD, WIDEST = 500.0, 4.0
 
-# Sliders of values without limits: joints that turn for ever, and positions of bases, in metres.
+# Ranges of sliders without limits: for joints that turn without limits, and for positions of bases, in metres.
 TURN, TRAVEL = math.pi, 2.0
 
-# Seconds between two pictures of a trajectory that is played.
+# Seconds between two frames of a trajectory that is played.
 FRAME = 1 / 30
 
 PLAY, PAUSE = "play", "pause"
 
-# So many contacts, and so many notes, are written out.
+# Numbers of contacts and of notes that are listed.
 MOST_LINES = 12
 
-# Links that are not checked are see-through.
+# Opacity of links that are not checked.
 UNCHECKED = {"color": LINK, "opacity": 0.35, "side": "double"}
 
 NEUTRAL, OTHER, NOTHING = "neutral", "(other)", "(none)"
@@ -70,7 +70,7 @@ def show_robot(
     port: int = 0,
     block: bool = False,
 ) -> RobotViewer:
-    """Open a page that shows a robot in its scene, with sliders for the joints, and names the bodies that touch.
+    """Open a page that shows a robot in its scene, lists the bodies that touch, and has sliders for the joints.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def show_robot(
         The first configuration; default: all joints at 0, or the start of the path.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, and a bar that
-        shows where along it the robot collides. A path without times is played at 1 rad or m a second, measured by
+        shows where the robot collides along the path. A path without times is played at 1 rad/s or m/s, measured by
         `Robot.distances`.
     trajectory : planners.Trajectory, optional
         A trajectory instead of a path; give either this or `path`.
@@ -116,7 +116,7 @@ def show_robot(
 
 @dataclass
 class _Shown:
-    """One body on the page: what is drawn, and how it is placed."""
+    """One body on the page: its drawing, and its placement."""
 
     body: Body
     drawing: Drawing
@@ -136,7 +136,7 @@ class RobotViewer(Viewer):
     ----------
     checker : CollisionChecker
     trajectory : planners.Trajectory or None
-        The trajectory that can be played, if it has its own times.
+        The trajectory that can be played; None for a path without times.
     verdict : Verdict
         The certified answer that the page shows; AMBIGUOUS if there is none.
     colliding : bool
@@ -181,11 +181,11 @@ class RobotViewer(Viewer):
         self._way = checked_way(robot, path, trajectory)
         self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
-        # What `monotonic` said at the time 0 of the path that is being played.
+        # Value of `monotonic` at time 0 of the path that is being played.
         self._began: float | None = None
         if q is None and self._way is not None:
             q = self._way.positions(0.0)
-        # Not every robot can stand at zero.
+        # Zero is not within every robot's limits.
         start = np.clip(robot.configuration(), robot.lower, robot.upper) if q is None else q
         self._q = np.array(robot.checked_one(start))
         if not checker.checked_pairs:
@@ -334,7 +334,7 @@ class RobotViewer(Viewer):
         self._frame(links)
 
     def _frame(self, links: Floats) -> None:
-        """Start the camera at the robot and what is near it, with a grid below and gizmos to its measure."""
+        """Start the camera at the robot and nearby bodies, with a grid below and gizmos of matching size."""
         boxes: dict[bool, list[Floats]] = {True: [], False: []}
         for shown in self._shown.values():
             T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
@@ -352,7 +352,8 @@ class RobotViewer(Viewer):
                 shown.mover.fit(shown.drawing.box(np.eye(4)), self._size)
 
     def _add(self, name: str, body: Body, colour: Rgb, link: int | None, T_link_body: Floats | None) -> None:
-        # Numbers for nodes: a name may hold the slash that parts viser's nodes, and come back after it was removed.
+        # Nodes have numbers, since a name may contain the slash that separates viser's nodes, and may return after its
+        # removal.
         node, self._numbers = f"/body/{self._numbers}", self._numbers + 1
         mover, handle = None, None
         if link is None:
@@ -378,7 +379,7 @@ class RobotViewer(Viewer):
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
-        """What the links look like; read when it is first to be shown, for it takes a while."""
+        """Visual meshes of the links, read when they are first shown, since reading takes a while."""
         return visual_meshes(self.checker.robot)
 
     def _show_layers(self) -> None:
@@ -392,7 +393,7 @@ class RobotViewer(Viewer):
         self._notes.visible = which["meshes"] and bool(self._notes.content)
 
     def _show_unchecked(self) -> None:
-        """Draw the links that have a look but no body, and say what of the looks is missing and what is not checked."""
+        """Draw links with visual geometry but no body; report missing visuals and links that are not checked."""
         robot, (looks, faults) = self.checker.robot, self._visuals
         self._unchecked = {
             name: add_mesh(self.server.scene, f"/robot/{robot.link_names.index(name)}/look", look, **UNCHECKED)
@@ -404,7 +405,7 @@ class RobotViewer(Viewer):
         self._notes.content = note_lines(cut_short([*faults, *notes]))
 
     def _match_scene(self) -> None:
-        """Add, remove and move what has changed in the scene since the last look."""
+        """Add, remove and move the bodies that have changed in the scene since the last check."""
         scene, robot = self.checker.scene, self.checker.robot
         version = scene.version
         if version == self._seen:
@@ -437,24 +438,24 @@ class RobotViewer(Viewer):
 
     def _mover(self, name: str) -> Mover:
         mover = self._shown[name].mover
-        assert mover is not None  # only bodies that hang on links have none
+        assert mover is not None  # only bodies attached to links have none
         return mover
 
     def _offer(self, names: tuple[str, ...]) -> None:
-        """List the bodies that can be moved; one that is gone is no longer chosen."""
+        """List the bodies that can be moved; a removed body is deselected."""
         if self._chosen.value not in names:
             self._chosen.value = NOTHING
         self._chosen.options = (NOTHING, *names)
 
     def _show_chosen(self) -> None:
-        """Give the chosen body its gizmo, and write down where it is."""
+        """Give the selected body its gizmo, and show its pose."""
         for name, shown in self._shown.items():
             if shown.mover is not None:
                 shown.mover.show(name == self._chosen.value)
         if self._chosen.value != NOTHING:
             self._inputs.show(self._mover(self._chosen.value).T)
 
-    # -- what is done on it -----------------------------------------------------------------------
+    # -- actions on the page ----------------------------------------------------------------------
 
     def _changed(self) -> bool:
         return self.playing or self.checker.scene.version != self._seen
@@ -502,7 +503,7 @@ class RobotViewer(Viewer):
         return self._way
 
     def _follow(self, way: Trajectory | Path, done: dict[str, Any]) -> None:
-        """Go on while it is played; what is done to the joints by hand ends that."""
+        """Continue a path that is played; moving a joint by hand stops it."""
         if {"state", "random", "joints"} & done.keys():
             self._stop()
         elif "time" in done:
@@ -552,11 +553,11 @@ class RobotViewer(Viewer):
     def _distance(self) -> StateDistance:
         try:
             return self.checker.distance(self._q, exact=True)
-        except ConvergenceError:  # whether the robot collides is known all the same
+        except ConvergenceError:  # the collision verdict is known nevertheless
             return self.checker.distance(self._q)
 
     def _look_along(self) -> None:
-        """Colour the path anew if the scene has changed since."""
+        """Colour the path again if the scene has changed."""
         if self._way is not None and self._seen_along != self._seen:
             self._strip.content = strip(found_along(self.checker, self._way), self._way.duration)
             self._seen_along = self._seen
@@ -607,16 +608,16 @@ def _identity_or(T: Floats | None) -> Floats:
 
 
 def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
-    """Limits of the joints, and how far a slider goes where there are none."""
+    """Limits of the joints, and the range of a slider for joints without limits."""
     far = np.array([TRAVEL if name.endswith(("/x", "/y", "/z")) else TURN for name in robot.configuration_names])
     low = np.where(np.isfinite(robot.lower), robot.lower, -far)
     high = np.where(np.isfinite(robot.upper), robot.upper, far)
-    # viser refuses a slider of no length: a joint whose limits are one value.
+    # viser refuses a slider without length: a joint whose limits are equal.
     return low.tolist(), np.maximum(high, low + 1e-6).tolist()
 
 
 def _with_unit_quaternions(robot: Robot, q: Floats) -> Floats:
-    """Sliders move the parts of a quaternion one by one; here it gets its length back."""
+    """Normalise quaternions, whose entries sliders change one by one."""
     for k, name in enumerate(robot.configuration_names):
         if name.endswith("/qw"):
             length = np.linalg.norm(q[k : k + 4])

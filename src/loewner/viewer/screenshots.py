@@ -1,4 +1,4 @@
-"""Pictures of a page, by a browser without a window."""
+"""Take pictures of a page with a headless browser."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from loewner._files import replacing
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.viewer.page import Viewer
 
-# Browsers of the system that are taken before Playwright's own; and so that they draw without a graphics card.
+# Browsers of the system, preferred over Playwright's own, and options to draw without a graphics card.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
-# Until the page has drawn what it was sent [ms]: at most, and after the last that it heard.
+# Waiting times for the page to be drawn [ms]: the longest, and the pause after its last message.
 PATIENCE, SETTLED = 60_000, 3_000
 
 
@@ -29,7 +29,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     page : PairViewer or RobotViewer
         An open page.
     path : path
-        Ends in ``.png``; a file of that name is replaced.
+        Path that ends in ``.png``; an existing file is replaced.
     width, height : int
         Size of the browser's window, in pixels.
 
@@ -65,7 +65,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
         from playwright.sync_api import Error, sync_playwright
     except ImportError:
         raise MissingExtraError(f"screenshots need Playwright: {installing('screenshots')}") from None
-    # In a thread of its own: the caller's may run an event loop, as in a notebook, which Playwright refuses.
+    # In a separate thread: the caller's thread may run an event loop, as in a notebook, which Playwright refuses.
     with ThreadPoolExecutor(1) as thread:
         picture = thread.submit(_picture, page.url, sizes, sync_playwright, Error).result()
     with replacing(file) as temporary:

@@ -23,7 +23,7 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     meshes : dict
         Link name to vertices (v, 3) [m] and triangles (t, 3) in the frame of the link.
     faults : list of str
-        Why some are missing: a picture without them is still worth showing.
+        Reasons for missing meshes: a picture without them is still worth showing.
     """
     format, text = source_of(robot)
     if format != "URDF":

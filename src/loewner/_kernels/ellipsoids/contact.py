@@ -1,4 +1,4 @@
-"""Two ellipsoids: the contact function of Perram and Wertheim, and the witnesses it leads to.
+"""The contact function of two ellipsoids by Perram and Wertheim, and its witnesses.
 
 With shape matrices P and Q, r = b - a and K(s) = (1-s) P + s Q, the function
 
@@ -25,17 +25,17 @@ from loewner._kernels.tolerances import POSITION_ERROR, SHAPE_ROUNDINGS, UNIT_RO
 
 @inline
 def position_error(size, unit):
-    """What rounding can do to a position, or to its product with a unit vector, in the precision of roundoff `unit`.
+    """Bound on the rounding of a position, or of its product with a unit vector, with roundoff `unit`.
 
-    `size` is the sum of the lengths that went into it. All that is proven about positions takes its slack from here, so
-    that a term added here is added everywhere.
+    `size` is the sum of the lengths from which it is computed. All proofs about positions take their slack from here,
+    so a term added here is added everywhere.
     """
     return POSITION_ERROR * unit * size
 
 
 @inline
 def polynomials(P, Q, r):
-    """Coefficients of F, and where to start to look for its maximum.
+    """Coefficients of F, and a start for the search of its maximum.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def polynomials(P, Q, r):
     # Two spheres attain the maximum at s = radius of a / sum of radii; use the radii along r.
     hp = sqrt(maximum(dot(apply_symmetric(P, r), r), 0.0))
     hq = sqrt(maximum(dot(apply_symmetric(Q, r), r), 0.0))
-    # Concentric ellipsoids (r = 0) would divide zero by zero: F is 0 everywhere, any s will do.
+    # Concentric ellipsoids (r = 0) would divide zero by zero: F is 0 everywhere, and any s is valid.
     s = (hp + 1e-300) / (hp + hq + 2e-300)
     # ... then in powers of s, for Horner's rule.
     d = d0, d1 - 3.0 * d0, 3.0 * d0 - 2.0 * d1 + d2, d3 - d0 + d1 - d2
@@ -66,7 +66,7 @@ def polynomials(P, Q, r):
 
 @inline
 def newton_step(d, q, s):
-    """One guarded step towards the maximum of F; d and q as `polynomials` returns them."""
+    """One guarded step towards the maximum of F; d and q are as returned by `polynomials`."""
     value_d = d[0] + s * (d[1] + s * (d[2] + s * d[3]))
     slope_d = d[1] + s * (2.0 * d[2] + 3.0 * s * d[3])
     bend_d = 2.0 * d[2] + 6.0 * s * d[3]
@@ -80,7 +80,7 @@ def newton_step(d, q, s):
     g = slope_f * value_d - f * slope_d
     slope_g = bend_f * value_d - f * bend_d
     t = s - g * value_d / (slope_g * value_d - 2.0 * g * slope_d)
-    # F is concave, so a step past the end only means "far that way"; NaN (r = 0) falls to the lower guard.
+    # F is concave, so a step past the end is simply clamped; NaN (r = 0) falls to the lower guard.
     low = 0.125 * s
     high = 0.875 + 0.125 * s
     return minimum(maximum(t, low), high)
@@ -111,8 +111,7 @@ def maximize(P, Q, r, steps):
 
     Returns
     -------
-    F, s : the value and where it is taken
-    n : K(s)⁻¹ r
+    F, s : the maximum and its place n : K(s)⁻¹ r
     """
     d, q, s = polynomials(P, Q, r)
     for _ in range(steps):
@@ -131,10 +130,10 @@ def outward_width(P, n, squared_length):
 
 @inline
 def separation(P, Q, r, n, size):
-    """Certified lower bound on the signed distance of two ellipsoids, by the direction n.
+    """Certified lower bound on the signed distance of two ellipsoids along the direction n.
 
-    `size` is the sum of the lengths that went into r. Any n gives a valid bound, of either sign;
-    NaN or a vanishing n give NaN, which compares false with everything.
+    `size` is the sum of the lengths from which r is computed. Any n gives a valid bound, of either sign; NaN or a
+    vanishing n give NaN, which compares false with everything.
     """
     squared = dot(n, n)
     width_p, _ = outward_width(P, n, squared)
@@ -146,7 +145,7 @@ def separation(P, Q, r, n, size):
 def gap_bound(offset, width_p, width_q, length, size):
     """The bound of `separation` from n·r, the two outward widths and |n|."""
     bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
-    # The quotient itself rounds; step away from it in the safe direction.
+    # The quotient itself is rounded; step away from it in the safe direction.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
 
@@ -173,7 +172,7 @@ def farther_normal(P, Q, y, Pn, Qn, width_p, width_q, length, gap):
 
 @inline
 def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
-    """Two points, one surely in each ellipsoid, and the certified level of their common point.
+    """Two points, one certainly in each ellipsoid, and the certified level of their common point.
 
     Returns
     -------
@@ -189,14 +188,14 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     width_p, Pn = outward_width(P, n, squared)
     width_q, Qn = outward_width(Q, n, squared)
     u = 1.0 - s
-    # Level of each point in its own ellipsoid: the width, plus what rounding of P n does to it.
+    # Level of each point in its own ellipsoid: the width, plus the effect of rounding P n.
     level_a = u * (width_p + SHAPE_ROUNDINGS * trace(P) * length / sigma_a)
     level_b = s * (width_q + SHAPE_ROUNDINGS * trace(Q) * length / sigma_b)
-    # What separates the two points: zero in exact arithmetic, r - K n here.
+    # The difference of the two points: zero in exact arithmetic, r - K n here.
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
-    # A NaN in either must stay one: `maximum` passes on that of its second argument.
+    # A NaN in either must be kept: `maximum` passes on a NaN in its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
     # A ball of radius (1 - level) σ about the common point is inside each.
     depth = ((1.0 - level_a) * sigma_a + (1.0 - common) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)
@@ -214,7 +213,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
 
 @njit()
 def contact(P, Q, r):
-    """Maximum of the contact function and where it is taken, iterated to convergence.
+    """Maximum of the contact function and its place, iterated to convergence.
 
     Returns
     -------

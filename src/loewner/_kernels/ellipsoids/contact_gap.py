@@ -1,6 +1,6 @@
-"""Two ellipsoids: the gap between their support planes across the contact normal, and how it changes with a motion.
+"""The gap between the support planes of two ellipsoids along the contact normal, and its change with a motion.
 
-The contact normal n = K(s)⁻¹ r, at the s where the contact function F is greatest, depends smoothly on both ellipsoids,
+The contact normal n = K(s)⁻¹ r, at the s with the greatest contact function F, depends smoothly on both ellipsoids,
 apart or not, as long as their centers differ. So does the gap along it,
 
     g = (n·r - √(nᵀPn) - √(nᵀQn)) / |n| = n·r/|n| (1 - 1/√F),
@@ -23,16 +23,18 @@ from loewner._kernels.simd.vectors import (
     sqrt,
 )
 
-# Steps by the polynomials, and by slopes themselves: mostly four and one; of needles, half of the interval at a time.
+# Largest numbers of steps by the polynomials, and by slopes: four and one usually suffice; for needles each step halves
+# the interval.
 STEPS, SLOPES = 12, 60
 
-# A step of Newton's method that moves s by less than this share of s (1 - s) is the last: the error is its square.
+# A step of Newton's method that moves s by less than this share of s (1 - s) is the last: the remaining error is its
+# square.
 SETTLED, SETTLED_SLOPE = 1e-5, 1e-6
 
 
 @inline
 def _slope(P, Q, r, s):
-    """What the contact normal at s leads to.
+    """Quantities that follow from the contact normal at s.
 
     Returns
     -------
@@ -50,7 +52,8 @@ def _slope(P, Q, r, s):
         u * P[3] + s * Q[3], u * P[4] + s * Q[4], u * P[5] + s * Q[5],
     )  # fmt: skip
     A = adjugate(K)
-    # Of needles the determinant has no digits, perhaps not even its sign; the adjugate has, and n its direction.
+    # For needles the determinant has no correct digits, perhaps not even its sign; the adjugate has, so the direction
+    # of n is correct.
     inverse = 1.0 / absolute(K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
     n = scaled(inverse, apply_symmetric(A, r))
     Pn, Qn = apply_symmetric(P, n), apply_symmetric(Q, n)
@@ -62,7 +65,7 @@ def _slope(P, Q, r, s):
 
 @inline
 def contact_parameter(P, Q, r):
-    """Where F is greatest, of eight pairs. What a pair gets does not depend on the others."""
+    """The s at which F is greatest, for eight pairs; the result of a pair does not depend on the others."""
     d, q, s = polynomials(P, Q, r)
     live = ALL
     for _ in range(STEPS):
@@ -72,7 +75,8 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # The coefficients of the polynomials have lost digits of thin ellipsoids, of needles all: from there on by slopes.
+    # The coefficients of the polynomials have lost digits for thin ellipsoids, and all digits for needles: continue by
+    # slopes.
     low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):
         _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)
@@ -92,7 +96,7 @@ def contact_parameter(P, Q, r):
 def contact_gap(P, Q, r, s, size):
     """Certified lower bounds on the signed distances of eight pairs of ellipsoids, smooth where the centers differ.
 
-    `size` is the sum of the lengths that went into r. Where something overflows the bound is -inf.
+    `size` is the sum of the lengths from which r is computed. On overflow the bound is -inf.
     """
     _, _, n, _, _, _, _, _, _, _ = _slope(P, Q, r, s)
     concentric = dot(r, r) <= 0.0  # any direction gives a valid bound
@@ -106,12 +110,12 @@ def contact_gap(P, Q, r, s, size):
 
 @inline
 def contact_gap_wrench(P, Q, r, s):
-    """Gradient of g by a motion of b: a force, and its moment about b's center; of a motion of a, the opposite wrench.
+    """Gradient of g for a motion of b, a force and its moment about b's center; for a motion of a it is the opposite.
 
     With y = r - Pn/√(nᵀPn) - Qn/√(nᵀQn), u = K⁻¹(y - g n/|n|)/|n| and w = 2 K⁻¹((1-s)² P - s² Q) n, the derivative of s
-    contributes k w, where k = u·(Q-P)n / F″ and F″ = -2(1-s) nᵀPn - 2s nᵀQn - w·(Q-P)n; by r the derivative is
-    n/|n| + u + k w, and by Q the matrix -(1/(2 √(nᵀQn) |n|) + k s²) nnᵀ - s sym(u + k w, n), which turns by 2 vee(Q ·).
-    Where the centers coincide there is no derivative; what is returned may be no number.
+    contributes k w, where k = u·(Q-P)n / F″ and F″ = -2(1-s) nᵀPn - 2s nᵀQn - w·(Q-P)n; by r the derivative is n/|n| +
+    u + k w, and by Q the matrix -(1/(2 √(nᵀQn) |n|) + k s²) nnᵀ - s sym(u + k w, n), which turns by 2 vee(Q ·). Where
+    the centers coincide there is no derivative, and the result may be NaN.
     """
     A, inverse, n, Pn, Qn, squared_p, squared_q, w, _, bend = _slope(P, Q, r, s)
     p, q, length = sqrt(squared_p), sqrt(squared_q), sqrt(dot(n, n))

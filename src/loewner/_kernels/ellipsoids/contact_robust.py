@@ -7,15 +7,15 @@ from loewner._kernels.ellipsoids import near_points as near
 from loewner._kernels.ellipsoids.contact import contact
 from loewner._kernels.linalg3 import apply, dot, matrix, shape_matrix
 
-# The polynomial coefficients of `contact` lose about tr(Q)³/det(Q) roundings. Below this relative error of F
-# its value stands, unless F is so close to 1 that the answer could still turn.
+# The polynomial coefficients of `contact` lose about tr(Q)³/det(Q) roundings. Below this relative error of F its value
+# is used, unless F is so close to 1 that the answer could still change.
 TRUSTED_LOSS = 1e-10
 GRAZING = 1e-8
 
 
 @inline
 def _loss(Q):
-    """Roundings that the determinant of a shape matrix loses, as a relative error."""
+    """Relative error of the determinant of a shape matrix from rounding."""
     trace = Q[0] + Q[3] + Q[5]
     a, b, c, d, e, f = Q[0] / trace, Q[1] / trace, Q[2] / trace, Q[3] / trace, Q[4] / trace, Q[5] / trace
     det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
@@ -24,7 +24,7 @@ def _loss(Q):
 
 @njit()
 def contact_of_pair(F1, F2, r):
-    """Maximum of the contact function, and the s where it is taken.
+    """Maximum of the contact function, and the s at which it is attained.
 
     F does not change under affine maps. The careful path maps E1 to the unit ball and E2 to its axes, where
     F(s) = s(1-s) Σ d_i² / ((1-s) + s q_i) is a sum of positive terms that loses no digits.
@@ -63,8 +63,8 @@ def contact_of_pair(F1, F2, r):
 def _aligned(q0, q1, q2, a0, a1, a2):
     """Maximum of s(1-s) Σ a_i / ((1-s) + s q_i) on [0, 1].
 
-    With s = t/(1+t), F' = 0 reads Σ a_i (1 - t² q_i) / (1 + t q_i)² = 0: strictly decreasing terms in t, so
-    the one root lies between the smallest and the largest 1/sqrt(q_i). Bisection in log t, 60 halvings.
+    With s = t/(1+t), F' = 0 reads Σ a_i (1 - t² q_i) / (1 + t q_i)² = 0: strictly decreasing terms in t, so the only
+    root lies between the smallest and the largest 1/sqrt(q_i). Bisection in log t takes 60 halvings.
     """
     if a0 + a1 + a2 == 0.0:
         return 0.0, 0.5

@@ -1,8 +1,8 @@
 """Near points of two 3-D ellipsoids, as pure pair functions.
 
-An ellipsoid is {c + F u : |u| <= 1}. Everything is worked in a frame with its origin at the first
-center, so only r = c2 - c1 enters and an offset of the world costs no digits. Vectors are tuples
-of three floats, matrices tuples of nine in row order: nothing is allocated.
+An ellipsoid is {c + F u : |u| <= 1}. All computations are in a frame with its origin at the first center, so only r =
+c2 - c1 is used and an offset of the world costs no digits. Vectors are tuples of three floats, and matrices are tuples
+of nine in row order: nothing is allocated.
 
 Three methods, by number: 0 Rimon-Boyd, 1 Lin-Han, 2 center line. Statuses:
 `SEPARATE`, `OVERLAP` (both points are then one common point, distance 0), `UNCONVERGED`.
@@ -18,8 +18,8 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import CENTER_LINE, LIN_HAN, OVERLAP, SEPARATE, UNCONVERGED
 from loewner._kernels.linalg3 import across, along, apply, apply_transposed, dot, matrix, minus
 
-# Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder
-# pairs are done in 5 to 30 steps; past this count a Newton iteration finishes the job.
+# Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder pairs take 5 to 30
+# steps; after this number a Newton iteration takes over.
 PLAIN_STEPS = 64
 NEWTON_STEPS = 100
 EPS = 2.0**-52
@@ -46,7 +46,7 @@ def squared_norm(M):
 
 @inline
 def inverse(F):
-    """F⁻¹ by cofactors, which is indifferent to the scale of F's columns, as factors of thin ellipsoids need."""
+    """F⁻¹ by cofactors, which do not depend on the scale of F's columns, as factors of thin ellipsoids require."""
     s0 = max(abs(F[0]), abs(F[3]), abs(F[6]))
     s1 = max(abs(F[1]), abs(F[4]), abs(F[7]))
     s2 = max(abs(F[2]), abs(F[5]), abs(F[8]))
@@ -111,7 +111,7 @@ def exit_of_ray(G, p, e):
     a, b, c = dot(v, v), dot(v, w), min(dot(w, w) - 1.0, 0.0)
     root = math.sqrt(b * b - a * c)
     if b > 0.0:
-        return -c / (b + root)  # the same number as below, without the cancellation
+        return -c / (b + root)  # the same number as below, but without cancellation
     return (root - b) / a
 
 
@@ -155,9 +155,9 @@ def orthogonal_columns(m0, m1, m2):
 def touch(F1, G2, r):
     """Point of E1 that the growing level surfaces of E2 touch first, and the level there.
 
-    The paper's appendix A takes it from an eigenvector of a 6x6 matrix. The same point minimises
-    |M u + d| over |u| <= 1 with M = F2⁻¹F1 and d = -F2⁻¹r: one 3x3 symmetric eigenproblem (of MᵀM,
-    by one-sided Jacobi, which never forms the product) and one scalar secular equation.
+    The paper's appendix A takes it from an eigenvector of a 6x6 matrix. It also minimises |M u + d| over |u| <= 1 with
+    M = F2⁻¹F1 and d = -F2⁻¹r: one 3x3 symmetric eigenproblem (of MᵀM, by one-sided Jacobi, which never forms the
+    product) and one scalar secular equation.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def center_line(G1, G2, r):
         Relative to c1; the same common point if the two meet on that segment.
     distance : float
     status : int
-        `OVERLAP` is proven by the common point; `SEPARATE` only says that the line saw no overlap.
+        `OVERLAP` is proven by the common point; `SEPARATE` only means that no overlap was found on the line.
     """
     zero = (0.0, 0.0, 0.0)
     square = dot(r, r)
@@ -272,10 +272,9 @@ def center_line(G1, G2, r):
 def lin_han(F1, G1, F2, G2, r, angle):
     """Near points by Lin and Han's moving balls, to any angle.
 
-    A ball inside each ellipsoid touches its surface at the current point; the segment between the
-    balls' centers gives the next two points. It stops when, at both points, the outward normal
-    and the direction to the other point differ by no more than `angle`. A pair still running after
-    `PLAIN_STEPS` is finished by `_newton`.
+    A ball inside each ellipsoid touches its surface at the current point; the segment between the balls' centers gives
+    the next two points. The iteration stops when, at both points, the outward normal and the direction to the other
+    point differ by no more than `angle`. A pair still running after `PLAIN_STEPS` is finished by `_newton`.
 
     Parameters
     ----------
@@ -323,11 +322,11 @@ def _newton(F1, G1, F2, G2, r, last, angle):
 
     Over unit n, g(n) = n·r - |F1ᵀn| - |F2ᵀn| is the gap between the supporting planes. Where it is positive it proves
     separation and is quasi-concave; its maximum is the distance, at the direction of x2 - x1. The points of n are the
-    two supports, whose normals are n and -n to rounding. Derivatives live in the plane across n, so
-    that a gap of 1e-12 is as well conditioned as one of 1.
+    two supports, whose normals are n and -n to rounding. Derivatives are in the plane perpendicular to n, so a gap of
+    1e-12 is as well conditioned as one of 1.
 
-    Starts from the best of three directions: the tangent planes at the two level-surface points, each of which
-    separates, and the last one of Lin-Han's.
+    It starts from the best of three directions: the normals of the tangent planes at the two level-surface points,
+    which both separate, and Lin-Han's last one.
     """
     x, level = touch(F1, G2, r)
     if level <= 1.0:
@@ -355,8 +354,8 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         a1, a2 = dot(e1, w), dot(e2, w)
         steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
-        # x2 - x1 carries roundings of r and, through the direction of Fᵀn, of |F|²/h; no angle can be
-        # told finer than that.
+        # x2 - x1 contains roundings of r and, through the direction of Fᵀn, of |F|²/h; no angle can be resolved more
+        # finely.
         rounding = 8.0 * EPS * (size + square1 / h1 + square2 / h2)
         if steepness <= rounding or between(w, n) <= angle:
             if gap > 0.0:
@@ -367,7 +366,8 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         if iteration >= PLAIN_STEPS + NEWTON_STEPS:
             break
 
-        # Newton in the plane across n: -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, with u the unit vector of Fᵀn.
+        # Newton in the plane perpendicular to n: -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, with u the unit vector of
+        # Fᵀn.
         b11, b12, b22 = _curvature(F1, u1, h1, e1, e2)
         c11, c12, c22 = _curvature(F2, u2, h2, e1, e2)
         b11, b12, b22 = b11 + c11 + max(gap, 0.0), b12 + c12, b22 + c22 + max(gap, 0.0)
@@ -387,7 +387,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
             if gain >= 1e-4 * t * slope:
                 moved = True
             elif gain >= -noise:
-                # Near the maximum g itself is flat to rounding; there its slope decides.
+                # Near the maximum g itself is flat to rounding, so its slope decides there.
                 w = minus(x2, x1)
                 d1, d2 = across(m)
                 moved = math.sqrt(dot(d1, w) ** 2 + dot(d2, w) ** 2) <= 0.7 * steepness
@@ -402,7 +402,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
 
 @inline
 def _unit(v):
-    """V over its length; scaled first, as normals of thin ellipsoids can be of any size."""
+    """Normalise v; it is scaled first, since normals of thin ellipsoids can have any size."""
     k = 1.0 / max(abs(v[0]), abs(v[1]), abs(v[2]))
     v = (k * v[0], k * v[1], k * v[2])
     k = 1.0 / math.sqrt(dot(v, v))
@@ -433,7 +433,7 @@ def _curvature(F, u, h, e1, e2):
     return dot(v1, v1) / h, dot(v1, v2) / h, dot(v2, v2) / h
 
 
-# -- one door to all methods ------------------------------------------------------------------------
+# -- common interface of all methods ----------------------------------------------------------------
 
 
 @njit()

@@ -12,8 +12,8 @@ F_Aᵀn and OᵀF_Bᵀn have the same direction. Let h be the minimum, at n, and
 
     0 <= (m - n)ᵀ (M - h s) (m - n) = 2 s² - 2 s m·c - h s (|m|² + 1),   so   |Gᵀm| - m·c >= h (|m|² + 1) / 2 >= h |m|.
 
-Where that proves nothing, the other minima must be ruled out. By the
-inequality of Cauchy and Schwarz (√x + √y)² is the least of (1 + 1/r) x + (1 + r) y over r > 0, so
+If this proves nothing, the other minima must be ruled out. By the inequality of Cauchy and Schwarz (√x + √y)² is the
+minimum of (1 + 1/r) x + (1 + r) y over r > 0, so
 
     min h = min over r of D(1 + 1/r, 1 + r),   D(p, q) = min over n of √(nᵀ(p P + q Q) n) - n·c,
 
@@ -39,26 +39,26 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import maximum, movemask, select, sqrt
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
+# Descents usually end after 5 steps; a minimum with a vanishing second derivative takes 25.
 MAX_STEPS = 80
 DAMPING_LIMIT = 1e3  # damping, relative to the size, at which a step no longer moves the normal
 
 MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4
-MAX_SECULAR = 60  # mostly 4 or 5
+MAX_SECULAR = 60  # usually 4 or 5
 
-# What the proof of a global minimum leaves open, relative to the lengths involved, and how many intervals it may
-# look at. Rounding in D itself is about 1e-15. Choices, not bounds: they go into the gap that is reported.
+# Relative gap that the proof of a global minimum may leave open, and the number of intervals that it may examine.
+# Rounding in D itself is about 1e-15. These are choices, not bounds: they enter the gap that is reported.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
 GROWTH = 16.0  # factor between the first intervals' distances from the minimum, in log r
 _STACK = 160
 
-# What M - h s must leave for the proof by an ellipsoid within: a share of h s, and roundings of the trace of M, about
-# twice what its entries and the pivots take. Choices, not bounds: no verdict rests on them.
+# Slack of M - h s required for the proof by an ellipsoid within: a share of h s, and roundings of the trace of M, about
+# twice the rounding of its entries and pivots. These are choices, not bounds: no verdict depends on them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 
-MAX_PLAIN = 12  # Newton steps of eight pairs at a time: mostly 6 or 7 for the slowest
+MAX_PLAIN = 12  # Newton steps of eight pairs at a time: usually 6 or 7 for the slowest
 
 STEEP = 1e-12  # slope, relative to the size, above which a descent is taken to have stalled
 MAX_RESTARTS = 20
@@ -66,7 +66,7 @@ MAX_RESTARTS = 20
 
 @inline
 def _image(P):
-    """Factor of a placed ellipsoid, row by row (zero for a ball's core), and its center less the body's translation."""
+    """Factor of a placed ellipsoid, row by row (zero for a ball's core), and its center relative to the body."""
     row, R, f, c = P.table[P.piece], rotation_of(P), FRAME_FACTOR, FRAME_CENTER
     center = apply(R, (row[c], row[c + 1], row[c + 2]))
     if P.layout[P.piece, KIND] == POINT:
@@ -94,7 +94,7 @@ def support(F, n):
 
 @inline
 def _bend(F, n, e, g):
-    """Slope and second derivatives of |Fᵀn| along the unit vectors e and g, square to n and to each other."""
+    """Slope and second derivatives of |Fᵀn| along unit vectors e and g, perpendicular to n and to each other."""
     u, v, w = _pulled(F, n[0], n[1], n[2])
     h = sqrt(u * u + v * v + w * w)
     scale = select(h > 0.0, 1.0 / h, 0.0)
@@ -117,7 +117,7 @@ def _bend(F, n, e, g):
 
 @inline
 def _model(FA, FB, c, n):
-    """h at n, its slopes along two directions square to n, its second derivatives there, and the directions."""
+    """h at n, its slopes along two directions perpendicular to n, its second derivatives there, and the directions."""
     e, g = across(n)
     ha, a1, a2, a11, a12, a22 = _bend(FA, n, e, g)
     hb, b1, b2, b11, b12, b22 = _bend(FB, n, e, g)
@@ -135,7 +135,7 @@ def descend(FA, FB, c, n, size):
     -------
     n : tuple of float
     h, slope : float
-        The value, and the length of the gradient left, which is how far the witnesses are off each other.
+        The value, and the length of the remaining gradient, which is the distance by which the witnesses disagree.
     """
     rounding = 8.0 * UNIT_ROUNDOFF * size
     damping = 0.0
@@ -187,7 +187,7 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # One turn is left, and a reflection: those for which the sum of a1 · b1 and a2 · b2 is greatest.
+    # A rotation and a reflection are free: choose them to maximise the sum of a1 · b1 and a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -221,15 +221,15 @@ def descend_eight(FA, FB, c, n, size, wanted):
     FA, FB, c, n, size : tuple of Vector8, or Vector8
         As for `global_minimum`.
     wanted : Mask8
-        Pairs that matter; the others are not waited for.
+        Pairs that matter; the iteration does not wait for others.
 
     Returns
     -------
     n : tuple of Vector8
     h, slope : Vector8
-        As `descend` returns them.
+        As returned by `descend`.
     proven : Mask8
-        Where h is the least value, to rounding; elsewhere it need not even be a minimum.
+        Pairs for which h is the least value, to rounding; for others it need not even be a minimum.
     """
     rounding = 8.0 * UNIT_ROUNDOFF * size
     h, s1, s2, h11, h12, h22, e, g = _model(FA, FB, c, n)
@@ -318,7 +318,7 @@ def eigen(M, V):
 
 @njit()
 def boundary_depth(m0, m1, m2, x, y, z):
-    """Least of √(nᵀMn) - n·c over unit n, for M = diag(m) and c = (x, y, z): how deep c is in the ellipsoid M.
+    """Minimum of √(nᵀMn) - n·c over unit n, for M = diag(m) and c = (x, y, z): the depth of c in the ellipsoid M.
 
     With the nearest boundary point M w and its normal w, c = (M + t) w for the t > -min m that makes wᵀMw = 1.
     The unknown is t + min m, so that t close to its bound keeps its digits.
@@ -333,7 +333,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
     g0, g1, g2 = m0 - least, m1 - least, m2 - least
     a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
-    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # where one term alone reaches 1: left of the root
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # the point at which one term alone reaches 1, left of the root
     for _ in range(MAX_SECULAR):
         q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
         q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0
@@ -370,7 +370,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
 
 @njit()
 def enclosing_depth(p, q, P, Q, c, V):
-    """D(p, q): how deep c is in the ellipsoid with shape matrix p P + q Q, and the normal there."""
+    """D(p, q), the depth of c in the ellipsoid with shape matrix p P + q Q, and the normal there."""
     m0, m1, m2 = eigen(
         (
             p * P[0] + q * Q[0], p * P[1] + q * Q[1], p * P[2] + q * Q[2],
@@ -392,7 +392,7 @@ def enclosing_depth(p, q, P, Q, c, V):
 
 @inline
 def _ratio(FA, FB, n):
-    """How far A reaches along n over how far B does."""
+    """Ratio of the extents of A and B along n."""
     ax, ay, az = _pulled(FA, n[0], n[1], n[2])
     bx, by, bz = _pulled(FB, n[0], n[1], n[2])
     return np.sqrt((ax * ax + ay * ay + az * az) / (bx * bx + by * by + bz * bz))
@@ -400,10 +400,10 @@ def _ratio(FA, FB, n):
 
 @njit()
 def _refined(FA, FB, P, Q, c, n, h, slope, size, V):
-    """Go on where a descent has ended with a slope left.
+    """Continue where a descent has ended with a remaining slope.
 
-    Where Newton's steps stall, as they may on the needle-sharp ends of thin ellipsoids, the enclosing
-    ellipsoid that touches at n leads on: its own nearest point is never worse.
+    Where Newton's steps stall, as they may on the sharp ends of thin ellipsoids, the enclosing ellipsoid that touches
+    at n makes progress: its own nearest point is never worse.
     """
     for _ in range(MAX_RESTARTS):
         if slope <= STEEP * size:
@@ -433,7 +433,7 @@ def global_minimum(FA, FB, c, n, size):
     FA, FB : tuple of 9 float
         Factors of the placed ellipsoids, row by row.
     c : tuple of 3 float
-        From the center of A to that of B.
+        Vector from the center of A to the center of B.
     n : tuple of 3 float
         Unit vector to start from.
     size : float
@@ -442,9 +442,9 @@ def global_minimum(FA, FB, c, n, size):
     Returns
     -------
     n : tuple of float
-        Where the least value found is.
+        Direction of the least value found.
     h, lower, slope : float
-        That value, a lower bound on all values, and how far the witnesses at n are off each other.
+        That value, a lower bound on all values, and the distance by which the witnesses at n disagree.
     """
     n, h, slope = descend(FA, FB, c, n, size)
     if h <= 0.0 and slope <= STEEP * size:
@@ -455,7 +455,7 @@ def global_minimum(FA, FB, c, n, size):
     if is_least(FA, FB, n, h):
         return n, h, h, slope
 
-    # Branch and bound over r. The first intervals grow away from the minimum at hand: there the bound is the tightest.
+    # Branch and bound over r. The first intervals grow away from the known minimum, where the bound is tightest.
     small_a, large_a = _axes(P, V)
     small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
@@ -506,10 +506,10 @@ def global_minimum(FA, FB, c, n, size):
 
 @inline
 def _rounding(one, two, P, Q, h):
-    """What rounding in the entries of p P + q Q can do to a depth around h, for r between `one` and `two`.
+    """Bound on the effect of rounding in the entries of p P + q Q on a depth around h, for r between `one` and `two`.
 
     The entries are off by at most 7u of `most` (3u of P and Q, 2u of p and q, product and sum), and √(nᵀKn), which is
-    at least h, by half of that over h. No verdict rests on it.
+    at least h, by half of that divided by h. No verdict depends on it.
     """
     most = (1.0 + 1.0 / min(one, two)) * (P[0] + P[3] + P[5]) + (1.0 + max(one, two)) * (Q[0] + Q[3] + Q[5])
     return 4.0 * UNIT_ROUNDOFF * most / h
@@ -517,7 +517,7 @@ def _rounding(one, two, P, Q, h):
 
 @njit()
 def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
-    """The lower of the minimum known and the one reached from another vector."""
+    """The lower of the known minimum and the one reached from another vector."""
     other, value, left = descend(FA, FB, c, other, size)
     other, value, left = _refined(FA, FB, P, Q, c, other, value, left, size, V)
     if value < h:
@@ -527,11 +527,11 @@ def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
 
 @njit()
 def least_height(wide_a, FA, wide_b, FB, c, n, size):
-    """`global_minimum` for ellipsoids, and for the cores of balls: those are points, not `wide`, with zero factors."""
+    """`global_minimum` for ellipsoids, and for the cores of balls, which are points: not `wide`, with zero factors."""
     if wide_a and wide_b:
         return global_minimum(FA, FB, c, n, size)
     if wide_a or wide_b:
-        # What is left has one minimum, or two that mirror each other.
+        # The remaining problem has one minimum, or two that mirror each other.
         P = shape_matrix(FA if wide_a else FB)
         _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
         n, h, slope = descend(FA, FB, c, n, size)
@@ -557,7 +557,7 @@ def round_distance(A, B, n, size, result):
     ----------
     A, B : Placed
     n : tuple of 3 float
-        Where to look first: a normal from A to B, of any length.
+        Direction to try first: a normal from A to B, of any length.
     size : float
         Upper bound on the lengths involved.
     result : ndarray, shape (9,)
@@ -566,8 +566,8 @@ def round_distance(A, B, n, size, result):
     Returns
     -------
     distance, gap : float
-        `gap` is what the proof of the global minimum leaves open, or how far the witnesses are off each other
-        across the normal if that is more.
+        `gap` is the remaining gap of the proof of the global minimum, or the distance by which the witnesses disagree
+        across the normal if that is larger.
     """
     FA, a = _image(A)
     FB, b = _image(B)

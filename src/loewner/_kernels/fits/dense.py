@@ -1,7 +1,7 @@
 """Small dense linear algebra: Cholesky, triangular solves, Householder QR, squares of vectors.
 
-LAPACK costs more to call than these sizes cost to solve, so the loops stand here. Every function takes
-the dimension `n` so that a caller with a compile-time `n` gets them unrolled.
+Calling LAPACK costs more than solving problems of these sizes, so the loops are written here. Every function takes the
+dimension `n`, so that a caller with a compile-time `n` gets unrolled loops.
 """
 
 from typing import Any, NamedTuple
@@ -79,7 +79,7 @@ def cholesky(a, n):
 def normal_cholesky(a, n):
     """Overwrite the upper triangle of `a` by R with a = Rᵀ R; False if not positive definite.
 
-    For the larger normal matrices: its inner loop runs along rows without a sum, so it vectorises.
+    It is meant for the larger normal matrices: its inner loop runs along rows without a sum, so it vectorises.
     """
     for j in range(n):
         if not a[j, j] > 0.0:
@@ -98,7 +98,7 @@ def normal_cholesky(a, n):
 
 @njit()
 def normal_solve(r, x, n):
-    """Overwrite `x` by (Rᵀ R)⁻¹ x, R as `normal_cholesky` leaves it."""
+    """Overwrite `x` by (Rᵀ R)⁻¹ x, with R from `normal_cholesky`."""
     for i in range(n):
         t = x[i] / r[i, i]
         x[i] = t
@@ -198,7 +198,7 @@ def multiply_lower(a, b, out, n):
 
 @njit()
 def solve_general(a, x, n):
-    """Overwrite `x` by a⁻¹ x, Gaussian elimination with partial pivoting; `a` is destroyed. False if singular."""
+    """Overwrite `x` by a⁻¹ x, by Gaussian elimination with partial pivoting; `a` is destroyed. False if singular."""
     for j in range(n):
         best = j
         for i in range(j + 1, n):
@@ -228,8 +228,8 @@ def solve_general(a, x, n):
 def householder_triangle(a, m, n):
     """Overwrite the upper triangle of `a` (m, n) by R of its QR factorisation, diagonal made positive.
 
-    Backward stable row by row after scaling, where the Gram matrix would square the condition number.
-    False if the columns are dependent. What lies below the triangle is left over and meaningless.
+    It is backward stable row by row after scaling, whereas the Gram matrix would square the condition number. Returns
+    False if the columns are dependent. The entries below the triangle are meaningless.
     """
     for j in range(n):
         norm2 = 0.0

@@ -15,7 +15,8 @@ MAX_CENTERING = 500
 def whiten(A, slack, work, frame):
     """Lower triangular `frame` with Σ (frameᵀ a/s)(frameᵀ a/s)ᵀ = 1 over the rows; False if the rows lack rank.
 
-    By QR, as the Gram matrix would square the aspect; of the columns in reverse, which leaves it lower triangular.
+    It uses QR, since the Gram matrix would square the aspect, with the columns in reverse, which makes it lower
+    triangular.
     """
     m, n = A.shape
     for i in range(m):
@@ -37,9 +38,9 @@ def whiten(A, slack, work, frame):
 def center_in(A, b, x, frame, shift, negligible):
     """Move `x` to near the analytic center of {A x <= b} by Newton's method, whitening every step.
 
-    A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded
-    (Nesterov and Nemirovskii 1994). A step along which no slack shrinks proves that it is not; its direction is
-    left in `shift`, zero if the rows lack rank.
+    A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded (Nesterov and
+    Nemirovskii 1994). A step along which no slack shrinks proves that it is unbounded; its direction is written to
+    `shift`, which is zero if the rows lack rank.
 
     Returns a code; `frame` is the whitening of the last point.
     """
@@ -154,13 +155,13 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
                 value -= A[i, j] * center[j]
                 error += abs(A[i, j] * center[j])
             error *= (n + 2) * ROUNDING
-            lam[i] /= slack[i]  # the multiplier of the scaled row, brought back to the unit row
+            lam[i] /= slack[i]  # the multiplier of the scaled row, converted to the unit row
             slack_low[i] = value - error
             slack[i] = value + error
         gap = inscribe(A, slack_low, slack, factor, lam)
         if gap <= tol:
             return 0, gap, iterations
-        # A poor start can cost digits: once more, in the coordinates of what was reached.
+        # A poor start can cost digits: solve again in the coordinates of the result.
         for j in range(n):
             x[j] = center[j]
             for k in range(n):

@@ -1,4 +1,4 @@
-"""What comes before and after Qhull: coordinates of unit size in, merged faces and oriented simplices out."""
+"""Pre- and postprocessing of Qhull: coordinates of unit size in, merged faces and oriented simplices out."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 
 @njit()
 def to_unit_size(points, flatness):
-    """Coordinates in which the points are of unit size whatever their aspect, scale and offset.
+    """Coordinates in which the points have unit size, regardless of their aspect, scale and offset.
 
-    Returns (code, axis, width, size, origin, frame, coordinates), as `spread_points`.
+    Returns (code, axis, width, size, origin, frame, coordinates), as from `spread_points`.
     """
     m, n = points.shape
     chosen = np.empty(2 * n, np.int64)
@@ -31,12 +31,12 @@ def to_unit_size(points, flatness):
 def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
     """Turn Qhull's facets, found in unit-size coordinates, into the faces of a polytope.
 
-    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations merge. The
-    simplices are turned to face outward together (n = 3): the largest is turned by its own normal, the others
-    follow across shared edges, so that slivers cannot point the wrong way.
+    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations are merged. The
+    simplices are oriented outward together (n = 3): the largest by its own normal, and the others across shared edges,
+    so that slivers cannot point the wrong way.
 
-    Returns (code, worst, used, face_of, normals, offsets): used (m,) marks the points that are vertices, `simplices`
-    is turned in place.
+    Returns (code, worst, used, face_of, normals, offsets): used (m,) marks the points that are vertices; `simplices` is
+    oriented in place.
     """
     m, n = points.shape
     count = len(simplices)
@@ -66,7 +66,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
                         face_of[there] = faces
                         stack[top] = there
                         top += 1
-        # Back to the caller's coordinates: frame⁻ᵀ n, of unit length.
+        # Back to the caller's coordinates: frame⁻ᵀ n, with unit length.
         norm2 = 0.0
         for j in range(n - 1, -1, -1):
             value = equations[first, j]
@@ -102,7 +102,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
 def face_limits(points, frame, coordinates, used, normals, reference, offsets, bottoms):
     """Fill `offsets` with the largest n·v of each face, `bottoms` with the least n·(v - reference) of its own vertices.
 
-    `bottoms` is half and a quarter of what users of the faces allow: they measure from the center, which halves the
+    `bottoms` is half and a quarter of the tolerance of the faces' users, who measure from the center, which halves the
     noise.
     """
     n = points.shape[1]
@@ -146,7 +146,7 @@ def face_limits(points, frame, coordinates, used, normals, reference, offsets, b
 
 @njit()
 def _limits_by_map(vertices, y, frame, normals, reference, offsets, bottoms):
-    """`face_limits` of many vertices, with a bound for the noise from their largest offsets along the axes."""
+    """`face_limits` for many vertices, with a bound on the noise from their largest offsets along the axes."""
     columns, nodes = face_map(y, frame)
     origin = np.zeros(3)
     reach = np.empty(3)
@@ -161,10 +161,10 @@ def _limits_by_map(vertices, y, frame, normals, reference, offsets, bottoms):
 
 @njit()
 def turn_outward(simplices, neighbors, equations, coordinates, stack):
-    """Orient the triangles of a closed surface alike and outward; 0, or the code of what is wrong."""
+    """Orient the triangles of a closed surface consistently and outward; return 0, or the code of a fault."""
     count = len(simplices)
     turned = np.zeros(count, np.bool_)
-    # Start at the triangle of the largest area: its orientation is beyond doubt.
+    # Start at the triangle with the largest area, whose orientation is certain.
     start = 0
     largest = 0.0
     swap = False
@@ -197,7 +197,7 @@ def turn_outward(simplices, neighbors, equations, coordinates, stack):
                 return NOT_CLOSED
             tail = simplices[here, (k + 1) % 3]
             head = simplices[here, (k + 2) % 3]
-            # The neighbour must run along the shared edge the other way.
+            # The neighbour must traverse the shared edge in the other direction.
             forward = False
             backward = False
             for r in range(3):

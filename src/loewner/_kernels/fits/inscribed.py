@@ -1,12 +1,12 @@
 """Ellipsoids inside the solid that a closed triangle mesh bounds, each proven to be inside.
 
-A seed grows as regions grow in IRIS (Deits and Tedrake 2015, doi:10.1007/978-3-319-16595-0_7): planes between the
-ellipsoid and the triangles nearest in its own metric cut out a polytope, and the largest ellipsoid of that is the next.
-Planes are found with tolerances, for nothing rests on them: what comes out is shrunk until a proof holds.
+A seed grows as in IRIS (Deits and Tedrake 2015, doi:10.1007/978-3-319-16595-0_7): planes between the ellipsoid and the
+triangles nearest in its own metric cut out a polytope, and the largest ellipsoid of this polytope is the next one.
+Planes are found with tolerances, since no proof depends on them: the result is shrunk until a proof holds.
 
-The proof has two parts. No triangle meets the ellipsoid: each lies beyond a plane. The center is inside: the
-surface winds around it. Inside is where the winding number is not zero, whatever its sign, and it is the same wherever
-no triangle is between; so all of the ellipsoid is inside.
+The proof has two parts. No triangle meets the ellipsoid: each lies beyond a plane. The center is inside: the surface
+winds around it. Points are inside if their winding number is not zero, whatever its sign, and it is the same for points
+without a triangle between them, so all of the ellipsoid is inside.
 
 All lengths are relative: coordinates are moved and scaled so that the mesh's box fits into [-1, 1]³.
 """
@@ -19,24 +19,25 @@ from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.linalg3 import along, cross, dot, minus, plus, scaled
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
-# Triangles that share a box. They are next to each other in space, and most questions are about few boxes.
+# Number of triangles that share a box. They are near each other in space, and most queries concern few boxes.
 BLOCK = 32
 
-# Boxes are wider than their triangles by this: far more than rounding can move a crossing, far less than any ellipsoid.
+# Boxes are wider than their triangles by this, which is far more than rounding can move a crossing, and far less than
+# any ellipsoid.
 WIDER = 1e-14
 
-# Chords through the solid that are tried for each ellipsoid asked for, and at least and at most.
+# Number of chords through the solid tried for each requested ellipsoid, and its limits.
 CHORDS = 16
 FEWEST_CHORDS = 64
 MOST_CHORDS = 512
 
-# Where on a chord a seed may be.
+# Positions of seeds on a chord.
 PLACES = (0.5, 0.2, 0.8, 0.1, 0.9)
 
 # Precision of the distances of seeds.
 ROUGH = 0.8
 
-# A ray that starts on a triangle leaves it before this length; a wall as thin gets no ellipsoid.
+# A ray that starts on a triangle leaves it before this length; a wall this thin gets no ellipsoid.
 LEAST_CHORD = 1e-6
 
 # The least semi-axis. Rounding grows with its inverse: see `proven`.
@@ -45,40 +46,42 @@ LEAST_AXIS = 1e-6
 # An ellipsoid that adds less than this share of the largest one's volume is not worth a test.
 LEAST_VOLUME = 1e-3
 
-# Rounds of planes and fit for each seed, at most; the last that grows by less than GROWTH in volume ends them.
+# Largest number of rounds of planes and fit for each seed; a round that grows the volume by less than GROWTH is the
+# last.
 ROUNDS = 4
 GROWTH = 1.02
 
-# Half the box, in the ellipsoid's metric, in which a round looks for triangles.
+# Half size of the box, in the ellipsoid's metric, in which a round searches for triangles.
 REACH = 6.0
 
-# Planes of a round, at most. A plane stands for all triangles beyond it, and for those that come before it by a share
-# of its distance: CLOSE at first, twice as much after each STEP planes more, so that their number stays bounded.
+# Limit on the planes of a round. A plane represents all triangles beyond it, and triangles before it by up to a share
+# of its distance: CLOSE at first, doubled after every further STEP planes, so that their number stays bounded.
 MOST_PLANES = 120
 STEP = 30
 CLOSE = 0.01
 
-# A fit may meet triangles that a plane does not quite stand for. They get planes of their own, at most STEP, so often.
+# A fit may meet triangles that a plane represents only nearly. They get their own planes, at most STEP, this many
+# times.
 REPAIRS = 3
 
-# Triangles that a round looks at one by one, about; of a larger mesh, one for each group of neighbours.
+# Approximate number of triangles that a round examines one by one; in a larger mesh, one for each group of neighbours.
 NEAR = 4096
 
-# From here on a mesh is large: fewer seeds and rounds.
+# From this size on a mesh gets fewer seeds and rounds.
 LARGE = 200_000
 
-# Seeds that grow as far as they can, for one large ellipsoid counts most. Those after them stay out of the ellipsoids
-# there are, except BEYOND, in units of their semi-axes from their centers.
+# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Later seeds stay out of the
+# existing ellipsoids, except BEYOND, in units of their semi-axes from their centers.
 UNCUT = 3
 BEYOND = 0.2
 
-# Gap in log-volume of the fits: what is left in is less than what planes leave out.
+# Gap in log-volume of the fits: the loss is smaller than the volume that planes exclude.
 FIT_TOLERANCE = 1e-3
 
-# Where in an ellipsoid, in units of its semi-axes, the winding number is asked for.
+# Point of an ellipsoid, in units of its semi-axes, at which the winding number is computed.
 OFF_CENTER = 0.0271, 0.0317, 0.0123
 
-# Points that measure how much of an ellipsoid lies in others.
+# Number of points that measure the share of an ellipsoid that lies in others.
 POINTS = 128
 
 
@@ -119,7 +122,7 @@ def six(F):
 
 @njit()
 def curve_place(x, y, z, bits):
-    """Place of a point of [-1, 1]³ on Morton's curve."""
+    """Position of a point of [-1, 1]³ on Morton's curve."""
     cells = 1 << bits
     i = min(max(int((x + 1.0) * 0.5 * cells), 0), cells - 1)
     j = min(max(int((y + 1.0) * 0.5 * cells), 0), cells - 1)
@@ -175,12 +178,12 @@ def lay_out(vertices, triangles, origin, scale, soup, boxes):
             boxes[block, 3 + k] = 0.5 * (high - low) + WIDER
 
 
-# -- what is asked of the mesh
+# -- queries of the mesh
 
 
 @inline
 def beyond(direction, a, b, c):
-    """How far a triangle lies beyond the origin along a direction: a lower bound on its distance; -inf if none."""
+    """Extent of a triangle beyond the origin along a direction, a lower bound on its distance; -inf if none."""
     length2 = dot(direction, direction)
     if not LEAST_SQUARE < length2 < np.inf:
         return -np.inf
@@ -189,7 +192,7 @@ def beyond(direction, a, b, c):
 
 @inline
 def clears(a, b, c, distance):
-    """Whether a triangle lies beyond the origin by `distance` along the direction to its middle: soon asked."""
+    """Whether a triangle lies beyond the origin by `distance` along the direction to its middle, a quick test."""
     m = plus(a, plus(b, c))
     ahead = min(dot(m, a), dot(m, b), dot(m, c))
     return ahead > 0.0 and ahead * ahead >= max(distance * distance * dot(m, m), LEAST_SQUARE)
@@ -206,10 +209,10 @@ def nearest_on_edge(a, b):
 
 @njit()
 def separation(a, b, c):
-    """Distance of a triangle from the origin, and a direction along which it lies as far beyond it.
+    """Distance of a triangle from the origin, and a direction along which it lies this far beyond the origin.
 
-    The direction is to the nearest point (Ericson, Real-Time Collision Detection, 2005, 5.1.5). However it came about,
-    the triangle lies beyond the origin by what is returned; where digits are lost, that is less than its distance.
+    The direction is to the nearest point (Ericson, Real-Time Collision Detection, 2005, 5.1.5). In any case the
+    triangle lies beyond the origin by the returned value, which is less than its distance if digits are lost.
     """
     ab = minus(b, a)
     ac = minus(c, a)
@@ -234,7 +237,7 @@ def separation(a, b, c):
     distance = beyond(q, a, b, c)
     if distance >= (1.0 - 1e-9) * np.sqrt(dot(q, q)):
         return distance, q
-    # Digits were lost, or the origin is on the triangle: the best of all that could be nearest.
+    # Digits were lost, or the origin is on the triangle: take the best of all candidates for the nearest point.
     n = cross(ab, ac)
     if dot(n, a) < 0.0:
         n = scaled(-1.0, n)
@@ -248,9 +251,10 @@ def separation(a, b, c):
 
 @njit()
 def clearance(soup, boxes, center, G, limit, precision):
-    """Least distance of the triangles to `center`, in the metric that G maps to the Euclidean one; `limit` at most.
+    """Least distance of the triangles to `center`, in the metric that G maps to the Euclidean one; at most `limit`.
 
-    It is at least that, and with a `precision` below 1 it may be less by that factor, which spares most of the search.
+    The result is a lower bound; with a `precision` below 1 it may be smaller by this factor, which saves most of the
+    search.
     """
     best = limit
     enough = precision * best
@@ -280,12 +284,12 @@ def clearance(soup, boxes, center, G, limit, precision):
 
 @njit()
 def winding(soup, boxes, p):
-    """How often the surface winds around a point that is not on it.
+    """Winding number of the surface around a point that is not on it.
 
-    The plane y = p_y cuts the mesh in closed polygons, and what is counted are their crossings of the ray from the
-    point towards +z. Each corner of a polygon is computed from one edge of the mesh, from its lower end to its upper
-    one, and so is the same in both triangles of the edge. So rounding moves the polygons, but does not open them: the
-    count is exact for a point farther from the mesh than rounding (a few units in 1e16).
+    The plane y = p_y cuts the mesh in closed polygons, and their crossings of the ray from the point towards +z are
+    counted. Each corner of a polygon is computed from one edge of the mesh, from its lower end to its upper one, so it
+    is the same in both triangles of the edge. Rounding therefore moves the polygons, but does not open them: the count
+    is exact for a point farther from the mesh than rounding (a few units in 1e16).
     """
     count = 0
     for block in range(len(boxes)):
@@ -363,9 +367,9 @@ def first_hit(soup, boxes, p, u):
 
 @njit()
 def collect(soup, boxes, center, G, group, near, ways, distances):
-    """Triangles within REACH in the metric of G: their corners in it, directions to their nearest points, distances.
+    """Triangles within REACH in the metric of G: their corners, directions to their nearest points, and distances.
 
-    Of `group` neighbours only the nearest. Returns how many; 0 if one is at the center.
+    Among `group` neighbours only the nearest is used. Returns their number; 0 if one is at the center.
     """
     found = 0
     least = np.inf
@@ -412,9 +416,9 @@ def collect(soup, boxes, center, G, group, near, ways, distances):
 
 @njit()
 def choose_planes(near, ways, distances, order, left, count, rows, planes, most):
-    """Planes between the unit ball and the triangles `left`, the first by `order` first, until no triangle is left.
+    """Planes between the unit ball and the triangles `left`, in the given `order`, until no triangle is left.
 
-    They become rows of {y : rows y <= 1}, `most` at most, after the `planes` that are there. Returns their number.
+    They become rows of {y : rows y <= 1}, at most `most`, after the existing `planes`. Returns their number.
     """
     first = planes
     count, nearest = keep_before(near, order, left, count, -1, rows[0], np.inf)  # all of them
@@ -429,7 +433,7 @@ def choose_planes(near, ways, distances, order, left, count, rows, planes, most)
 
 @njit()
 def keep_before(near, order, left, count, done, row, edge):
-    """Keep of the triangles `left` those not all beyond {y : row y = edge}, and not `done`; how many, and the first."""
+    """Keep the triangles `left` that are not beyond {y : row y = edge} and not `done`; their number, and the first."""
     row = row[0], row[1], row[2]
     kept = 0
     nearest = -1
@@ -449,7 +453,7 @@ def keep_before(near, order, left, count, done, row, edge):
 
 @njit()
 def met(near, found, shift, low, order, left):
-    """Triangles that an ellipsoid meets by more than FIT_TOLERANCE, into `left`, and their distances; how many."""
+    """List in `left` the triangles that an ellipsoid meets by more than FIT_TOLERANCE, with distances; their number."""
     G = inverse(low)
     count = 0
     for t in range(found):
@@ -467,13 +471,13 @@ def met(near, found, shift, low, order, left):
 
 @njit()
 def volume(F):
-    """Volume of an ellipsoid over that of the unit ball."""
+    """Volume of an ellipsoid divided by the volume of the unit ball."""
     return F[0, 0] * F[1, 1] * F[2, 2]
 
 
 @njit()
 def given_rows(cuts, count, center, F, rows):
-    """Rows for the box of half size REACH, and for half-spaces {x : n x >= offset} that hold the center; how many."""
+    """Rows for the box of half size REACH, and for half-spaces {x : n x >= offset} around the center; their number."""
     rows[:6] = 0.0
     for k in range(3):
         rows[2 * k, k] = 1.0 / REACH
@@ -547,9 +551,9 @@ def grow(soup, boxes, rounds, cuts, count, center, factor):
 
 @njit()
 def find_seeds(soup, boxes, wanted, seeds, radii):
-    """Points on chords that start square to the surface, all over it, and balls around them that it does not meet.
+    """Points on chords perpendicular to the surface, from all over it, and balls around them that it does not meet.
 
-    Returns how many.
+    Returns their number.
     """
     total = len(soup)
     cumulated = np.empty(total)
@@ -568,7 +572,7 @@ def find_seeds(soup, boxes, wanted, seeds, radii):
     for i in range(wanted):
         t = min(np.searchsorted(cumulated, (i + 0.5) / wanted * area), total - 1)
         a, b, c = corners(soup, t)
-        # Places in the triangle follow a sequence that leaves no gaps, for one triangle may be a whole side.
+        # Points in the triangle follow a sequence that leaves no gaps, since one triangle may be a whole side.
         x = (0.5 + 0.7548776662466927 * i) % 1.0
         y = (0.5 + 0.5698402909980532 * i) % 1.0
         if x + y > 1.0:
@@ -600,7 +604,7 @@ def find_seeds(soup, boxes, wanted, seeds, radii):
 
 @njit()
 def discount(seeds, radii, scores, found, center, factor):
-    """Lower the scores of seeds in an ellipsoid to 0, and those of seeds near it; a score is a length."""
+    """Lower the scores of seeds in an ellipsoid to 0, and reduce scores of seeds near it; a score is a length."""
     G = inverse(factor)
     for i in range(found):
         y = lower(G, minus((seeds[i, 0], seeds[i, 1], seeds[i, 2]), (center[0], center[1], center[2])))
@@ -609,7 +613,7 @@ def discount(seeds, radii, scores, found, center, factor):
 
 @njit()
 def cut_off(seed, centers, factors, count, cuts):
-    """Half-spaces {x : n x >= offset} that keep what grows from a seed out of most of the ellipsoids there are.
+    """Half-spaces {x : n x >= offset} that keep an ellipsoid grown from a seed out of most of the existing ellipsoids.
 
     Without them all seeds of a convex solid would grow to the same ellipsoid.
     """
@@ -629,7 +633,7 @@ def cut_off(seed, centers, factors, count, cuts):
 
 @njit()
 def spread(centers, factors, total, count, chosen):
-    """Choose at most `count` of the ellipsoids, each the one that adds most volume to those before; how many."""
+    """Choose at most `count` ellipsoids, each adding the most volume to the previous ones; return their number."""
     points = np.empty((POINTS, 3))
     for i in range(POINTS):
         z = 2.0 * (i + 0.5) / POINTS - 1.0
@@ -673,18 +677,18 @@ def spread(centers, factors, total, count, chosen):
 
 @njit()
 def prove(soup, boxes, origin, scale, center, factor):
-    """Shrink an ellipsoid, given in the mesh's own coordinates, until it is proven to be inside; False if it is not.
+    """Shrink an ellipsoid, in the mesh's own coordinates, until it is proven to be inside; return False if it is not.
 
-    In relative coordinates, where no number is above 1, let G be the computed inverse of the factor F as it is stored.
-    z in the unit ball goes to the point c + F z, which y = G (x - c) takes to G F z, no farther from the origin than
-    1 + e with e >= |G F - 1|, computed with a bound on its rounding. So no triangle meets the ellipsoid if all of
-    them, mapped by G, are farther than that from the origin.
+    In relative coordinates, where no number is above 1, let G be the computed inverse of the factor F as stored. A
+    point z of the unit ball goes to c + F z, which y = G (x - c) takes to G F z, at most 1 + e from the origin with e
+    >= |G F - 1|, computed with a bound on its rounding. So no triangle meets the ellipsoid if all of them, mapped by G,
+    are farther from the origin.
 
-    Rounding, in units of u: corners and center move by 1 each when they become relative, their difference rounds by 2,
-    and the three products and sums of a row of G by 6 more, times the row's sum g_k of |G_kj|: 10 g in all for a
-    corner, where g is the length of (g_1, g_2, g_3). A corner is at most 2 g from the origin. That a triangle lies
-    beyond the origin along a direction is asked of its corners: 6 g for the product, 8 g for the direction's length.
-    Boxes are WIDER by more than their centers round. 24 g are derived, 64 g are taken.
+    Rounding, in units of u: corners and center move by 1 each when they become relative, their difference is rounded by
+    2, and the three products and sums of a row of G by another 6, times the row's sum g_k of |G_kj|: 10 g in all for a
+    corner, where g is the length of (g_1, g_2, g_3). A corner is at most 2 g from the origin. Whether a triangle lies
+    beyond the origin along a direction is tested with its corners: 6 g for the product, 8 g for the direction's length.
+    Boxes are WIDER by more than the rounding of their centers. The derivation gives 24 g, and 64 g are used.
     """
     middle = (center[0] - origin[0]) * scale, (center[1] - origin[1]) * scale, (center[2] - origin[2]) * scale
     F = np.empty((3, 3))
@@ -703,7 +707,7 @@ def prove(soup, boxes, origin, scale, center, factor):
         need = 1.0 + error + doubt
         share = clearance(soup, boxes, middle, G, 2.0 * need - 1.0, 1.0)
         if share >= need:
-            # Any point of the ellipsoid will do; off its center, no ray runs along an edge of a symmetric mesh.
+            # Any point of the ellipsoid is valid; off its center, no ray runs along an edge of a symmetric mesh.
             return winding(soup, boxes, plus(middle, lower(low, OFF_CENTER))) != 0
         shrink = (share - 2.0 * doubt) / (1.0 + 2.0 * error) * (1.0 - attempt * 1e-9)
         if not shrink > 0.0:
@@ -716,7 +720,7 @@ def prove(soup, boxes, origin, scale, center, factor):
 
 @inline
 def off_inverse(G, F):
-    """Upper bound on |G F - 1| of two lower triangular matrices, rounding included."""
+    """Upper bound on |G F - 1| of two lower triangular matrices, including rounding."""
     a, b = G[1] * F[0], G[2] * F[1]
     c, d, e = G[3] * F[0], G[4] * F[1], G[5] * F[3]
     f, g = G[4] * F[2], G[5] * F[4]
@@ -727,9 +731,9 @@ def off_inverse(G, F):
 
 @njit()
 def inscribed_ellipsoids(vertices, triangles, centers, factors):
-    """Ellipsoids inside a closed mesh into `centers` and `factors`, as many as these hold at most; how many.
+    """Write ellipsoids inside a closed mesh to `centers` and `factors`, as many as fit; return their number.
 
-    More are grown than asked for. The largest is first.
+    More are grown than requested. The largest is first.
     """
     count = len(centers)
     origin = np.empty(3)
@@ -791,7 +795,7 @@ def inscribed_ellipsoids(vertices, triangles, centers, factors):
                 factors[kept, j, k] = grown_factors[chosen[i], j, k] / scale
         if prove(soup, boxes, origin, scale, centers[kept], factors[kept]):
             kept += 1
-    for i in range(1, kept):  # by insertion, for they are few
+    for i in range(1, kept):  # by insertion, since they are few
         j = i
         while j > 0 and volume(factors[j]) > volume(factors[j - 1]):
             for k in range(3):

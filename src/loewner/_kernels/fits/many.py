@@ -1,12 +1,12 @@
-"""Hulls of many vertices: what would take vertices times faces, in time that grows with their number.
+"""Algorithms for hulls of many vertices whose time does not grow with vertices times faces.
 
-Which vertices are the farthest along the normal of a face is asked for every face. A map of directions
-(`pieces.directions`) leaves a few dozen vertices to look at. It is made in coordinates of unit size, y = F⁻¹ (v - o),
-where no hull is thin: n·(v - w) = e·(y_v - y_w) with e = Fᵀ n.
+The farthest vertices along the normal are needed for every face. A map of directions (`pieces.directions`) leaves a few
+dozen candidates. It is made in coordinates of unit size, y = F⁻¹ (v - o), where no hull is thin: n·(v - w) = e·(y_v -
+y_w) with e = Fᵀ n.
 
-What the map leaves out must matter to no face, so its slack covers all that separates the computed heights n·(v - c)
-from e·y, and the window of heights that count as lying in the face. With u the unit roundoff, R the largest |y| and
-B = ‖|F⁻¹||F|‖ >= √3:
+The vertices that the map omits must not matter to any face, so its slack covers the difference of the computed heights
+n·(v - c) and e·y, and the window of heights that count as lying in the face. With the unit roundoff u, the largest |y|
+R and B = ‖|F⁻¹||F|‖ >= √3:
 
 - |n|ᵀ|v - c| = |F⁻ᵀ e|ᵀ|F (y_v - y_c)| <= 2 B R |e|, so two computed heights err by 2 · 5 u · 2 B R |e| together;
 - e is computed with an error of 3 u |F|ᵀ|n|, a y with one of 4 u |F⁻¹||F||y|: 14 u B R |e| for two vertices;
@@ -26,14 +26,14 @@ from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.pieces.directions import candidates, map_within, place
 from loewner._kernels.tolerances import FACE_WIDTH
 
-# From this many vertices on a map is quicker than all of them for each face (measured: docs/design/many_points.md).
+# From this many vertices on a map is faster than trying all of them for each face (measured:
+# docs/design/many_points.md).
 MANY = 256
 
-# Directions in one of these cells of a cube, SIDE² for each of its faces, are one sector: a round brings in one face
-# of each.
+# Directions in one of these cells of a cube, SIDE² for each of its faces, form a sector: a round adds one face of each.
 SIDE = 4
 SECTORS = 6 * SIDE * SIDE
-# Rounds at most; six are usual. After them all faces are taken.
+# Largest number of rounds; six are usual. After them all faces are used.
 MAX_ROUNDS = 40
 
 
@@ -104,7 +104,7 @@ def lowest(vertices, frame, columns, nodes, normal, reference):
 
 @inline
 def lowest_above(vertices, frame, columns, nodes, normal, reference, edge):
-    """Smallest n·(v - reference) of those at `edge` or above, which is no lower than the window below the largest."""
+    """Smallest n·(v - reference) at `edge` or above, where `edge` is not below the window under the largest."""
     low = np.inf
     first, last = leaf(frame, nodes, normal, 1.0)
     for a in range(first, last):
@@ -126,13 +126,13 @@ def reaches(vertices, reference, out):
 
 @njit()
 def solve_with_few(A, tol, x, low, lam):
-    """As `mvie.solve_primal_dual` for many faces in 3-D, with a working set of them.
+    """As `mvie.solve_primal_dual`, for many faces in 3-D, with a working set.
 
-    The set begins with the nearest face of each sector. A round solves for the set, and brings in the face of each
-    sector that sticks farthest into the ellipsoid. Faces that cost less than a quarter of the tolerance stay out; the
-    caller scales the ellipsoid until it is inside all of them. Their multipliers are zero.
+    The set begins with the nearest face of each sector. A round solves for the set, and adds the face of each sector
+    that cuts farthest into the ellipsoid. Faces that cost less than a quarter of the tolerance stay out; the caller
+    scales the ellipsoid until it is inside all of them. Their multipliers are zero.
 
-    Returns (gap, iterations), the gap for the faces of the set.
+    Returns (gap, iterations), with the gap for the faces of the set.
     """
     m, n = A.shape
     capacity = min(m, (MAX_ROUNDS + 1) * SECTORS)
@@ -181,7 +181,7 @@ def _sector(x, y, z):
 
 @njit()
 def _nearest(A, best, best_at):
-    """Of each sector the face {a·x <= 1} nearest to the origin."""
+    """The face {a·x <= 1} of each sector that is nearest to the origin."""
     for s in range(SECTORS):
         best[s] = 0.0
         best_at[s] = -1
@@ -195,7 +195,7 @@ def _nearest(A, best, best_at):
 
 @njit()
 def _sticking_in(A, x, low, limit, best, best_at):
-    """Faces that the ellipsoid (x, low) exceeds by more than the factor `limit`: how many, of each sector the worst."""
+    """The worst face of each sector that the ellipsoid (x, low) exceeds by more than a factor `limit`; their number."""
     for s in range(SECTORS):
         best[s] = limit
         best_at[s] = -1
@@ -219,7 +219,7 @@ def _sticking_in(A, x, low, limit, best, best_at):
 
 @njit()
 def mark_beyond(first, last, points, center, rows, nodes, limit, beyond):
-    """Mark those of the points first..last-1 for which some row·(point - center) is at least `limit`.
+    """Mark the points among first..last-1 for which some row·(point - center) is at least `limit`.
 
     `rows` and `nodes` are the leaves and the nodes of a map of the rows.
     """

@@ -1,4 +1,4 @@
-"""Both fits of convex pieces given by vertices and face normals: one, or a range of them."""
+"""Both fits of convex pieces given by vertices and face normals, for one piece or a range."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 def face_slacks(vertices, normal, center):
     """Bounds on the slack of one face at `center`, from the face's own vertices.
 
-    Returns (low, high): low bounds from below the smallest n·(v - c) over the vertices that belong to the face,
-    high from above the largest over all vertices. See docs/containment.md for why `low` proves containment.
+    Returns (low, high): `low` bounds the smallest n·(v - c) over the face's own vertices from below, and `high` bounds
+    the largest over all vertices from above. docs/containment.md explains why `low` proves containment.
     """
     m, n = vertices.shape
     top = -np.inf
@@ -41,15 +41,15 @@ def face_slacks(vertices, normal, center):
             value += normal[k] * (vertices[i, k] - center[k])
         if value >= edge:
             low = min(low, value)
-    doubt = (n + 2) * noise  # one rounding for v - c, n for the products and sums, one to spare
+    doubt = (n + 2) * noise  # one rounding for v - c, n for the products and sums, one in reserve
     return low - doubt, top + doubt
 
 
 @njit()
 def slacks_by_map(vertices, normals, center, frame, columns, nodes, low, high):
-    """`face_slacks` of the faces of a piece with many vertices: those that the map leaves for each.
+    """`face_slacks` for a piece with many vertices, from the candidates that the map leaves for each face.
 
-    The noise is a bound for all vertices, from their largest offsets along the axes.
+    The noise is bounded for all vertices by their largest offsets along the axes.
     """
     n = vertices.shape[1]
     reach = np.empty(n)
@@ -111,7 +111,7 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
             value += outer_factor[j, k] * x[k]
         center[j] = outer_center[j] + value
     for i in range(m):
-        lam[i] /= slack_high[i]  # the multiplier of the scaled row, brought back to the unit normal
+        lam[i] /= slack_high[i]  # the multiplier of the scaled row, converted to the unit normal
         if not many:
             slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
     if many:
@@ -124,10 +124,10 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
 def fit_range(
     first, last, vert_start, vertices, face_start, normals, tol, flatness, inner_c, inner_F, outer_c, outer_F, info
 ):
-    """Both fits of pieces first..last-1, into their rows of the output arrays.
+    """Write both fits of pieces first..last-1 to their rows of the output arrays.
 
-    Threads call it on ranges of their own (it holds no interpreter lock); that compiles in a quarter of the time that
-    `prange` took here and runs as fast.
+    Threads call it on separate ranges (it does not hold the interpreter lock); this compiles in a quarter of the time
+    of `prange` and runs as fast.
 
     `info` (P, 5): outer code, outer gap, inner code, inner gap, iterations of both.
     """

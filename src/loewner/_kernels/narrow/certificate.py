@@ -1,10 +1,10 @@
 """The certificate, many piece pairs at a time, in registers.
 
-First sixteen at a time in single precision, with error bounds to match: proof enough for almost every pair, at half the
-cost and half the memory. Pairs within that rounding of a decision are left to the same in double precision, eight at
-a time.
+First sixteen pairs at a time are certified in single precision, with matching error bounds: this proves almost every
+pair at half the cost and half the memory. Pairs within that rounding of a decision are left to double precision, eight
+at a time.
 
-Three stages, each only if some of them are still open:
+There are three stages, each run only if some pairs are still open:
 
 near
     bounding spheres of the outer ellipsoids.
@@ -15,10 +15,10 @@ outer
 inner
     a common point of the inner ellipsoids at the same kind of guess.
 
-Each tells besides whether a better s could still change the answer; only then is it improved. With a margin
-the near points matter, and they need the best s: `certify_best` iterates always.
+Each stage also determines whether a better s could still change the answer; only then is s improved. With a margin the
+near points matter, and they need the best s: `certify_best` always iterates.
 
-The checks compare squares, not square roots (docs/certified.md): dividing and taking roots would be half the work.
+The checks compare squares, not square roots (docs/certified.md): divisions and roots would take half of the time.
 """
 
 from typing import Any, NamedTuple
@@ -58,13 +58,13 @@ BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
 
-# Errors in units of the roundoff, of either precision; what is derived here is for single precision, where it is more.
-# Of the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
+# Errors in units of the roundoff, for both precisions; the derived values are for single precision, where they are
+# larger. For the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
 # derived 28, certified.md B5
 
-# How far F must be from 1, at least, before a pair is given up: a band that costs little and leaves room for what
-# rounding does to F (see `_doubt`), in either precision. No proof rests on them: such a pair is left OPEN.
+# Least distance of F from 1 at which a pair is given up: a band that costs little and leaves room for the rounding of F
+# (see `_doubt`), for both precisions. No proof depends on it: such a pair is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
 
@@ -88,8 +88,8 @@ class Bounds(NamedTuple):
 class Shape(NamedTuple):
     """Ellipsoids in world axes, as eight columns of their rows: the shape matrix and two bounds on semi-axes.
 
-    `sigma` is a lower bound on the least semi-axis of an outer ellipsoid; `inverse_sigma` an upper bound on one over
-    that of an inner one. Neither is of use for the other kind.
+    `sigma` is a lower bound on the least semi-axis of an outer ellipsoid; `inverse_sigma` is an upper bound on the
+    reciprocal of an inner ellipsoid's least semi-axis. Neither is used for the other kind.
     """
 
     Q: Any
@@ -127,7 +127,7 @@ def shape_of(columns, R, rotated):
 
 @inline
 def _selected_shape(condition, a, b):
-    """Shapes a where the condition holds, else b."""
+    """Shapes a where the condition holds, otherwise b."""
     Q = (
         select(condition, a.Q[0], b.Q[0]),
         select(condition, a.Q[1], b.Q[1]),
@@ -157,23 +157,23 @@ def size_between(a, reach_a, b, reach_b):
 
 @inline
 def rounded_size(a, reach_a, b, reach_b):
-    """The size where the translations were rounded before they are subtracted."""
+    """The size for translations that were rounded before their subtraction."""
     t = absolute(a.t[0]) + absolute(a.t[1]) + absolute(a.t[2]) + absolute(b.t[0]) + absolute(b.t[1]) + absolute(b.t[2])
     return t + reach_a + reach_b
 
 
 @inline
 def _clear(r, radii, size, margin, unit):
-    """Mask: bounding spheres surely farther apart than the margin."""
+    """Mask of bounding spheres certainly farther apart than the margin."""
     far = radii + position_error(size, unit) + margin
-    # The second where squares overflow.
+    # the second if squares overflow
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
     return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
 
 
 @inline
 def _guess(P, Q, r, tiny):
-    """s of two spheres as wide as the ellipsoids are along r."""
+    """s of two spheres with the widths of the ellipsoids along r."""
     wide_p, wide_q = dot(apply_symmetric(P, r), r), dot(apply_symmetric(Q, r), r)
     return share_of_roots(maximum(wide_p, tiny), maximum(wide_q, tiny))
 
@@ -187,11 +187,12 @@ def _best(P, Q, r):
 
 @inline
 def _doubt(P, Q, least, miss, s, size, unit, sure):
-    """What rounding can do to F = s(1-s) rᵀK⁻¹r while that is about 1, times the least eigenvalue of K.
+    """Bound on the rounding of F = s(1-s) rᵀK⁻¹r for F near 1, times the least eigenvalue of K.
 
-    √F is a norm of r: an error ε of r, that of the positions and that by which K n misses r, changes it by at most
-    η = √(s(1-s)) ε / √λ, with λ the least eigenvalue of K. So F, computed from n·r, is on the side of 1 that it seems
-    to be on if it is off by 3η + 2η² <= c + 4η²/c, for any small c. An error of K changes F by its share in λ.
+    √F is a norm of r: an error ε of r, from the positions and from the difference of K n and r, changes it by at most η
+    = √(s(1-s)) ε / √λ, with the least eigenvalue λ of K. So F, computed from n·r, is on the apparent side of 1 if its
+    distance from 1 exceeds 3η + 2η², which is at most c + 4η²/c for any small c. An error of K changes F by its share
+    in λ.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ def _doubt(P, Q, least, miss, s, size, unit, sure):
     miss : vector
         1-norm of r - K n.
     sure : float
-        c; also the least distance of F from 1 that is taken for real.
+        c, and also the least distance of F from 1 that is accepted.
     """
     u = 1.0 - s
     off = position_error(size, unit) + miss
@@ -210,7 +211,7 @@ def _doubt(P, Q, least, miss, s, size, unit, sure):
 
 @inline
 def _miss(r, s, Pn, Qn):
-    """1-norm of r - K(s) n: how far the point (1-s) P n from a's center misses r - s Q n; zero in exact arithmetic."""
+    """1-norm of r - K(s) n, the distance of (1-s) P n from a's center to r - s Q n; zero in exact arithmetic."""
     u = 1.0 - s
     return (
         absolute(r[0] - u * Pn[0] - s * Qn[0])
@@ -221,10 +222,10 @@ def _miss(r, s, Pn, Qn):
 
 @inline
 def _apart(a, b, r, n, s, size, unit, sure):
-    """Mask: surely separated by n. And mask: surely no s whatever separates, because F < 1 everywhere.
+    """Masks of pairs certainly separated by n, and of pairs that certainly no s separates, because F < 1 everywhere.
 
     F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere. Rounding changes the slope by
-    at most what it does to F over s(1-s).
+    at most the change of F divided by s(1-s).
     """
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
@@ -235,7 +236,7 @@ def _apart(a, b, r, n, s, size, unit, sure):
     v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
     w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
     t = low * low * (1.0 - 8.0 * unit) - (v + w)
-    # Apart means F > 1 and n·r > 4 at the best s; asking for a half, and t clear of zero, keeps squares from
+    # Apart means F > 1 and n·r > 4 at the best s; requiring a half, and t clear of zero, keeps squares from
     # underflowing.
     separated = (low > 0.5) & (t > unit * (low * low)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (v * w))
     u = 1.0 - s
@@ -249,7 +250,7 @@ def _apart(a, b, r, n, s, size, unit, sure):
 
 @inline
 def _common(a, b, r, n, s, size, unit, sure):
-    """Mask: surely a common point at (1-s) P n from a's center. And mask: surely F > 1, so that there is none."""
+    """Masks of pairs with a certain common point at (1-s) P n from a's center, and with F > 1, so without one."""
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
     squared = dot(n, n)
@@ -257,7 +258,7 @@ def _common(a, b, r, n, s, size, unit, sure):
     u = 1.0 - s
     miss = _miss(r, s, Pn, Qn)
     slack = miss + position_error(size, unit)
-    # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 less what rounding does to it.
+    # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 minus a bound on its rounding.
     error_a = SHAPE_ERROR * unit * trace(a.Q)
     error_b = SHAPE_ERROR * unit * trace(b.Q)
     free_a = 1.0 - 32.0 * unit - u * error_a * length * a.inverse_sigma
@@ -278,11 +279,11 @@ def _put_normal(V, at, n):
 
 
 def _poses(fetch, everything, rigid_poses, one):
-    """Make the reader of poses for vectors like those that `fetch` returns."""
+    """Make the reader of poses for vectors of the kind that `fetch` returns."""
 
     @inline
     def pose(T, rows, at, moved):
-        """Poses of the listed rows; a pose array that is the identity alone is not even read."""
+        """Poses of the listed rows; a pose array that only holds the identity is not read."""
         if moved:
             p = fetch(T, 16, rows, at, 0)
             q = fetch(T, 16, rows, at, 8)
@@ -296,26 +297,26 @@ def _poses(fetch, everything, rigid_poses, one):
 
 
 def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
-    """The two compiled functions below, in one of the two precisions.
+    """Make the compiled functions below in one of the two precisions.
 
     Parameters
     ----------
     fetch : callable
         Reads eight columns of as many rows as a vector has lanes.
     prefetch : callable
-        Asks for such rows ahead of their use.
+        Prefetches such rows.
     lanes : int
     pose, size_of : callable
     unit, tiny : float
-        Unit roundoff, and a number that no product of four lengths falls below.
+        Unit roundoff, and a lower bound on products of four lengths.
     sure : float
-        How far F must be from 1, at least, to say that no s whatever settles a pair.
+        Least distance of F from 1 at which no s counts as settling a pair.
     """
     everything = 2**lanes - 1
 
     @njit()
     def spheres(count, margin, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, ahead, tier):
-        """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
+        """Run only the first stage: write BY_SPHERE or OPEN to `tier` for each listed piece pair.
 
         Returns False where `certify` does.
         """
@@ -342,7 +343,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
 
     @njit()
     def better(P, Q, r, n):
-        """Another s and its normal: that of spheres as wide as the ellipsoids are along n."""
+        """Another s and its normal, from spheres with the widths of the ellipsoids along n."""
         s = _guess(P, Q, n, tiny)
         _, m = normal_at(P, Q, r, s)
         return s, m
@@ -354,9 +355,9 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
         Parameters
         ----------
         count : int
-            Piece pairs; the list is filled with repeats up to whole vectors.
+            Number of piece pairs; the list is filled with repeats up to whole vectors.
         asking : bool
-            Ask for what comes later; in portions between the computations, which a burst of it would hold up.
+            Whether to prefetch data of later blocks, in portions between the computations, which a burst would delay.
         hot_a, hot_b : ndarray, shape (P, HOT)
         Ta, Tb : ndarray, shape (N, 4, 4)
         moved_a, moved_b : bool
@@ -373,7 +374,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
         Returns
         -------
         bool
-            False if a pose is no rigid motion (in single precision: may be none); the rest is then not done.
+            False if a pose is not a rigid motion (in single precision: may not be one); the rest is then skipped.
         """
         for at in range(0, count, lanes):
             if asking:
@@ -457,18 +458,18 @@ single_spheres, single_certify = _stages(
 
 @inline
 def tier_of_one(a, row_a, b, row_b, more):
-    """Tier of one piece pair, margin 0, by the same formulas on one lane of single precision, as a thread of a GPU.
+    """Tier of one piece pair, margin 0, by the same formulas on one lane of single precision, for a GPU thread.
 
-    What the stages settle they settle here too; with branches, for no other pair waits for this one.
+    It settles the same pairs as the stages, but with branches, since no other pair waits for this one.
 
     Parameters
     ----------
     a, b : Pose
-        Of rigid motions, or of affine maps that are `more` from them.
+        Poses that are rigid motions, or affine maps that deviate from them by `more`.
     row_a, row_b : int
         Addresses of the pieces' rows of float32.
     more : scalar
-        Metres to be added to the lengths that positions are made of, for what else the poses are off by.
+        Metres to be added to the lengths from which positions are computed, for other errors of the poses.
 
     Returns
     -------
@@ -512,7 +513,7 @@ def tier_of_one(a, row_a, b, row_b, more):
 
 @inline
 def _ordered(swap, p, q, r):
-    """The two ellipsoids and the vector from one center to the other's; the other way round where `swap` says so."""
+    """The two ellipsoids and the vector between their centers, exchanged where `swap` holds."""
     return _selected_shape(swap, q, p), _selected_shape(swap, p, q), selected(swap, _reversed(r), r)
 
 
@@ -525,7 +526,7 @@ def _reversed(v):
 def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, tier, V):
     """Certify the listed piece pairs at the best s, in double precision, with any margin.
 
-    Parameters and result as for `certify`, but that every pair left is OPEN.
+    Parameters and result are as for `certify`, except that every remaining pair is OPEN.
     """
     for at in range(0, count, LANES):
         a = pose_of(Ta, listed.pose_a, at, moved_a)

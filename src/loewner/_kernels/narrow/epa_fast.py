@@ -1,10 +1,9 @@
-"""Penetration depth of two polytopes in about a microsecond: a small expanding polytope held in flat arrays.
+"""Penetration depth of two polytopes in about a microsecond, by a small expanding polytope in flat arrays.
 
-The method is that of `epa`, for plain polytopes that overlap: both sets of corners are moved to the world once,
-the faces are rows of 64, so that one comparison of eight vectors finds the nearest face or all faces
-that a new point sees, and faces know each other by half-edges. Whatever is out of the ordinary (too many
-faces, a rim that does not close, pieces that do not overlap) is handed back UNSETTLED, for the careful
-search to decide.
+The method is the same as in `epa`, for plain polytopes that overlap: both sets of corners are moved to the world once,
+the faces are rows of 64, so that one comparison of eight vectors finds the nearest face or all faces visible from a new
+point, and faces are connected by half-edges. Unusual cases (too many faces, a rim that does not close, pieces that do
+not overlap) return UNSETTLED, and the careful search decides them.
 
 References
 ----------
@@ -28,12 +27,12 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-MAX_CORNERS = 1024  # of either polytope; above, moving all corners to the world costs more than it saves
+MAX_CORNERS = 1024  # for each polytope; with more, moving all corners to the world costs more than it saves
 MAX_FACES = 64  # one bit each in the masks; hulls of 20 points need 20 to 30
 MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
 
-# Flat work space: first corners of A and of B (x, y and z in rows of MAX_CORNERS), then the faces' normals and offsets
-# (rows of MAX_FACES), then the points of A - B (rows of POINT_ROW).
+# Flat workspace: first the corners of A and of B (x, y and z in rows of MAX_CORNERS), then the faces' normals and
+# offsets (rows of MAX_FACES), then the points of A - B (rows of POINT_ROW).
 _A = 0
 _B = _A + 3 * MAX_CORNERS
 _NX = _B + 3 * MAX_CORNERS
@@ -45,8 +44,8 @@ _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
 FLOATS = _LANE + 8
 
-# The same for integers: a half-edge is 4 face + side; its twin, and the point it starts from; for each point its
-# corners of A and B, and the new face whose rim edge starts there; the rim, as half-edges beyond it and first points.
+# Workspace of integers: for each half-edge, 4 face + side, its twin and its first point; for each point its corners of
+# A and B, and the new face whose rim edge starts there; the rim, as half-edges beyond it and first points.
 _TWIN = 0
 _ORIGIN = _TWIN + 4 * MAX_FACES
 _CORNER_A = _ORIGIN + 4 * MAX_FACES
@@ -54,20 +53,20 @@ _CORNER_B = _CORNER_A + MAX_POINTS
 _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
-_LEFT = _RIM_FROM + 3 * MAX_FACES  # what `proven_depth` goes on with: faces, number of points, vectors of A and of B
+_LEFT = _RIM_FROM + 3 * MAX_FACES  # input of `proven_depth`: faces, number of points, vectors of A and of B
 INTEGERS = _LEFT + 4
 
-# A face whose normal is shorter than this, relative to its longest side squared, has no direction worth the name.
+# A face whose normal is shorter than this, relative to its longest side squared, has no reliable direction.
 FLAT_FACE = 1e-10
 
-# How far outside its face, in barycentric coordinates, the origin's foot may be found by rounding alone.
+# Largest distance, in barycentric coordinates, at which rounding may place the origin's foot outside its face.
 FOOT_SLACK = 1e-9
 
 # Points and faces of the first shell.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# The twin of each half-edge of that shell, three for a face and one that is not used: the faces are (1 2 3), (0 3 2),
-# (0 1 3) and (0 2 1).
+# The twin of each half-edge of this shell, three for a face and one unused: the faces are (1 2 3), (0 3 2), (0 1 3) and
+# (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
@@ -107,7 +106,7 @@ def _reduced(x, comparison):
 
 @intrinsic
 def _first_bit(typingctx, x):
-    """Number of the lowest bit that is set; 64 if none is."""
+    """Number of the lowest set bit; 64 if there is none."""
 
     def generate(context, builder, sig, args):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
@@ -117,7 +116,7 @@ def _first_bit(typingctx, x):
 
 @inline
 def _place(P, shift, W, at):
-    """Write a polytope's corners, rotated and shifted, in whole vectors; returns how many vectors."""
+    """Write a polytope's corners, rotated and shifted, in whole vectors; return the number of vectors."""
     first = P.layout[P.piece, POINTS_FROM]
     vectors = (P.layout[P.piece, POINTS_TO] - first) // 8
     R = rotation_of(P)
@@ -154,7 +153,7 @@ def _corner(W, at, i):
 
 @inline
 def _add_point(W, K, p, vectors_a, vectors_b, n):
-    """Write point p: the one of A - B farthest along a direction. Returns its support value."""
+    """Write as point p the point of A - B that is farthest along a direction; return its support value."""
     i = _farthest(W, _A, vectors_a, n)
     j = _farthest(W, _B, vectors_b, negated(n))
     K[_CORNER_A + p] = i
@@ -198,7 +197,7 @@ def _make_face(W, K, f, u, v, w):
 
 @inline
 def _first_points(W, K, vectors_a, vectors_b, n):
-    """Points 0..3 of A - B: along the unit vector n, and three times square to it."""
+    """Points 0..3 of A - B: along the unit vector n, and in three directions perpendicular to it."""
     u, v = across(n)
     v, half = scaled(0.5 * SQRT3, v), scaled(0.5, u)
     _add_point(W, K, _P0, vectors_a, vectors_b, n)
@@ -209,7 +208,7 @@ def _first_points(W, K, vectors_a, vectors_b, n):
 
 @inline
 def _points_across(W, K, vectors_a, vectors_b, n):
-    """Points 0..3 of A - B once more, for pieces with few corners or thin ones: each across what is there already."""
+    """Find points 0..3 of A - B again, for pieces with few corners or thin ones: each across the previous points."""
     _add_point(W, K, _P0, vectors_a, vectors_b, n)
     _add_point(W, K, _P1, vectors_a, vectors_b, negated(n))
     a, b = _point(W, _P0), _point(W, _P1)
@@ -226,7 +225,7 @@ def _points_across(W, K, vectors_a, vectors_b, n):
 
 @inline
 def _farther_point(W, K, p, vectors_a, vectors_b, n):
-    """Point p along a direction or against it, whichever is farther from point 0."""
+    """Write point p along a direction or its opposite, whichever is farther from point 0."""
     height = dot(n, _point(W, _P0))
     against = _add_point(W, K, p + 1, vectors_a, vectors_b, negated(n))
     along = _add_point(W, K, p, vectors_a, vectors_b, n)
@@ -255,7 +254,7 @@ def _first_shell(W, K):
 
 @inline
 def _seen(W, live, point, error):
-    """Mask of the faces in front of which a point lies."""
+    """Mask of the faces that have a point in front of them."""
     x, y, z = point
     seen = 0
     for c in range(0, MAX_FACES, 8):
@@ -296,12 +295,12 @@ def _expand(W, K, live, seen, w):
     Returns
     -------
     live : int
-        Mask of the faces there are now, or 0 if the rim of what is seen is not one closed line, there is no room or
-        a face is too thin.
+        Mask of the current faces, or 0 if the rim of the visible faces is not one closed line, there is no room, or a
+        face is too thin.
     nearest : int
     least : float
-        The face with the least offset, and that offset. It is sought among the old faces before the new
-        ones are written, so that nothing waits for those.
+        The face with the least offset, and that offset. The old faces are searched before the new ones are written, so
+        that the search need not wait for them.
     """
     nearest, least = _nearest(W, live & ~seen)
     count = 0
@@ -310,7 +309,7 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # Write every side, keep those whose other face stays: no branch to guess.
+            # Write every side, and keep the ones whose other face stays, so that there is no branch to predict.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
@@ -334,7 +333,7 @@ def _expand(W, K, live, seen, w):
         offset = W[_OFFSET + last]
         if offset < least:
             nearest, least = last, offset
-    # Walk along the rim; it must come back to where it began after all its edges and not before.
+    # Walk along the rim; it must return to its start after all its edges, and not earlier.
     back = 0
     g = last
     for _ in range(count):
@@ -372,20 +371,20 @@ def overlap_depth(A, B, n, W, K, result):
     ----------
     A, B : Placed
     n : tuple of 3 float
-        Where to look first: a normal from A to B, of any length.
+        Direction to try first: a normal from A to B, of any length.
     W, K : ndarray
-        Work space, see `workspace`.
+        Workspace, see `workspace`.
     result : ndarray, shape (9,)
         Receives the unit normal from A to B, and the witnesses relative to a's translation.
 
     Returns
     -------
     status : int
-        UNSETTLED if the polytopes may be apart or anything is out of the ordinary.
+        UNSETTLED if the polytopes may be apart, or for unusual cases.
     lower, upper : float
-        Bounds on the depth to within rounding; `upper` is that of the support plane of the normal.
+        Bounds on the depth to within rounding; `upper` belongs to the support plane of the normal.
     """
-    # Inlined, so that only three arrays are handed on: passing all of them costs as much as this does.
+    # Inlined, so that only three arrays are passed: passing all of them would cost as much as this function.
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     corners_a = A.layout[A.piece, POINTS_TO] - A.layout[A.piece, POINTS_FROM]
@@ -399,7 +398,7 @@ def overlap_depth(A, B, n, W, K, result):
 
 @njit()
 def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
-    """`overlap_depth` of corners already placed, so many vectors of eight; none of them if they are too many."""
+    """`overlap_depth` of placed corners, given by their numbers of vectors of eight, which are 0 for too many."""
     if vectors_a == 0:
         return UNSETTLED, -np.inf, np.inf
     tolerance = error * (DEPTH_ACCURACY / POSITION_ROUNDINGS)
@@ -418,7 +417,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
         if height <= error:
             break
-        # This face's own plane: another's may be as near already, but its normal is not the one at hand.
+        # This face's own plane: another face's may be equally near, but it has another normal.
         if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
@@ -433,14 +432,14 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
 
 @inline
 def _witness(W, K, live, f, window, result):
-    """Write the normal and the witnesses of face f, or of the face in the same plane that holds the origin's foot.
+    """Write the normal and the witnesses of face f, or of the face in the same plane that contains the origin's foot.
 
-    False if the foot is in no face with an offset up to `window`.
+    Returns False if the foot is in no face with an offset up to `window`.
     """
     a, b, c = _foot(W, K, f)
     inside = min(a, min(b, c))
     if not inside >= 0.0:
-        # A parallelogram, the common face of two edges, is two triangles here; f may be the wrong one.
+        # A parallelogram, the face from two edges, consists of two triangles here, and f may be the wrong one.
         rest = _not_above(W, live, window)
         while rest != 0:
             g = _first_bit(rest)
@@ -463,11 +462,11 @@ def _witness(W, K, live, f, window, result):
 
 @njit()
 def proven_depth(error, W, K, result):
-    """A lower bound, but for `error`, on the depth that `overlap_depth` has just settled; 0 if none is proven.
+    """A lower bound, up to `error`, on the depth that `overlap_depth` has just settled; 0 if none is proven.
 
-    The faces are a closed surface of points of A - B. If it winds around the origin and keeps away from it, a ball
-    about the origin lies in A - B: certified.md B49. The search goes on until the ball touches a face of A - B itself,
-    whose normal and witnesses go to `result`.
+    The faces are a closed surface of points of A - B. If it winds around the origin at some distance, a ball about the
+    origin lies in A - B: certified.md B49. The search continues until the ball touches a face of A - B itself, whose
+    normal and witnesses go to `result`.
     """
     live, first, vectors_a, vectors_b = K[_LEFT], K[_LEFT + 1], K[_LEFT + 2], K[_LEFT + 3]
     proven = 0.0
@@ -493,7 +492,7 @@ def proven_depth(error, W, K, result):
 
 @inline
 def _measure_face(W, K, f, error):
-    """Write a face's normal and offset once more, with care; True if the origin is behind it beyond rounding."""
+    """Write a face's normal and offset again with more care; return True if the origin is behind it beyond rounding."""
     u, v, w = _corners(K, f)
     behind, nearest, n = plane_with_care(_point(W, u), _point(W, v), _point(W, w), error)
     W[_NX + f], W[_NY + f], W[_NZ + f] = n
@@ -503,5 +502,5 @@ def _measure_face(W, K, f, error):
 
 @njit()
 def workspace():
-    """Arrays that `overlap_depth` writes to; one set serves any number of calls in turn."""
+    """Arrays to which `overlap_depth` writes; they can be reused by further calls."""
     return np.empty(FLOATS), np.empty(INTEGERS, np.int64)

@@ -1,9 +1,8 @@
 """Penetration depth of two placed pieces by an expanding polytope inside A - B.
 
-The depth is the smallest support value h(n) of the Minkowski difference A - B over unit n. A
-polytope of support points grows inside A - B; its face with the smallest offset is pushed out to the
-support plane until the two agree. Offsets may be negative, so the polytope need not hold the
-origin when it starts.
+The depth is the smallest support value h(n) of the Minkowski difference A - B over unit n. A polytope of support points
+grows inside A - B; its face with the smallest offset is pushed out to the support plane until the two agree. Offsets
+may be negative, so the polytope need not contain the origin at the start.
 
 References
 ----------
@@ -19,28 +18,27 @@ from loewner._kernels.linalg3 import cross, dot, minus
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# A polytope pair ends when it meets a true face of A - B, after tens of faces. The cap is for
-# curved pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius at the very
-# worst (all directions equally deep) and far better elsewhere.
+# A pair of polytopes ends when it meets a true face of A - B, after tens of faces. The cap is for curved pieces: 1,500
+# support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all directions equally deep)
+# and far better in others.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
 NO_VOLUME = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
 
-# Faces this close to the nearest, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
+# Faces this close to the nearest one, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
 WITNESS_WINDOW = 2e4
 
-# Turn of the directions, in radians, whose support points refine a witness: what they miss of the depth is
-# its square.
+# Angle in radians of the directions whose support points refine a witness: their error in the depth is its square.
 HAIR = 1e-5
 
-DEPTH_ACCURACY = 1e-11  # what a distance query asks for
-CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
+DEPTH_ACCURACY = 1e-11  # accuracy for a distance query
+CONTACT_ACCURACY = 1e-13  # accuracy that distinguishes a graze from a gap
 
 
 class Workspace(NamedTuple):
-    """Arrays that `penetration` writes to: support points, faces, and the lists of the face search.
+    """Arrays to which `penetration` writes: support points, faces, and the lists of the face search.
 
-    `count` has one number: how many rows of the faces are in use; 0 if those alive are no closed surface.
+    `count` has one number: the rows of the faces in use, or 0 if the live faces are not a closed surface.
     """
 
     S: Any
@@ -57,13 +55,13 @@ class Workspace(NamedTuple):
 
 @njit()
 def _support(A, B, shift, n, S, k):
-    """`minkowski_support`, called instead of inlined: there are many calls here and each is rare."""
+    """`minkowski_support`, called instead of inlined: there are many calls here, all of them rare."""
     minkowski_support(A, B, shift, n, S, k)
 
 
 @njit()
 def _face(S, corners, normals, offsets, f):
-    """Form the outward unit normal and offset of face f; False if it has no area to speak of."""
+    """Form the outward unit normal and offset of face f; return False if it has hardly any area."""
     a = corners[f, 0]
     b = corners[f, 1]
     c = corners[f, 2]
@@ -98,10 +96,10 @@ def _face(S, corners, normals, offsets, f):
 @njit()
 def _first_tetrahedron(A, B, shift, S):
     """Four support points that span a volume, written to rows 0..3 of S."""
-    rows = np.arange(5)  # as data: the functions below would be compiled once per constant
+    rows = np.arange(5)  # as data, since the functions below would be compiled once per constant
     _support(A, B, shift, (1.0, 0.0, 0.0), S, rows[0])
     _support(A, B, shift, (-1.0, 0.0, 0.0), S, rows[1])
-    # Third: across the line, both ways; fourth: across the plane, both ways; the farther wins.
+    # The third point is across the line, and the fourth across the plane, each the farther of both directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
     ez = S[1, 2] - S[0, 2]
@@ -136,7 +134,7 @@ def _volume(S):
 
 @njit()
 def _flat_normal(S, error, result):
-    """Tell whether rows 0..3 span no volume; if so, write a unit normal of their flat to `result`."""
+    """Whether rows 0..3 span no volume; if so, write a unit normal of their plane or line to `result`."""
     ex, ey, ez = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
     ux, uy, uz = S[2, 0] - S[0, 0], S[2, 1] - S[0, 1], S[2, 2] - S[0, 2]
     nx, ny, nz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
@@ -145,7 +143,7 @@ def _flat_normal(S, error, result):
     if long <= 4.0 * error:
         nx, ny, nz = 1.0, 0.0, 0.0
     elif area <= 4.0 * error * long:
-        # A line: any direction square to it.
+        # For a line, any perpendicular direction.
         if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
             nx, ny, nz = 0.0, -ez, ey
         elif abs(ey) <= abs(ez):
@@ -181,7 +179,7 @@ def _farther(A, B, shift, n, S, k):
 
 @njit()
 def _visible(S, normals, offsets, f, w, error):
-    """Tell whether the new point w lies in front of face f (a face without area always gives way)."""
+    """Whether the new point w lies in front of face f (true for a face without area)."""
     if offsets[f] == np.inf:
         return True
     return normals[f, 0] * S[w, 0] + normals[f, 1] * S[w, 1] + normals[f, 2] * S[w, 2] > offsets[f] + error
@@ -189,7 +187,7 @@ def _visible(S, normals, offsets, f, w, error):
 
 @njit()
 def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first, w, error, horizon, stack):
-    """Replace all faces seen from point w by a fan around it. False if the rim does not close."""
+    """Replace all faces visible from point w by a fan around it; return False if the rim does not close."""
     rim = 0
     alive[first] = False
     free[counts[1]] = first
@@ -235,7 +233,7 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
         e = horizon[r, 1]
         h = horizon[(r + 1) % rim, 0]
         e2 = horizon[(r + 1) % rim, 1]
-        # In the seen face the rim edge runs from corner e+1 to corner e of g.
+        # In the visible face the rim edge runs from corner e+1 to corner e of g.
         if corners[g, e] != corners[h, (e2 + 1) % 3]:
             return False
     if counts[1] + (MAX_FACES - counts[0]) < rim:
@@ -276,7 +274,7 @@ def penetration(A, B, shift, accuracy, work, result):
     Parameters
     ----------
     accuracy : float
-        Gap of the bounds to stop at, relative to the lengths involved.
+        Gap of the bounds at which to stop, relative to the lengths involved.
     work : Workspace
     result : ndarray, shape (9,)
         Receives the normal (from A to B) and the two deepest points.
@@ -284,7 +282,7 @@ def penetration(A, B, shift, accuracy, work, result):
     Returns
     -------
     lower, upper : float
-        Both `NO_VOLUME` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
+        Both `NO_VOLUME` if the cores span no volume; `result` then only holds a normal. Otherwise bounds on the depth,
         to within `rounding_error`; `upper` belongs to the normal and the points.
     """
     S, corners, neighbors, normals, offsets, alive, free, horizon, stack, count = work
@@ -295,8 +293,8 @@ def penetration(A, B, shift, accuracy, work, result):
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
-        # Cores without a volume between them (points, parallel segments) penetrate by nothing: across
-        # the flat they already touch. The deepest points are the caller's own, from GJK.
+        # Cores that span no volume (points, parallel segments) have depth zero: perpendicular to their plane or line
+        # they already touch. The caller has the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME
     # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
     if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
@@ -352,12 +350,12 @@ def penetration(A, B, shift, accuracy, work, result):
     count[0] = counts[0] if closed else 0
     if last < 0:
         return -np.inf, np.inf
-    # If many directions tie, the faces are still coarse. Support points around the best normal, a hair's
-    # breadth apart, carry a much finer face.
+    # If many directions tie, the faces are still coarse. Support points of directions very close to the best normal
+    # span a much finer face.
     if upper - lower > WITNESS_WINDOW * error and _fine_foot(A, B, shift, S, used, result):
         return lower, upper
-    # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of
-    # it. The foot of the origin is inside one of them: that one knows the witnesses.
+    # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of it. The one that
+    # contains the foot of the origin determines the witnesses.
     window = lower + max(upper - lower, WITNESS_WINDOW * error)
     best = -np.inf
     for f in range(counts[0]):
@@ -373,10 +371,10 @@ def penetration(A, B, shift, accuracy, work, result):
 
 @njit()
 def proven_depth(error, work):
-    """A lower bound, but for `error`, on the depth that `penetration` has just found; 0 if none is proven.
+    """A lower bound, up to `error`, on the depth that `penetration` has just found; 0 if none is proven.
 
-    The faces are a closed surface of points of A - B. If it winds around the origin and keeps away from it, a ball
-    about the origin lies in A - B: certified.md B49.
+    The faces are a closed surface of points of A - B. If it winds around the origin at some distance, a ball about the
+    origin lies in A - B: certified.md B49.
     """
     proven = np.inf if work.count[0] > 0 else 0.0
     for f in range(work.count[0]):
@@ -398,7 +396,7 @@ def plane_with_care(one, two, three, error):
     behind : bool
         Whether the origin is behind the face beyond rounding, so that the face winds around it the right way.
     nearest : float
-        How far the nearest corner is along the normal: but for `error`, no point of the face is nearer to the origin.
+        Extent of the nearest corner along the normal: up to `error`, no point of the face is nearer to the origin.
     n : tuple of 3 float
         The unit normal.
     """
@@ -421,7 +419,8 @@ def _point(S, k):
 def _fine_foot(A, B, shift, S, used, result):
     """Witnesses for the normal in `result` from the support points of five directions around it.
 
-    The origin's foot must lie in a triangle of three of the points, seen along the normal; False if it lies in none.
+    The origin's foot must lie in a triangle of three of the points, seen along the normal; returns False if it does
+    not.
     """
     nx, ny, nz = result[0], result[1], result[2]
     if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
@@ -505,7 +504,7 @@ def _witness(S, corners, normals, f, result):
 
 @njit()
 def workspace(wanted):
-    """Arrays that `penetration` writes to; one set serves any number of calls in turn."""
+    """Arrays to which `penetration` writes; they can be reused by further calls."""
     points = MAX_POINTS + 8 if wanted else 1
     faces = MAX_FACES if wanted else 1
     return Workspace(

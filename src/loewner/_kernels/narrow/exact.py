@@ -1,4 +1,4 @@
-"""The exact answer for one piece pair by the fast searches; what they leave open is for `pipeline.fallback`."""
+"""The exact answer for one piece pair by the fast searches; `pipeline.fallback` settles the pairs that they cannot."""
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import (
@@ -22,7 +22,7 @@ from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
 
-SIZE = max(MEMORY.size(), SURFACE_SIZE)  # bytes of memory that `exact_piece_pair` writes to
+SIZE = max(MEMORY.size(), SURFACE_SIZE)  # bytes of memory to which `exact_piece_pair` writes
 
 
 @inline
@@ -35,9 +35,9 @@ def exact_piece_pair(A, B, margin, n, memory):
     margin : float
         Distance that the pieces must keep, >= 0.
     n : tuple of 3 float
-        Direction from A to B to start from: the contact normal of the outer ellipsoids.
+        First direction from A to B: the contact normal of the outer ellipsoids.
     memory : int
-        Address of SIZE bytes to write to.
+        Address of SIZE bytes of scratch memory.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def exact_piece_pair(A, B, margin, n, memory):
 
 @njit()
 def _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory):
-    """Settle a pair with radii or a margin, or one that `decide` left; apart from the rest, which is to be short."""
+    """Settle a pair with radii or a margin, or a pair left by `decide`; separate, to keep the main function short."""
     result = result_of(memory)
     status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:

@@ -1,13 +1,14 @@
-"""GJK on many open pairs of small polytopes: sixteen pairs side by side in registers, whatever each of them meets.
+"""GJK on many open pairs of small polytopes, sixteen pairs side by side in registers, without branches.
 
-First the plane across the contact normal of the outer ellipsoids: it separates four in ten open pairs. For the others a
-walk by the signs of a few products, with no closest point: every round searches the vertices of both pieces once and
-takes all cases of the simplex together, each pair choosing its own. Two or three rounds more settle most.
+First the plane perpendicular to the contact normal of the outer ellipsoids is tried, which separates four in ten open
+pairs. For the others the simplex is walked by the signs of a few products, without a closest point: every round
+searches the vertices of both pieces once and computes all cases of the simplex together, from which each pair selects
+its own. Two or three more rounds settle most pairs.
 
-The walk is in single precision. What it finds is proven nonetheless, by a support plane clear of the origin or by a
-tetrahedron of points of A - B that holds it, both clear of what that precision rounds (docs/certified.md). Pairs
-nearer to contact, two in a thousand, have no proof here and are left to `gjk_fast`; so nothing a pair is told
-depends on how it was reached or on the pairs beside it.
+The walk is in single precision. Its results are proven nonetheless, by a support plane clear of the origin or by a
+tetrahedron of points of A - B that contains it, both by more than the rounding of that precision (docs/certified.md).
+Pairs nearer to contact, two in a thousand, have no proof here and are left to `gjk_fast`, so the result of a pair does
+not depend on its path or on the pairs beside it.
 
 References
 ----------
@@ -46,31 +47,31 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
-# What `settle` says of a pair.
+# Results of `settle` for a pair.
 
-ROUNDS = 10  # five settle nine in ten pairs, eight all but one in a hundred
+ROUNDS = 10  # five rounds settle nine in ten pairs, and eight all except one in a hundred
 
-FEW = 4  # pairs that are sooner searched one by one
+FEW = 4  # fewer pairs than this are faster to search one by one
 
-MOST = 64  # vertices of a piece: more and sixteen pairs leave the first-level cache
+MOST = 64  # vertices of a piece: with more, sixteen pairs exceed the first-level cache
 
-# Errors in units of the roundoff of single precision, each at least twice what is derived. Times the lengths: of a
-# width as `plane` rounds it, and of a product with a support point, all in single precision.
+# Errors in units of the roundoff of single precision, each at least twice the derived value. Times the lengths: of a
+# width as rounded by `plane`, and of a product with a support point, all in single precision.
 WIDTH_ERROR = 16.0  # derived 5, certified.md B9
 PRODUCT_ERROR = 72.0  # derived 35, certified.md B10
-# Times the third power of the longest point: of a determinant of three points, and of four of them added.
+# Times the third power of the longest point: of a determinant of three points, and of the sum of four determinants.
 VOLUME_ERROR = 98.0  # derived 33, certified.md B11
 SUM_ERROR = 632.0  # derived 177, certified.md B12
-# Times the lengths and the square of the longest point: of a determinant, for what its points are off by.
+# Times the lengths and the square of the longest point: of a determinant, for the errors of its points.
 POINT_ERROR = 64.0  # derived 30, certified.md B13
 
-SHORT = 1e-30  # directions whose square is less are not trusted: it may be short of digits
+SHORT = 1e-30  # directions with a smaller square are not trusted: the square may lack digits
 
-VERTEX = 3 * SINGLE_LANES  # entries that one vertex of each of sixteen pieces takes
+VERTEX = 3 * SINGLE_LANES  # entries for one vertex of each of sixteen pieces
 
 
 class Workspace(NamedTuple):
-    """What a walk reads and writes; one serves any number of walks in turn.
+    """Memory of a walk, which can be reused by further walks.
 
     Attributes
     ----------
@@ -79,13 +80,13 @@ class Workspace(NamedTuple):
     first_a, last_a, first_b, last_b : ndarray of int64, shape (16,)
         First and last block of vertices of each piece.
     here : ndarray of int64, shape (16,)
-        The block of each piece that is read.
+        The current block of each piece.
     directions : ndarray, shape (48,)
-        From a to b: all x, all y, all z.
+        Directions from a to b: all x, all y, all z.
     vertices : ndarray of float32
-        Of all sixteen pairs, side by side.
+        Vertices of all sixteen pairs, side by side.
     found : ndarray of int8, shape (16,)
-        What `settle` says of them.
+        Results of `settle`.
     """
 
     listed: Any
@@ -121,14 +122,14 @@ def put(memory, at, k, i, j, ka, kb, n):
 
 @inline
 def takes(layout, piece):
-    """Tell whether a piece is one that the functions below take."""
+    """Whether the functions below take a piece."""
     piece = np.uint64(piece)  # not from the end
     return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
 
 
 @inline
 def _blocks(layout, pieces, first, last):
-    """Write the first and the last block of vertices of each piece; returns how many blocks the largest one has."""
+    """Write the first and the last block of vertices of each piece; return the number of blocks of the largest one."""
     most = 0
     for lane in range(SINGLE_LANES):
         piece = pieces[lane]
@@ -141,7 +142,7 @@ def _blocks(layout, pieces, first, last):
 
 @inline
 def _block(points, first, last, here, b):
-    """The b-th block of vertices of each piece: eight x, eight y and eight z. The last one stands for those beyond."""
+    """The b-th block of vertices of each piece, or its last one if there are fewer: eight x, eight y and eight z."""
     for lane in range(SINGLE_LANES):
         here[lane] = min(first[lane] + b, last[lane])
     width = 3 * BLOCK
@@ -154,7 +155,7 @@ def _block(points, first, last, here, b):
 
 @inline
 def _lay(points, first, last, here, most, W, at):
-    """Write the vertices of sixteen pieces side by side from W[at] on; returns where they end."""
+    """Write the vertices of sixteen pieces side by side from W[at] on; return their end."""
     for b in range(most):
         px, py, pz = _block(points, first, last, here, b)
         store_strided(W, at, VERTEX, px)
@@ -166,8 +167,8 @@ def _lay(points, first, last, here, most, W, at):
 
 @inline
 def _farthest(W, start, stop, x, y, z):
-    """Of each piece's vertices in W the one with the largest product with its direction."""
-    # Two searches that take turns: each step of one waits for its step before.
+    """The vertex in W of each piece that has the largest product with the piece's direction."""
+    # Two interleaved searches: each step of a search depends on its previous step.
     ax, ay, az = load_single(W, start), load_single(W, start + SINGLE_LANES), load_single(W, start + 2 * SINGLE_LANES)
     bx, by, bz = (
         load_single(W, start + VERTEX),
@@ -195,13 +196,13 @@ def _farthest(W, start, stop, x, y, z):
 
 @inline
 def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
-    """Tell whether the plane across a direction from a to b surely separates two pieces, margin 0.
+    """Whether the plane perpendicular to a direction from a to b certainly separates two pieces, margin 0.
 
     Parameters
     ----------
     sa, la, xa, i, Ta, r : ndarray, ndarray, ndarray, int, ndarray, int
-        Of a: hot columns and vertices in single precision and layout (see `shapes`), piece; poses, and which. Of b the
-        same. The pieces are such that `takes`.
+        For a: hot columns, vertices in single precision, layout (see `shapes`) and piece; poses, and the row of the
+        pose. Likewise for b. `takes` must hold for both pieces.
     """
     x, y, z = n
     i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # not from the end
@@ -222,13 +223,13 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
     error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
     error += position_error(abs(tx) + abs(ty) + abs(tz), UNIT_ROUNDOFF)
     squared = x * x + y * y + z * z
-    # What is longer may overflow single precision.
+    # Longer vectors may overflow single precision.
     return (gap > error * np.sqrt(squared)) & (squared > SHORT) & (squared < 1.0 / SHORT)
 
 
 @inline
 def _directions(N):
-    """The directions to start from; any, where there is none."""
+    """The directions to start from, or an arbitrary direction if there is none."""
     n = load_rounded(N, 0), load_rounded(N, SINGLE_LANES), load_rounded(N, 2 * SINGLE_LANES)
     return selected(dot(n, n) > SHORT, n, (1.0, 0.0, 0.0))
 
@@ -242,11 +243,11 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     count : int
         Pairs in the list, at least 1.
     sa, la, xa, Ta : ndarray
-        Of a: hot columns and vertices in single precision and layout (see `shapes`), and poses; of b the same.
+        For a: hot columns, vertices in single precision, layout (see `shapes`), and poses. Likewise for b.
     moved_a, moved_b : bool
         False if the operand's only pose is the identity.
     memory : int
-        Address of a `Workspace`. The pieces are such that `takes`; `found` receives APART, TOUCHING or UNSETTLED.
+        Address of a `Workspace`. `takes` must hold for the pieces; `found` receives APART, TOUCHING or UNSETTLED.
     """
     work = workspace_at(memory)
     listed, N, W, found = work.listed, work.directions, work.vertices, work.found
@@ -268,8 +269,8 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, 0)
     ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
-    # The simplex, the newest point first: one, two or three points B, C, E of the Minkowski difference. The direction
-    # n leads from the origin to the part of it that is kept.
+    # The simplex, with the newest point first: one, two or three points B, C, E of the Minkowski difference. The
+    # direction n leads from the origin to the kept part of it.
     n = negated(_directions(N))
     B, C, E = n, n, n
     none = ~((n[0] > 0.0) | ~(n[0] > 0.0))
@@ -296,15 +297,15 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             break
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # Between the first direction and that of the first point lies what saves a round.
+            # A direction between the first one and the first point's saves a round.
             kept = np.float32(KEPT) / length
             rest = np.float32(1.0 - KEPT) / sqrt(dot(A, A))
             n = kept * n[0] + rest * A[0], kept * n[1] + rest * A[1], kept * n[2] + rest * A[2]
             B = A
             continue
 
-        # Of a tetrahedron the origin is inside, or beyond some face at the new point; B, C, E run
-        # counter-clockwise seen from there.
+        # Tetrahedron: the origin is inside, or beyond some face at the new point; B, C, E run counter-clockwise seen
+        # from there.
         AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
         face_bc = cross(AB, AC)
         f = -dot(face_bc, A)
@@ -319,13 +320,13 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
         touching = touching | (three & inside)
         if movemask(apart | touching) == SINGLE_ALL:
             break
-        # The face to go on with, as the triangle A, B, C.
+        # The face with which to continue, as the triangle A, B, C.
         second = three & (g > f) & (g >= h)
         third = three & (h > f) & (h > g)
         B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
         plane = two | three
 
-        # Of a triangle the origin is over the inside, or beyond the edge A B or A C.
+        # Triangle: the origin is over the inside, or beyond the edge A B or A C.
         AB, AC = minus(B, A), minus(C, A)
         normal = cross(AB, AC)
         beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
@@ -334,7 +335,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
         swap = beyond_c & (dot(AC, A) < 0.0)
         B = selected(swap, C, B)
 
-        # Of a line the origin is beside the inside, or beyond A.
+        # Line: the origin is beside the inside, or beyond A.
         AB = minus(B, A)
         beside = dot(AB, A) < 0.0
         across = cross(cross(AB, A), AB)

@@ -1,8 +1,9 @@
 """The fast searches on two placed pieces: GJK with the simplex in registers.
 
 The vertices of small polytopes are moved to the world once per pair; then a round is two searches through vectors of
-points and some forty products. Both searches prove what they say the same way as `gjk_robust.run`, by a support plane
-clear of the origin or by points of the pieces; where they cannot, they say UNSETTLED and `gjk_robust.run` goes on.
+points and about forty products. Both searches prove their results in the same way as `gjk_robust.run`, by a support
+plane clear of the origin or by points of the pieces; if they cannot, they return UNSETTLED and `gjk_robust.run` takes
+over.
 
 References
 ----------
@@ -23,19 +24,19 @@ from loewner._kernels.simd.support import entry_of, farthest, place_vertices
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 DECIDE_ROUNDS = 24
-MEASURE_ROUNDS = 64  # hulls need six, twelve at most; curved pieces converge linearly
+MEASURE_ROUNDS = 64  # hulls need six, and at most twelve; curved pieces converge linearly
 
-# A support point that the simplex has already ends the search; its bounds must then agree to so many errors.
+# A support point that is already in the simplex ends the search; its bounds must then agree to this many errors.
 LAST_GAP = 16.0
 
-# Triangles whose sine at a corner is below this (squared: 1e-2) get their normal squared off to the edges.
+# The normal of a triangle whose sine at a corner is below this (squared: 1e-2) is made orthogonal to the edges.
 THIN = 1e-4
 
-# Share of the first direction in the second, of unit vectors. 0.5 to 0.8 serve equally well.
+# Share of the first direction in the second, for unit vectors; 0.5 to 0.8 work equally well.
 KEPT = 0.7
 
-# Error of a determinant of three points, and of four of them added, in units of the roundoff times the third power of
-# the largest sum of coordinates.
+# Error of a determinant of three points, and of the sum of four determinants, in units of the roundoff times the third
+# power of the largest sum of coordinates.
 VOLUME_ERROR = 64.0  # derived 9, certified.md B16
 # derived 51, certified.md B17
 
@@ -52,7 +53,7 @@ vertices_of, result_of = MEMORY.accessors("vertices result")
 
 @inline
 def place_piece(P, shift, W, at):
-    """Place the vertices of a small polytope in W from column `at` on; returns the end, `at` for other pieces."""
+    """Place the vertices of a small polytope in W from column `at` on; return the end (`at` for other pieces)."""
     if P.layout[P.piece, KIND] != POLYTOPE:
         return at
     start, stop = P.layout[P.piece, POINTS_FROM], P.layout[P.piece, POINTS_TO]
@@ -62,14 +63,14 @@ def place_piece(P, shift, W, at):
 
 @inline
 def begin(A, B, shift, W):
-    """Place what can be placed of two pieces; returns the columns of W where A's and B's vertices end."""
+    """Place the vertices of two pieces, if they are small polytopes; return the columns of W where A's and B's end."""
     end_a = place_piece(A, (0.0, 0.0, 0.0), W, 0)
     return end_a, place_piece(B, shift, W, end_a)
 
 
 @inline
 def _supports(A, B, shift, W, ends, n):
-    """Points of A and of B whose difference lies least far along n."""
+    """Points of A and of B whose difference is least along n."""
     end_a, end_b = ends
     if end_a > 0:
         k = entry_of(farthest(W, 0, end_a, negated(n)))
@@ -86,7 +87,7 @@ def _supports(A, B, shift, W, ends, n):
 
 @inline
 def _edge(a, b):
-    """Line case: how many points stay, and the direction from the feature away from the origin."""
+    """Line case: number of points kept, and the direction from the feature away from the origin."""
     u = minus(b, a)
     if dot(u, a) < 0.0:
         return 2, cross(cross(u, a), u)
@@ -97,19 +98,19 @@ def _edge(a, b):
 def decide(A, B, shift, W, ends, n, error):
     """Decide most pairs of plain cores (no radii, no margin) in a few rounds, all in registers.
 
-    The simplex is walked by the signs of a few products only, with no closest point. What it finds is proven
-    the same way as in `gjk_robust.run`: a support plane clear of the origin, or a tetrahedron that holds it clear
-    of rounding. Everything else is UNSETTLED and goes to `measure`.
+    The simplex is walked only by the signs of a few products, without a closest point. Results are proven in the same
+    way as in `gjk_robust.run`: by a support plane clear of the origin, or by a tetrahedron that contains it clear of
+    rounding. Everything else is UNSETTLED and goes to `measure`.
 
     Parameters
     ----------
     A, B : Placed
     shift : tuple of 3 float
-        From A's translation to B's.
+        Vector from A's translation to B's.
     W : ndarray
         `workspace`, filled by `begin`.
     ends : tuple of 2 int
-        What `begin` returned.
+        Result of `begin`.
     n : tuple of 3 float
         First direction, from A to B; not zero.
     error : float
@@ -122,12 +123,12 @@ def decide(A, B, shift, W, ends, n, error):
     n : tuple of 3 float
         The direction reached, from A to B.
     points : int
-        Of the simplex; 0 if the first direction settled the pair.
+        Number of points of the simplex; 0 if the first direction settled the pair.
     """
     first = n
     p = negated(n)
     k = 0
-    # Newest point first: a, and of the older ones what is left of b, c, e.
+    # Newest point first: a, and the remaining older points among b, c, e.
     b = c = e = (0.0, 0.0, 0.0)
     largest = 0.0
     for _ in range(DECIDE_ROUNDS):
@@ -141,14 +142,14 @@ def decide(A, B, shift, W, ends, n, error):
         if k == 0:
             k = 1
             b = a
-            # As in `measure`: between the first direction and that of the first point.
+            # As in `measure`, between the first direction and the first point's.
             kept = KEPT / length
             rest = (1.0 - KEPT) / np.sqrt(dot(a, a))
             p = kept * p[0] + rest * a[0], kept * p[1] + rest * a[1], kept * p[2] + rest * a[2]
             continue
         if k == 3:
-            # Which of the three faces at the new point does the origin lie beyond? b, c, e run
-            # counter-clockwise seen from the new point.
+            # Find the faces at the new point beyond which the origin lies; b, c, e run counter-clockwise seen from the
+            # new point.
             doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
             ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
             face_bc = cross(ab, ac)
@@ -213,7 +214,7 @@ def _triangle(a, p, q):
     part : int
         0: a, 1: the edge ap, 2: the edge aq, 3: the inside. -1: a part without a, or rounding.
     n : tuple of 3 float
-        Normal of that part away from the origin, square to the part to full precision unless the triangle is thin.
+        Normal of that part away from the origin, orthogonal to the part to full precision unless the triangle is thin.
     """
     u, w = minus(p, a), minus(q, a)
     along_p, along_q = dot(a, u), dot(a, w)
@@ -246,7 +247,7 @@ def _squared_distance(a, p, q):
 
 @njit()
 def _nearest_face(beyond_e, beyond_b, beyond_c, a, b, c, e):
-    """Of the faces at the newest point a that the origin lies beyond, the nearest: 0 abc, 1 ace, 2 aeb."""
+    """The nearest face at the newest point a among those beyond which the origin lies: 0 abc, 1 ace, 2 aeb."""
     d0 = _squared_distance(a, b, c) if beyond_e > 0.0 else np.inf
     d1 = _squared_distance(a, c, e) if beyond_b > 0.0 else np.inf
     d2 = _squared_distance(a, e, b) if beyond_c > 0.0 else np.inf
@@ -257,7 +258,7 @@ def _nearest_face(beyond_e, beyond_b, beyond_c, a, b, c, e):
 
 @njit()
 def _squared_off(n, u, w):
-    """Take out of n its parts along two edges, the longer one last; twice, for what the first pass rounded."""
+    """Remove the parts of n along two edges, the longer one last; twice, because the first pass rounds."""
     if dot(u, u) > dot(w, w):
         u, w = w, u
     over_u, over_w = 1.0 / dot(u, u), 1.0 / dot(w, w)
@@ -268,17 +269,17 @@ def _squared_off(n, u, w):
 
 
 def measuring(supports):
-    """The search below, among the support points that a function like `_supports` finds."""
+    """Make the search below for support points found by a function like `_supports`."""
 
     @inline
     def search(A, B, shift, W, ends, n, error, reach, far, result):
-        """As `measure`, from any n; returns besides the last direction, a unit vector from A to B."""
+        """As `measure`, from any n; also returns the last direction, a unit vector from A to B."""
         if not LEAST_SQUARE < dot(n, n) < np.inf:
             n = (1.0, 0.0, 0.0)
         p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
         first = p
         k = 0
-        # The simplex b, c, e, the newest first, and the rounds its points come from.
+        # The simplex b, c, e, with the newest point first, and the rounds from which its points come.
         b = c = e = (0.0, 0.0, 0.0)
         from_b = from_c = from_e = 0
         largest = 0.0
@@ -288,7 +289,8 @@ def measuring(supports):
         for r in range(MEASURE_ROUNDS):
             o = p
             if r == 1:
-                # The first direction is good already, that of the first point poor: between them is what saves a round.
+                # The first direction is already good, and the first point's is poor: a direction between them saves a
+                # round.
                 o = (
                     KEPT * first[0] + (1.0 - KEPT) * p[0],
                     KEPT * first[1] + (1.0 - KEPT) * p[1],
@@ -303,7 +305,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    continue  # no nearer to the origin; nor is the plane a bound, as it is square to another direction
+                    continue  # no nearer to the origin, nor is the plane a bound for this direction
             else:
                 if plane - error > lower:
                     lower = plane - error
@@ -339,7 +341,7 @@ def measuring(supports):
                     count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
                     if count == 0:
                         doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
-                        # The base, -|volume| less the other three, must be clear too: flat ones have the sign of noise.
+                        # The base, -|volume| minus the other three, must be clear too: for flat ones the sign is noise.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
                             status = OVERLAPPING
@@ -415,7 +417,8 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
     A, B, shift, W, ends, n, error
         As for `decide`.
     reach, far : float
-        Stop as soon as the distance is known to be at most `reach`, or more than `far`; -inf and inf for the distance.
+        Stop once the distance is known to be at most `reach`, or more than `far`; use -inf and inf for the distance
+        itself.
     result : ndarray, shape (9,)
         Receives for NEAREST the unit normal from A to B and the two nearest points.
 
@@ -432,5 +435,5 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
 
 @inline
 def measure_along(A, B, shift, W, ends, n, error, reach, far, result):
-    """As `measure`, and besides the last direction: the one along which they are APART."""
+    """As `measure`, and also the last direction, along which they are APART."""
     return _measure(A, B, shift, W, ends, n, error, reach, far, result)

@@ -1,9 +1,9 @@
 """The careful GJK on two placed pieces: a proof of separation, a common point, or the distance.
 
-`gjk_fast` answers nearly all pairs faster; what it leaves comes here.
+`gjk_fast` answers nearly all pairs faster and leaves the others to this module.
 
-Works in the world's axes with the origin at the first body's translation, so that a pair far from
-the world's origin loses nothing: only the difference of the translations enters.
+It works in the world's axes with the origin at the first body's translation, so a pair far from the world's origin
+loses nothing: only the difference of the translations is used.
 
 References
 ----------
@@ -22,23 +22,23 @@ from loewner._kernels.narrow.simplex import closest, direction
 from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
-# Pairs of polytopes stop after a handful of rounds because they have finitely many vertices;
-# curved ones converge at least linearly. The cap is only there to make a hang impossible.
+# Pairs of polytopes stop after a few rounds because they have finitely many vertices; curved ones converge at least
+# linearly. The cap only makes a hang impossible.
 MAX_ROUNDS = 512
 
-# Gap of upper and lower bound at which a distance is final: relative to the distance, plus what the
-# evaluation of the bounds rounds (an eighth of the proven error bound, which is generous).
+# Gap of upper and lower bound at which a distance is final: relative to the distance, plus the rounding of the bounds
+# (an eighth of the proven error bound, which is generous).
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
 
-# What cannot be told from touching within 128 rounding errors, about 1e-12 of the lengths involved,
-# is touching. A choice, not a bound: it only has to be more than the points themselves are off by.
+# Pairs within 128 rounding errors of touching, about 1e-12 of the lengths involved, count as touching. This is a
+# choice, not a bound: it only has to exceed the errors of the points themselves.
 TOUCH_ROUNDINGS = 128.0
 
 
 @inline
 def minkowski_support(A, B, shift, n, S, k):
-    """Write to row k of S the point of A - B that lies least far along n, and where it came from."""
+    """Write to row k of S the point of A - B that is least along n, and the points of A and B."""
     a = placed_support(A, negated(n))
     b = plus(placed_support(B, n), shift)
     S[k, 0], S[k, 1], S[k, 2] = minus(a, b)
@@ -54,7 +54,7 @@ def rounding_error(A, B, shift):
 
 @inline
 def lengths(A, B, shift):
-    """Sum of the lengths that the points of A - B are made of."""
+    """Sum of the lengths from which the points of A - B are computed."""
     return reach(A) + reach(B) + abs(shift[0]) + abs(shift[1]) + abs(shift[2])
 
 
@@ -71,13 +71,13 @@ def off_orthonormal(R):
 
 @njit()
 def stretch(P):
-    """Bound on how much a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
+    """Bound on the factor by which a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
     return np.sqrt(1.0 + off_orthonormal(rotation_of(P)) + 16.0 * UNIT_ROUNDOFF)
 
 
 @inline
 def swollen_radii(A, B):
-    """Sum of the rounding radii, as large as the two poses can make them."""
+    """Sum of the rounding radii, enlarged by the largest stretch of the two poses."""
     if A.table[A.piece, ROUNDING] == 0.0 and B.table[B.piece, ROUNDING] == 0.0:
         return 0.0
     return A.table[A.piece, ROUNDING] * stretch(A) + B.table[B.piece, ROUNDING] * stretch(B)
@@ -85,25 +85,25 @@ def swollen_radii(A, B):
 
 @njit()
 def run(A, B, shift, n, limit, settle, S, weights, v, d):
-    """Run GJK from the separating direction n (from A to B; any will do).
+    """Run GJK from the separating direction n (from A to B; any direction is valid).
 
     Parameters
     ----------
     limit : float
         Margin the pieces must keep; the rounding radii of the pieces are added here.
     settle : bool
-        True: stop as soon as "apart" or "touching" is proven. False: go on to the distance.
+        True: stop as soon as "apart" or "touching" is proven. False: continue to the distance.
 
     Returns
     -------
     status : int
-        APART: proven farther apart than `limit`. TOUCHING: the upper bound is within `limit`, or
-        within rounding error of it. UNSETTLED: neither, after all that arithmetic allows.
+        APART: proven farther apart than `limit`. TOUCHING: the upper bound is within `limit`, or within rounding error
+        of it. UNSETTLED: neither, at the limit of arithmetic.
     lower, upper : float
-        Bounds on the distance of the cores less the rounding radii; both may be negative for
-        cores that are apart by less than the radii; upper is -inf if the cores intersect.
+        Bounds on the distance of the cores minus the rounding radii; both may be negative for cores that are apart by
+        less than the radii; upper is -inf if the cores intersect.
     k : int
-        Rows of the simplex left, with `weights`, `v` (from B's near point to A's) and its direction `d`.
+        Number of remaining rows of the simplex, with `weights`, `v` (from B's near point to A's) and its direction `d`.
     """
     radii = A.table[A.piece, ROUNDING] + B.table[B.piece, ROUNDING]
     near = limit + radii
@@ -142,7 +142,7 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
             return TOUCHING, lower - radii, length - radii, k
         if length <= error or not direction(S, k, v, d) > 0.0:
             break
-        # Rounding can make a round useless; a few in a row mean that no more is to be had.
+        # Rounding can make a round useless; a few such rounds in a row mean that no more progress is possible.
         if length >= before * (1.0 - UNIT_ROUNDOFF):
             stalls += 1
             if stalls > 2:

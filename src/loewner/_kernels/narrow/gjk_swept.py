@@ -1,4 +1,4 @@
-"""GJK between a piece and the hull of another one at two poses: is there a plane between them?"""
+"""GJK between a piece and the hull of another one at two poses: find a plane between them."""
 
 from loewner._kernels._jit import inline
 from loewner._kernels.codes import APART
@@ -11,7 +11,7 @@ from loewner._kernels.pieces.shapes import placed_support, radius
 
 @inline
 def _supports(A, B, shift, W, ends, n):
-    """Points of A, and of B at its two poses, whose difference lies least far along n."""
+    """Points of A, and of B at its two poses, whose difference is least along n."""
     a = placed_support(A, negated(n))
     first, last = B
     b = plus(placed_support(first, n), shift[0])
@@ -26,18 +26,18 @@ _search = measuring(_supports)
 
 @inline
 def separated(A, first, last, n, keep, stretch, memory):
-    """Is a piece farther than `keep` from the hull of another one at two poses? Proven if so.
+    """Whether a piece is proven farther than `keep` from the hull of another one at two poses.
 
     Parameters
     ----------
     A, first, last : Placed
-        The piece that stands still, and the other one at both poses.
+        The static piece, and the other one at both poses.
     n : tuple of 3 float
-        First direction, from A to the hull; any will do.
+        First direction, from A to the hull; any direction is valid.
     keep : float
         Distance, >= 0.
     stretch : float
-        What poses between the two may stretch radii by, beyond what these poses do.
+        Amount by which poses between the two may stretch radii more than these poses do.
     memory : int
         Address of `gjk_fast.MEMORY`.
 

@@ -1,8 +1,8 @@
-"""Many points and a mesh: how far they are from it, how often it goes around them, which way its triangles face there.
+"""Distances of many points from a mesh, winding numbers around them, and orientations of nearby triangles.
 
-The tree is in the frame of the points. Boxes are looked at in single precision, with a slack for its rounding;
-triangles eight at a time. A distance is that of a point of the triangle, the nearest but for rounding, however thin the
-triangle is: it is off by a few roundoffs of the coordinates (certified.md B44).
+The tree is in the frame of the points. Boxes are tested in single precision, with a slack for its rounding, and
+triangles eight at a time. A distance belongs to the nearest point of the triangle up to rounding, however thin the
+triangle is: its error is a few roundoffs of the coordinates (certified.md B44).
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ def points_memory():
 
 @njit()
 def squared_distances_of(points, triangles, squared):
-    """Squared distance of each point from a triangle of its own.
+    """Squared distance of each point from its own triangle.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ def squared_distances_of(points, triangles, squared):
 
 @njit()
 def nearest_triangles(table, size, points, distances, places, memory):
-    """How far points are from a mesh, and from which of its triangles.
+    """Distances of points from a mesh, and the nearest triangles.
 
     Parameters
     ----------
     table : int
         Address of the table of a tree.
     size : float
-        A sum of lengths that no coordinate of the mesh or of a point exceeds.
+        A sum of lengths that bounds all coordinates of the mesh and of the points.
     points : ndarray, shape (n, 3)
     distances : ndarray, shape (n,)
         Receives the distances.
@@ -83,7 +83,7 @@ def nearest_triangles(table, size, points, distances, places, memory):
 
 @njit()
 def winding_numbers(table, size, points, numbers, memory):
-    """How often a mesh goes around points, by the crossings of rays; UNCOUNTED where no ray tells.
+    """Winding numbers of a mesh around points, from the crossings of rays; UNCOUNTED if no ray gives an answer.
 
     Parameters are as for `nearest_triangles`.
     """
@@ -106,7 +106,7 @@ _next_in_ball = walk.walking(_in_ball)
 
 @njit()
 def facing_one_way(table, size, points, reach, normals, two_sided, least, steps, answers, near, memory):
-    """Whether all triangles in reach of a point turn their outer sides into one half-space.
+    """Whether the outer sides of all triangles within reach of a point face one half-space.
 
     Parameters
     ----------
@@ -114,17 +114,17 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
         As for `nearest_triangles`.
     reach : ndarray, shape (n,)
     normals : ndarray, shape (places, 3)
-        Of the triangles, in the order of the tree's blocks; triangles with none do not count.
+        Normals of the triangles, in the order of the tree's blocks; triangles without one do not count.
     two_sided : bool
-        Whether the outer side of a triangle is the one that the point is on.
+        Whether the outer side of a triangle is the point's side.
     least : float
-        What normals have to have in common with a direction to face along it.
+        Least product of a normal with a direction for the normal to face along it.
     steps : int
-        In which that is looked for.
+        Number of steps of the search for this direction.
     answers : ndarray of bool, shape (n,)
-        Receives the answers; no for a point with no triangle in reach.
+        Receives the answers, which are false for a point without a triangle in reach.
     near : ndarray, shape (triangles, 3)
-        To write to.
+        Scratch memory.
     """
     tree = tree_at(table)
     slack = np.float32(ROUNDINGS * size)
@@ -154,7 +154,7 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
 
 @njit()
 def _face_one_way(normals, count, least, steps):
-    """Whether a direction is found that has something in common with all of some normals."""
+    """Whether a direction is found along which all of some normals face."""
     direction = 0.0, 0.0, 0.0
     for k in range(count):
         direction = plus(direction, _point(normals, k))

@@ -1,4 +1,4 @@
-"""Lists of piece pairs: what the stages of a query hand on to each other."""
+"""Lists of piece pairs, which the stages of a query pass to each other."""
 
 from typing import Any, NamedTuple
 
@@ -14,9 +14,8 @@ class PairList(NamedTuple):
 
     Attributes
     ----------
-    pair : the pair of bodies, or of a body and a configuration, that the piece pair belongs to
-    piece_a, piece_b : rows of the packed pieces
-    pose_a, pose_b : rows of the poses
+    pair : the pair of bodies, or of a body and a configuration, to which the piece pair belongs piece_a, piece_b : rows
+    of the packed pieces pose_a, pose_b : rows of the poses
     """
 
     pair: Any
@@ -31,7 +30,8 @@ def arena(capacity: int) -> Arena:
     return Arena(PairList, **{name: integers(capacity) for name in PairList._fields})
 
 
-# Places are unsigned: a signed one might count from the end, a comparison that keeps loops from being vectors.
+# Indices are unsigned: a signed one might count from the end, and the comparison would keep loops from being
+# vectorised.
 @inline
 def put(listed, at, pair, piece_a, piece_b, pose_a, pose_b):
     """Write entry `at`."""

@@ -1,13 +1,12 @@
 """Closest point of a simplex to the origin: the inner step of GJK.
 
-A simplex is the first k rows of ``S`` (4, 9): a point of the Minkowski difference A - B, then the
-points of A and of B it came from. Each solver keeps the rows that carry the closest point,
-writes their barycentric weights to ``weights`` and the closest point to ``v``, and returns how
-many rows are left. Four left means that the origin is inside.
+A simplex is the first k rows of ``S`` (4, 9): a point of the Minkowski difference A - B, then its points of A and of B.
+Each solver keeps the rows that support the closest point, writes their barycentric weights to ``weights`` and the
+closest point to ``v``, and returns the number of remaining rows. Four rows mean that the origin is inside.
 
-The regions are found by signs of dot products (Ericson, Real-Time Collision Detection, 2005,
-section 5.1). Every answer is a point of the simplex, whatever rounding did to the signs, so |v| is
-always an upper bound on the distance; GJK proves the lower bound by itself.
+The regions are found by signs of dot products (Ericson, Real-Time Collision Detection, 2005, section 5.1). Every answer
+is a point of the simplex, even if rounding changes signs, so |v| is always an upper bound on the distance; GJK proves
+the lower bound by itself.
 """
 
 import numpy as np
@@ -50,7 +49,7 @@ def segment_weight(a, b):
     squared = dot(d, d)
     if squared <= 0.0:
         return 0.0
-    # Measure from the nearer end: the product loses nothing there.
+    # Measured from the nearer end, where the product loses no digits.
     t = -dot(a, d) / squared if dot(a, a) <= dot(b, b) else 1.0 - dot(b, d) / squared
     return min(1.0, max(0.0, t))
 
@@ -68,7 +67,7 @@ def triangle_weights(a, b, c):
     d5, d6 = -dot(ab, c), -dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
-    # Edge and face regions from the normal and one edge each. On curved pieces triangles get tiny while
+    # Edge and face regions are found from the normal and one edge each. On curved pieces triangles become tiny while
     # their distance from the origin does not; every product here then has a small factor.
     bc, n = minus(c, b), cross(ab, ac)
     weight_c = dot(n, cross(a, ab))
@@ -85,7 +84,7 @@ def triangle_weights(a, b, c):
         return 0.0, 1.0 - t, t
     total = weight_a + weight_b + weight_c
     if not (total > 0.0 and weight_a >= 0.0 and weight_b >= 0.0 and weight_c >= 0.0):
-        # A triangle too thin for its own normal: the best of its edges is as good.
+        # If a triangle is too thin for its own normal, the best of its edges is as good.
         return _best_edge(a, b, c)
     return weight_a / total, weight_b / total, weight_c / total
 
@@ -117,10 +116,10 @@ def _compact(S, k, weights, v):
 
 @njit()
 def _beyond(S, i, j, k, opposite, doubt):
-    """Tell whether the origin is not surely on the inner side of face ijk.
+    """Whether the origin is not certainly on the inner side of face ijk.
 
-    `doubt` bounds the rounding error of the two volumes compared. A face too many costs a little
-    time, one too few the right answer: in a flat tetrahedron all four have to be tried.
+    `doubt` bounds the rounding error of the two compared volumes. A superfluous face costs a little time, but a missing
+    one the right answer: in a flat tetrahedron all four must be tried.
     """
     ux = S[j, 0] - S[i, 0]
     uy = S[j, 1] - S[i, 1]
@@ -138,7 +137,7 @@ def _beyond(S, i, j, k, opposite, doubt):
 
 @njit()
 def closest(S, k, weights, v):
-    """Reduce the simplex to the part that carries its point closest to the origin."""
+    """Reduce the simplex to the part that contains its point closest to the origin."""
     if k == 1:
         weights[0] = 1.0
         _combine(S, 1, weights, v)
@@ -193,7 +192,7 @@ def closest(S, k, weights, v):
 
 @njit()
 def _without(d, ex, ey, ez):
-    """Take out of d its part along e, twice: the second pass removes what the first one rounded."""
+    """Remove the part of d along e, twice: the second pass removes the rounding of the first."""
     squared = ex * ex + ey * ey + ez * ez
     if squared > 0.0:
         for _ in range(2):
@@ -207,9 +206,9 @@ def _without(d, ex, ey, ez):
 def direction(S, k, v, d):
     """Unit normal d of the simplex's feature, on the side away from the origin.
 
-    v is a weighted sum of points and rounds by their size, so close to contact its direction is noise.
-    The feature itself still has a normal to full precision: square to the edge, or the triangle's.
-    Returns the offset d·x of the feature, which is the distance of the origin; 0 if there is none.
+    v is a weighted sum of points whose rounding is relative to their size, so close to contact its direction is noise.
+    The feature itself still has a normal to full precision: perpendicular to the edge, or to the triangle. Returns the
+    offset d·x of the feature, which is the distance of the origin; 0 if there is no normal.
     """
     for j in range(3):
         d[j] = v[j] if k != 1 else S[0, j]
@@ -223,7 +222,7 @@ def direction(S, k, v, d):
         sign = 1.0 if side >= 0.0 else -1.0
         d[0], d[1], d[2] = sign * nx, sign * ny, sign * nz
         _unit(d)
-        # A thin triangle's product is square to its edges only roughly. The longer edge goes last.
+        # A thin triangle's product is only roughly perpendicular to its edges. The longer edge is used last.
         if ux * ux + uy * uy + uz * uz > wx * wx + wy * wy + wz * wz:
             _without(d, wx, wy, wz)
             _without(d, ux, uy, uz)

@@ -1,7 +1,7 @@
-"""One triangle against eight: do they meet, and how far apart are they?
+"""Intersection tests and distances of one triangle and eight others.
 
-Corners are tuples of three numbers; those of the one triangle are floats, those of the eight vectors, a lane for each.
-What is said is proven against what the corners may be off by; all else is left to others.
+Corners are tuples of three numbers: floats for the single triangle, and vectors with a lane for each of the eight.
+Results are proven for the given errors of the corners; undecided cases are left to the caller.
 
 References
 ----------
@@ -15,11 +15,11 @@ from loewner._kernels.linalg3 import along, cross, dot, minus, scaled
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Error of a determinant of three differences of corners: so many times what a corner may be off by, times the products
-# of two lengths; and so many roundoffs of the product of all three. Lengths are sums of coordinates.
+# Error of a determinant of three differences of corners: this many times the error of a corner, times the products of
+# two lengths; and this many roundoffs of the product of all three. Lengths are sums of coordinates.
 CORNER_ERRORS = 8.0  # derived 3, certified.md B37
 PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B38
-_LEAST = 1e-290  # no product that underflows is above it
+_LEAST = 1e-290  # an upper bound on underflowing products
 
 
 @inline
@@ -42,13 +42,13 @@ def doubt(x, y, z, error):
 
 @inline
 def same_side(x, y, z, limit):
-    """Where three determinants are all above, or all below, what rounding does to them."""
+    """Mask of lanes whose three determinants all have the same sign beyond rounding."""
     return ((x > limit) & (y > limit) & (z > limit)) | ((x < -limit) & (y < -limit) & (z < -limit))
 
 
 @inline
 def _edge_misses(x, y, u, v, w, side, limit):
-    """Where an edge misses a triangle: its ends lie on one side of the plane, or its line passes outside."""
+    """Mask of edges that miss a triangle: the ends lie on one side of the plane, or the line passes outside."""
     beside = ((x > side) & (y > side)) | ((x < -side) & (y < -side))
     above = (u > limit) | (v > limit) | (w > limit)
     below = (u < -limit) | (v < -limit) | (w < -limit)
@@ -57,14 +57,14 @@ def _edge_misses(x, y, u, v, w, side, limit):
 
 @inline
 def _edge_pierces(x, y, u, v, w, side, limit):
-    """Where an edge pierces a triangle: its ends lie on both sides, and its line passes inside."""
+    """Mask of edges that pierce a triangle: the ends lie on both sides, and the line passes inside."""
     through = ((x > side) & (y < -side)) | ((x < -side) & (y > side))
     return through & same_side(u, v, w, limit)
 
 
 @inline
 def sides(normal, corner, others):
-    """Determinants that tell on which side of the plane of a triangle three corners lie."""
+    """Determinants whose signs are the sides of a triangle's plane on which three corners lie."""
     return (
         dot(normal, minus(others[0], corner)),
         dot(normal, minus(others[1], corner)),
@@ -74,25 +74,26 @@ def sides(normal, corner, others):
 
 @inline
 def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
-    """Where triangle `a` and the eight `b` meet for sure, and where they do not.
+    """Masks of the eight triangles `b` that certainly meet triangle `a`, and that certainly do not.
 
-    Two triangles meet if an edge of one meets the other. An edge whose ends are strictly on both sides of a plane, and
-    whose line has all three edges of the triangle on the same hand, pierces it; one that lies strictly on one side, or
-    has edges on either hand, misses it. The signs of fifteen determinants tell, where rounding leaves them.
+    Two triangles meet if an edge of one meets the other. An edge pierces a triangle if its ends are strictly on both
+    sides of the plane, and its line has all three edges of the triangle on the same side; it misses the triangle if it
+    lies strictly on one side, or has edges on both sides. The signs of fifteen determinants decide this, if they exceed
+    rounding.
 
     Parameters
     ----------
     a : tuple of 3 corners, floats
     b : tuple of 3 corners, vectors
     on_a : tuple of 3 vectors
-        Of `sides`: on which side of a's plane the corners of b lie.
+        Result of `sides` for a's plane and the corners of b.
     side_a : vector
-        What these may be off by.
+        Bounds on the errors of `on_a`.
     error : float
-        What a coordinate of a corner may be off by.
+        Bound on the error of a corner's coordinate.
     long_a : float
     long_b, apart : vector
-        The longest edges, and the largest difference of corners, by the sum of coordinates.
+        Lengths of the longest edges, and of the largest difference of corners, as sums of coordinates.
 
     Returns
     -------
@@ -128,7 +129,7 @@ def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
 
 @inline
 def _lines(edge, start, edge_b, b):
-    """On which hand an edge passes the three edges of a triangle."""
+    """Determinants whose signs are the sides on which an edge passes the three edges of a triangle."""
     return (
         dot(cross(edge, edge_b[0]), minus(b[0], start)),
         dot(cross(edge, edge_b[1]), minus(b[1], start)),
@@ -144,10 +145,10 @@ def _clamped(x):
 
 @inline
 def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
-    """Squared distance of an edge from eight: that of two points of theirs, which are the nearest but for rounding.
+    """Squared distances of an edge from eight edges, between points that are nearest up to rounding.
 
     `over_a` and `over_b` are the reciprocals of the squared lengths. The first guess is the foot of the common normal,
-    by products of the normal itself: for edges nearly parallel the usual difference of squares would be noise.
+    by products of the normal itself: for nearly parallel edges the usual difference of squares would be noise.
     """
     r = minus(start_a, start_b)
     normal = cross(edge_a, edge_b)
@@ -163,7 +164,7 @@ def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
 
 @inline
 def _pick(second, third, values):
-    """One of three vectors: the second, the third, or else the first."""
+    """One of three vectors: the second, the third, or otherwise the first."""
     a, b, c = values
     return (
         select(third, c[0], select(second, b[0], a[0])),
@@ -174,9 +175,9 @@ def _pick(second, third, values):
 
 @inline
 def upright(corners, edges):
-    """A triangle on its longest edge: start, edge, where the foot of the apex is on it, and the altitude.
+    """A triangle on its longest edge: start, edge, position of the apex's foot on it, and the altitude.
 
-    Besides, the reciprocals of the squared lengths of both.
+    Also returns the reciprocals of the squared lengths of edge and altitude.
     """
     first, other, last = dot(edges[0], edges[0]), dot(edges[1], edges[1]), dot(edges[2], edges[2])
     second, third = other > first, last > maximum(first, other)
@@ -190,10 +191,10 @@ def upright(corners, edges):
 
 @inline
 def from_face(x, face):
-    """Where the foot of a point on the plane of a triangle lies inside, and the way from there to the point.
+    """Mask of triangles that contain the foot of a point on their planes, and the vectors from the feet to the point.
 
-    First the foot on the longest edge, then the step from there along the altitude: what is left is short, so that the
-    error of the altitude's direction, which for a sliver is large, is multiplied by little.
+    First comes the foot on the longest edge, then the step from there along the altitude: the remaining vector is
+    short, so the error of the altitude's direction, which is large for a sliver, has little effect.
     """
     start, edge, share, altitude, over, over_altitude = face
     r = minus(x, start)
@@ -206,7 +207,7 @@ def from_face(x, face):
 
 @inline
 def _to_face(x, face, least):
-    """The squared distance of a point from a face if its foot lies inside and that is less, else `least`."""
+    """The squared distance of a point from a face if its foot lies inside and this is smaller; otherwise `least`."""
     inside, d = from_face(x, face)
     return select(inside, minimum(dot(d, d), least), least)
 
@@ -215,7 +216,7 @@ def _to_face(x, face, least):
 def squared_distances(a, b):
     """Squared distances of triangle `a` from the eight `b`, as if they did not pierce each other.
 
-    Each is that of two points of the triangles, which are the nearest but for rounding.
+    Each is the distance of two points of the triangles that are nearest up to rounding.
 
     Parameters
     ----------
@@ -245,9 +246,9 @@ def squared_distances(a, b):
 
 @inline
 def nearest_on(corners, x):
-    """Nearest points of triangles to a point: on an edge, or the foot on the plane where that lies inside.
+    """Nearest points of triangles to a point: on an edge, or the foot on the plane if it lies inside.
 
-    Each is a point of the triangle but for rounding, however thin that is, and the nearest one likewise.
+    Each is a point of the triangle, however thin, and the nearest one, up to rounding.
     """
     a, b, c = corners
     edges = minus(b, a), minus(c, b), minus(a, c)

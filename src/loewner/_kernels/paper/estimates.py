@@ -10,7 +10,7 @@ from loewner._kernels.tolerances import PAPER_ANGLE
 
 @inline
 def offset(x, k, y):
-    """Row k of x less row k of y."""
+    """Row k of x minus row k of y."""
     return (x[k, 0] - y[k, 0], x[k, 1] - y[k, 1], x[k, 2] - y[k, 2])
 
 
@@ -71,7 +71,7 @@ def f_from_near_points(v1, v2, distance, r, p1, G1, p2, G2):
 def estimates_of_pairs(method, centers, factors, f):
     """Fill f (n,) for n pairs, in metres; f <= 0 means collision.
 
-    Never NaN for finite input: a Lin-Han pair that does not converge takes the Rimon-Boyd points.
+    f is never NaN for finite input: a Lin-Han pair that does not converge takes the Rimon-Boyd points.
 
     Parameters
     ----------

@@ -1,17 +1,18 @@
-"""For large hulls: which vertices can be the farthest, by direction.
+"""Find, for large hulls, the vertices that can be the farthest along a direction.
 
-Directions live on the surface of a cube. Each of its six faces is a square of cells that are halved both ways until
-few vertices are left that any direction of the cell could single out; such a leaf keeps copies of its vertices as
-blocks (see `simd.support`). A search then goes down a few levels and through a few blocks, however many vertices the
-hull has.
+Directions are points on the surface of a cube. Each of its six faces is a square of cells that are halved both ways
+until few vertices can be the farthest along any direction of the cell; such a leaf keeps copies of its vertices as
+blocks (see `simd.support`). A search then descends a few levels and reads a few blocks, however many vertices the hull
+has.
 
-A vertex v is left out of a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so
-w beats v in the whole cell. `CLEARANCE` keeps that true in floating point, for the corner products as for a direction
-that rounding puts into the cell next door. So the farthest vertex found is the one a search through all would find.
+A vertex v is left out of a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so w
+beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a
+direction that rounding puts into the neighbouring cell. So the farthest vertex found is the same as from a search
+through all vertices.
 
-The map of a hull is a flat array: the leaves' blocks, then the *nodes*, two numbers each. A leaf's are its first and
-last+1 column; an inner node's are the number of its first child and -1. Nodes 0 .. 5 are the cube's faces
-+x, -x, +y, -y, +z, -z; the four children of a node follow one another, the first coordinate changing fastest.
+The map of a hull is a flat array: the leaves' blocks, then the *nodes*, with two numbers each. For a leaf these are its
+first and last+1 column; for an inner node, the number of its first child and -1. Nodes 0 .. 5 are the cube's faces +x,
+-x, +y, -y, +z, -z; the four children of a node are adjacent, with the first coordinate changing fastest.
 """
 
 import numpy as np
@@ -22,11 +23,12 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 LEAF = 32  # vertices that need no further division: four blocks
 
-# Leaves hold so many copies of a vertex on average before division stops; two or three are usual.
+# Average number of copies of a vertex in leaves at which division stops; two or three are usual.
 MOST_COPIES = 8
 
-# What a vertex must be beaten by, relative to the largest coordinate. Each of two products with a direction whose
-# entries are at most 1 rounds by 9u; a direction that rounding (4u in two entries) puts next door changes them by 16u.
+# Amount by which a vertex must be beaten, relative to the largest coordinate. Each of two products with a direction
+# whose entries are at most 1 rounds by 9u; a direction that rounding (4u in two entries) puts into a neighbouring cell
+# changes them by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # derived 34, certified.md B18
 
 
@@ -43,7 +45,7 @@ def _direction(face, s, t):
 
 @inline
 def place(x, y, z):
-    """Face of the cube that a direction goes through, and the grid cell there; any cell for a zero or NaN."""
+    """Face of the cube through which a direction passes, and the grid cell there; any cell for a zero or NaN."""
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
         face, major, s, t = 0, x, y, z
@@ -87,7 +89,7 @@ def _corner(face, level, s, t, d, row):
 
 @njit()
 def _filter(vertices, pool, start, stop, face, level, s, t, slack, d, heights, rivals):
-    """Append to the pool those of its entries start .. stop that may win in a cell; returns where they end."""
+    """Append to the pool its entries start .. stop that may win in a cell; return the new end."""
     for c in range(4):
         _corner(face, level, s + c % 2, t + c // 2, d, c)
     for c in range(3):
@@ -134,7 +136,7 @@ def direction_map(vertices):
     Returns
     -------
     columns : ndarray of int64, shape (c,)
-        Vertices of the leaves in order, each leaf filled up to whole blocks with its last.
+        Vertices of the leaves in order, each leaf filled up to whole blocks with repeats of its last vertex.
     nodes : ndarray, shape (n, 2)
     """
     largest = 0.0
@@ -146,12 +148,12 @@ def direction_map(vertices):
 
 @apart
 def map_within(vertices, slack):
-    """Build the map, leaving out of a cell the vertices that are beaten by more than `slack` [m] all over it.
+    """Build the map, omitting from a cell the vertices that are beaten by more than `slack` [m] in all of it.
 
-    That is along directions whose largest entry is 1.
+    This is for directions whose largest entry is 1.
     """
     count = len(vertices)
-    # Lists of vertices, those of the current path from the root one after the other.
+    # Lists of vertices of the current path from the root, concatenated.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
     for v in range(count):
         pool[v] = v

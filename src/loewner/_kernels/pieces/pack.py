@@ -1,4 +1,4 @@
-"""Packed pieces, and what to check, by one number: see `records`."""
+"""Packed pieces behind one number: see `records`."""
 
 from loewner._kernels._jit import borrowed, inline
 from loewner._kernels.records import MotionTables, Pieces, Placed, Problem, Tree
@@ -17,7 +17,7 @@ def placed(pieces, piece, poses, row):
 
 @inline
 def shift_between(A, B):
-    """World vector from the translation of one placed piece to that of the other."""
+    """World vector between the translations of two placed pieces."""
     return (
         B.poses[B.row, 0, 3] - A.poses[A.row, 0, 3],
         B.poses[B.row, 1, 3] - A.poses[A.row, 1, 3],

@@ -1,4 +1,4 @@
-"""Is a 4x4 matrix a rigid motion? One pass over a batch, without temporaries."""
+"""Check that 4x4 matrices are rigid motions, in one pass over a batch, without temporaries."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# What eight poses are checked with at once, in another order of rounding. In the certificate a hair more, so that
-# whatever fails has a fault one by one too; in search of faults a hair less, so that none is missed.
+# Tolerances for checking eight poses at once, with another order of rounding. In the certificate slightly more, so that
+# every pose that fails also has a fault on its own; in the search for faults slightly less, so that none is missed.
 HAIR = 1e-9
 
 
 @njit()
 def fault(T):
-    """What is wrong with one pose, and by how much."""
+    """Kind and size of the fault of one pose."""
     worst = 0.0
     total = 0.0
     for a in range(3):
@@ -55,7 +55,7 @@ def _rigid(tolerance, largest):
         f = absolute(p[1] * p[2] + p[5] * p[6] + q[1] * q[2])
         worst = (a <= tolerance) & (b <= tolerance) & (c <= tolerance)
         worst = worst & (d <= tolerance) & (e <= tolerance) & (f <= tolerance)
-        # The determinant is +1 or -1 where R is orthonormal.
+        # The determinant is +1 or -1 if R is orthonormal.
         x, y, z = p[5] * q[2] - p[6] * q[1], p[6] * q[0] - p[4] * q[2], p[4] * q[1] - p[5] * q[0]
         last_row = absolute(q[4]) + absolute(q[5]) + absolute(q[6]) + absolute(q[7] - 1.0)
         finite = absolute(p[3]) + absolute(p[7]) + absolute(q[3]) <= largest
@@ -67,8 +67,8 @@ def _rigid(tolerance, largest):
 is_rigid = _rigid(ROTATION_TOLERANCE * (1 + HAIR), np.finfo(np.float64).max)
 _is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).max)
 
-# What rounding the entries to single precision and multiplying them costs. So what passes here is rigid, except for a
-# last row that rounds to (0, 0, 0, 1), which no certificate reads.
+# Allowance for rounding the entries to single precision and multiplying them. A pose that passes is thus rigid, except
+# for a last row that rounds to (0, 0, 0, 1), which no certificate reads.
 SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # derived 3e-7, certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 

@@ -1,33 +1,33 @@
-"""Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
+"""Convex pieces for kernels: rows of three arrays, and functions of a row.
 
 A packed set of pieces is a tuple of twelve arrays:
 
 ``table`` (P, COLUMNS) float64
-    One row per piece; the columns are named below. Lengths in metres, body frame.
+    One row per piece; the columns are named below. Lengths are in metres, in the body frame.
 ``layout`` (P, 4) int64
-    Kind, first and last+1 column of its points; of a surface, where its table is (`narrow.surface_boxes`).
+    Kind, first and last+1 column of its points; for a surface, the address of its table (`narrow.surface_boxes`).
 ``points`` (3 V,) float64
-    Vertices in blocks, see `simd.support`; each piece's are filled up to whole blocks with repeats of the last, so a
-    piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
+    Vertices in blocks, see `simd.support`; each piece is filled up to whole blocks with repeats of its last vertex, so
+    a piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
 ``piece_start`` (n+1,) int64
     Body i owns pieces piece_start[i] .. piece_start[i+1].
 ``hot`` (P, HOT) float64
     The first columns of ``table`` once more, packed for streaming through millions of pieces.
 ``single`` (P, HOT) float32
-    The same in single precision, bounds rounded to their side; or no rows, if a piece is too large or too small for
-    sixth powers of lengths in single precision.
+    ``hot`` in single precision, with bounds rounded to the safe side; or no rows, if a piece is too large or too small
+    for sixth powers of lengths in single precision.
 ``groups`` (48 G,) float64, ``children`` (8 G,) int64, ``roots`` (n,) int64
     Trees over the pieces of bodies that have many, see `trees`.
 ``vertices`` (3 V,) float32
     ``points`` in single precision, if there are rows of ``single``; otherwise nothing.
 ``parts`` (R, HOT) float64, ``part_start`` (3 P,) int64
-    If there are surfaces: ellipsoids around parts of them and inside solids, in rows like those of ``hot``; and where
-    the outer ones and the inner ones of each piece start, and end. Otherwise nothing.
+    If there are surfaces: ellipsoids around their parts and inside solids, in rows as in ``hot``, and the starts of
+    each piece's outer and inner ones, and their end. Otherwise nothing.
 
-Every piece is a core plus a ball: a polytope (its vertices), a surface (triangles; what its points say is true of a box
-around it, and proves no contact), or the image c + F·C of a unit shape
-C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
-whose cores are a segment and a point, and for surfaces that are given one).
+Every piece is the sum of a core and a ball. The core is a polytope (its vertices), a surface (triangles; its points are
+the corners of a box around it, and prove no contact), or the image c + F·C of a unit shape C (ball, cylinder, cone,
+segment, point). The ball's rounding radius is zero except for capsules and spheres, whose cores are a segment and a
+point, and for surfaces with a radius.
 """
 
 import numpy as np
@@ -68,7 +68,7 @@ def farthest_vertex(layout, points, piece, n):
 
 @inline
 def radius(P):
-    """Rounding radius of a piece; the kind tells whether the table need be looked at."""
+    """Rounding radius of a piece; the table is only read for kinds that have one."""
     kind = P.layout[P.piece, KIND]
     return P.table[P.piece, ROUNDING] if kind >= SEGMENT or kind <= SURFACE else 0.0
 
@@ -81,7 +81,7 @@ def reach(P):
 
 @inline
 def prefetch_points(layout, points, piece):
-    """Ask for the vertices of a small polytope ahead of their use."""
+    """Prefetch the vertices of a small polytope."""
     if layout[piece, KIND] == POLYTOPE:
         for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], LINE):
             prefetch(points, at)
@@ -92,15 +92,15 @@ FEW_LINES = 5
 
 
 def _asking(prefetch):
-    """The function below, for one of the two caches."""
+    """Make the function below for one of the two caches."""
 
     @inline
     def ask(layout, vertices, piece):
-        """Ask for the vertices of a small polytope in single precision ahead of their use."""
+        """Prefetch the vertices of a small polytope in single precision."""
         piece = np.uint64(piece)  # not from the end
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
-            # Those of three blocks without a branch, as in `support.extent`.
+            # Three blocks without a branch, as in `support.extent`.
             for line in range(FEW_LINES):
                 prefetch(vertices, min(first + line * SINGLES, last))
             for at in range(first + FEW_LINES * SINGLES, last, SINGLES):
@@ -135,7 +135,7 @@ def unit_support(kind, x, y, z):
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # a kind without a branch above: nothing may be proven of it
+    return np.nan, np.nan, np.nan  # a kind without a branch above: nothing may be proven about it
 
 
 @inline

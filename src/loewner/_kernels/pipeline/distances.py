@@ -1,6 +1,6 @@
 """Distances of ranges of pairs: certified bounds, an estimate, and on request the exact value.
 
-All distances are signed: negative is the penetration depth. The distance of two bodies is the least over their piece
+All distances are signed, with penetration depths negative. The distance of two bodies is the minimum over their piece
 pairs.
 """
 
@@ -48,17 +48,17 @@ SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
 
 POSE_ENTRIES = 16  # of a pose
 
-AHEAD = 2  # lanes between asking for a piece's vertices and their use
+AHEAD = 2  # lanes between the prefetch of a piece's vertices and their use
 
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
 
-# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then right to rounding,
-# but the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of
-# a plane and two witnesses, never less than the true one.
+# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then correct to rounding,
+# but the 1,500 points of the expanding polytope only prove it to 4e-4. Such a depth is returned: it belongs to a plane
+# and two witnesses, and is never less than the true one.
 SETTLED_CURVED = 1e-3
 
-# What the witnesses of a depth may miss it by, of the same lengths.
+# Allowed difference between a depth and its witnesses, relative to the same lengths.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
@@ -67,7 +67,7 @@ LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # columns of a `Left`
 
 
 class Bounds(NamedTuple):
-    """Bounds on the distance of each pair of bodies, and the estimate of it: arrays of shape (n,)."""
+    """Bounds on the distance of each pair of bodies, and its estimate: arrays of shape (n,)."""
 
     lower: Any
     upper: Any
@@ -87,7 +87,7 @@ class Exact(NamedTuple):
     status : ndarray of int8, shape (n,)
         SETTLED_DISTANCE or NOT_SETTLED.
     pieces : ndarray of int64, shape (n, 2), or empty
-        Rows of the two pieces that attain it, where that is asked.
+        Rows of the two pieces that attain it, on request.
     """
 
     distance: Any
@@ -99,7 +99,7 @@ class Exact(NamedTuple):
 
 
 class Searches(NamedTuple):
-    """What the fast searches write to: ENTRIES of `gjk_fast`, both arrays of `epa_fast`, and a result.
+    """Memory of the fast searches: ENTRIES of `gjk_fast`, both arrays of `epa_fast`, and a result.
 
     The result is a normal and two witnesses, nine numbers. `surfaces` is the address of memory for `surface_distance`.
     """
@@ -143,7 +143,7 @@ queued_at, (round_of, late_of, searches_of) = *MEMORY.addresses("queued"), MEMOR
 
 
 class Left(NamedTuple):
-    """Piece pairs that the fast searches left, for `measure_left`.
+    """Piece pairs that the fast searches did not settle, for `measure_left`.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class Left(NamedTuple):
 
 @njit()
 def _distance_with_care(A, B, shift, n, error, inside, work, result):
-    """Signed distance and gap where the fast search did not find them; the witnesses are those of the cores."""
+    """Signed distance and gap if the fast search did not find them; the witnesses belong to the cores."""
     G = np.empty((4, 9))
     weights = np.empty(4)
     d = np.empty(3)
@@ -169,20 +169,20 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if not inside:
         status, lower, upper, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
     ra, rb = radius(A), radius(B)
-    # Apart: proven, for a search that stalls may have found points apart of cores that overlap.
+    # "Apart" must be proven, since a stalled search may have found separate points of overlapping cores.
     if k < 4 and upper + ra + rb > 4.0 * error and lower + ra + rb > 0.0 and status != UNSETTLED:
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
-    # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
-    # to be told from a gap; deep in a curved piece so much is not to be had, and asking for it spoils the witnesses.
+    # The depth sought is the upper bound, from the support plane of its normal. Only a graze needs more accuracy, to be
+    # distinguished from a gap; deep in a curved piece this is not achievable, and requesting it degrades the witnesses.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
         shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, result)
     if deep != NO_VOLUME:
         if graze:
-            # An expanding polytope that does not hold the origin need not hold the origin's foot in
-            # its nearest face either; GJK's points may be the better ones.
+            # An expanding polytope that does not contain the origin need not contain its foot in the nearest face
+            # either; GJK's points may be better.
             before = result.copy()
             missed = _miss(result, -deep)
             write_simplex(G, k, weights, d, result)
@@ -193,11 +193,11 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
                     result[c] = before[c]
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
-        # Cores that are apart after all: what GJK has, with the gap it has.
+        # The cores are apart after all: use GJK's result, with its gap.
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
-        # Impossible but for rounding: a flat simplex that passed for one with the origin inside.
+        # Only possible by rounding: a flat simplex that seemed to contain the origin.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
     write_simplex(G, k, weights, d, result)
@@ -207,7 +207,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
 
 @njit()
 def _miss(result, distance):
-    """How far the two points are from lying `distance` apart along the normal."""
+    """Deviation of the two points from being `distance` apart along the normal."""
     squared = 0.0
     for c in range(3):
         squared += (result[6 + c] - result[3 + c] - distance * result[c]) ** 2
@@ -295,15 +295,15 @@ def measure_near(count, operands, work, exact):
             ra, rb = radius(A), radius(B)
             k, above = pairs.pair[lane], queue.above[lane]
             limit = above if above < distance[k] else distance[k]
-            # A little more than the ellipsoids promise, for what their bounds round; they stretch with poses, and radii
-            # do not.
+            # Slightly more than the ellipsoids' bounds, for the bounds' rounding; they stretch with poses, and radii do
+            # not.
             limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
             value, gap = surface_distance(A, B, n, limit, faces, edges, searches.surfaces, result)
             if value == np.inf and not distance[k] <= above:
-                exact.status[k] = NOT_SETTLED  # the ellipsoids said that something is nearer
+                exact.status[k] = NOT_SETTLED  # the ellipsoids prove that something is nearer
                 continue
             value = value - ra - rb
-            if value < 0.0:  # a depth is a lower bound, whatever rounding did
+            if value < 0.0:  # a depth is a lower bound in spite of rounding
                 value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
             _record(lane, queue, Ta, value, gap, SETTLED, ra, rb, result, exact)
             continue
@@ -438,7 +438,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
-    # A first bound on the distance spares the walk most pairs.
+    # A first bound on the distance saves the walk most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
     found = 1
@@ -453,7 +453,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
 
 @inline
 def _ask(pieces, piece, poses, row):
-    """Ask for a piece and its pose: listed pairs find theirs anywhere in memory, and the queue fills up meanwhile."""
+    """Prefetch a piece and its pose, which may be anywhere in memory, and arrive while the queue fills."""
     for at in range(0, COLUMNS, LINE):
         prefetch_far(pieces.table, piece * COLUMNS + at)
     prefetch_far(pieces.table, piece * COLUMNS + COLUMNS - 1)
@@ -463,7 +463,7 @@ def _ask(pieces, piece, poses, row):
 
 @njit()
 def memory_of_distances():
-    """Tell Python how many bytes the memory of `distance_range` has to have."""
+    """Number of bytes of memory for `distance_range`."""
     return _BYTES
 
 
@@ -489,7 +489,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     Returns
     -------
     pieces, values : ndarray
-        Those of a `Left`, for `measure_left`: the pairs in it are not finished without.
+        The arrays of a `Left`, for `measure_left`, which has to finish its pairs.
     """
     lower, upper, estimate = numbers[0], numbers[1], numbers[2]
     distance = numbers[3] if wanted else floats_at(memory, (0,))

@@ -1,7 +1,7 @@
 """The exact answer for the few pairs that the fast searches leave open: a robust GJK, then the expanding polytope.
 
-Apart from `verdicts`, so that it is compiled only when a pair needs it. Triangles of two surfaces that rounding keeps
-from settling go on to whole numbers, see `loewner._exact`.
+It is separate from `verdicts`, so that it is only compiled when a pair needs it. Triangles of two surfaces that
+rounding leaves unsettled are decided in whole numbers, see `loewner._exact`.
 """
 
 import numpy as np
@@ -31,9 +31,9 @@ ROOM = 4096  # triangles of a surface that one convex piece may touch, or nearly
 
 @njit()
 def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
-    """Settle the pairs start .. stop left AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses rigid.
+    """Settle the pairs start .. stop that are AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses rigid.
 
-    INEXACT is said of those that hang on triangles of surfaces, or points, which rounding keeps from being told apart.
+    INEXACT marks pairs that depend on triangles of surfaces, or points, that rounding cannot separate.
     """
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -64,7 +64,7 @@ def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
 
 @njit()
 def _with_surface(A, B, margin, work):
-    """Settle a piece pair with a surface; INEXACT if that is for whole numbers."""
+    """Settle a piece pair with a surface; INEXACT if it needs whole numbers."""
     memory = np.empty(SURFACE_SIZE // 8)
     listed = np.empty((ROOM, 2), np.int64)
     near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
@@ -87,18 +87,18 @@ def _with_surface(A, B, margin, work):
 
 @njit()
 def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
-    """List what keeps a pair INEXACT; operands as in `verdicts`.
+    """List the triangles that keep a pair INEXACT; operands as in `verdicts`.
 
     Parameters
     ----------
     listed : ndarray of int64, shape (room, 6)
-        Receives rows of two pieces, the rows of their poses, and two triangles, by block and lane. A row with -1 for
-        both triangles is about two pieces of which one may lie within the other.
+        Receives the rows of two pieces and of their poses, and two triangles, by block and lane. A row with -1 for both
+        triangles means that one piece may lie within the other.
 
     Returns
     -------
     count : int
-        Rows that there are; those beyond the room are not listed.
+        Number of rows found; only as many as fit are listed.
     """
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -135,19 +135,19 @@ def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
 
 @njit()
 def exact_parts(pack, piece):
-    """What whole numbers are made of.
+    """The parts of a piece that are converted to whole numbers.
 
     Returns
     -------
     kind : int
     radius : float
     triangles : ndarray, shape (n, 9)
-        Of a surface, by block and lane; what fills up a block is NaN.
+        Triangles of a surface, by block and lane; padding of a block is NaN.
     points : ndarray, shape (m, 3)
-        One of each connected part of a surface, or of a convex piece's core.
+        One point of each connected part of a surface, or of a convex piece's core.
     """
     pieces = pieces_of(pack)
-    poses = np.zeros((1, 4, 4))  # of which nothing hangs
+    poses = np.zeros((1, 4, 4))  # no result depends on the pose
     P = placed(pieces, piece, poses, 0)
     if not is_surface(P):
         point = np.empty((1, 3))
@@ -168,7 +168,7 @@ def exact_parts(pack, piece):
 
 @njit()
 def _piece_pair(A, B, margin, work):
-    """Settle one piece pair; AMBIGUOUS if that is beyond what arithmetic allows."""
+    """Settle one piece pair; AMBIGUOUS if this is beyond the limits of arithmetic."""
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     swollen = swollen_radii(A, B)
@@ -178,9 +178,9 @@ def _piece_pair(A, B, margin, work):
         return FREE
     if status == TOUCHING:
         return COLLIDING
-    # Curved pieces that barely overlap can make GJK creep. The expanding polytope sees the same contact from inside.
+    # Curved pieces that barely overlap can make GJK slow. The expanding polytope finds the same contact from inside.
     shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, np.empty(9))
-    if deep == NO_VOLUME:  # a sentinel, not a depth: it must not pass for a separation
+    if deep == NO_VOLUME:  # a sentinel, not a depth: it must not count as a separation
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE

@@ -1,7 +1,7 @@
-"""Verdicts for ranges of pairs: lists of piece pairs for the certificate, then the exact searches for the open ones.
+"""Verdicts for ranges of pairs: the certificate on lists of piece pairs, then exact searches for the open ones.
 
-The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d of each operand
-(two bodies, two pose arrays): broadcasting without copies.
+The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d of each operand (two bodies, two pose
+arrays), which broadcasts without copies.
 """
 
 from typing import Any, NamedTuple
@@ -54,27 +54,27 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
-# that single precision could not settle. Or a pose that is no rigid motion.
+# Results of `_flush` for a block, which may change how the next one starts: mostly pairs far apart; mostly pairs that
+# single precision could not settle; or a pose that is not a rigid motion.
 FAR, CLOSE = 1, 2
 FAULTY = -1
 
-# Said to `_flush` besides.
+# Flags for `_flush`.
 DISTINCT = 4  # no pair of bodies is listed twice, since each body is one piece
-CONSECUTIVE = 8  # the listed pairs follow each other
-PREFETCHING = 16  # the list `ahead` tells what a later block needs
+CONSECUTIVE = 8  # the listed pairs are consecutive
+PREFETCHING = 16  # the list `ahead` contains the entries of a later block
 BEST = 32  # the pairs need the s at the maximum of the contact function, which the first guesses missed
 
-AHEAD = 6  # piece pairs between asking for their vertices and their use
+AHEAD = 6  # piece pairs between the prefetch of their vertices and their use
 
-LEAD = 2 * BLOCK  # piece pairs between asking for their rows and their use
+LEAD = 2 * BLOCK  # piece pairs between the prefetch of their rows and their use
 
-ENOUGH = BLOCK // 2  # pairs that need the best s are settled when so many have come together
+ENOUGH = BLOCK // 2  # pairs that need the best s are settled once this many have been collected
 
 
 class Query(NamedTuple):
-    """What is asked: CERTIFY or EXACT, the margin; of each operand the handle of its pieces, its poses, and whether
-    they move anything."""
+    """A query: CERTIFY or EXACT, the margin, and for each operand the handle of its pieces, its poses, and whether any
+    pose moves them."""
 
     mode: Any
     margin: Any
@@ -88,7 +88,7 @@ class Query(NamedTuple):
 
 @inline
 def row_of(k, shape, strides):
-    """Row an operand contributes to pair k."""
+    """Row that an operand contributes to pair k."""
     if shape.shape[0] == 1:
         return k * strides[0]
     row = 0
@@ -102,13 +102,13 @@ def row_of(k, shape, strides):
 
 @inline
 def _entry(array, place):
-    """An entry of a flat array, not counted from the end: a signed place might be."""
+    """An entry of a flat array, by an unsigned index: a signed one might count from the end."""
     return array[np.uint64(place)]
 
 
 @njit()
 def is_identity(T):
-    """Tell whether an operand has one pose only and that does nothing."""
+    """Whether an operand only has one pose, and this is the identity."""
     if T.shape[0] != 1:
         return False
     for r in range(4):
@@ -120,7 +120,7 @@ def is_identity(T):
 
 @njit()
 def _culled(query, flags, count, single, work):
-    """Drop the pairs whose bounding spheres are apart from the list; how many are left, FAULTY for a faulty pose."""
+    """Drop listed pairs whose bounding spheres are apart; return the number left, or FAULTY for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
     listed, ahead, tier = listed_of(work), ahead_of(work), tier_of(work)
     prefetching = flags & PREFETCHING != 0
@@ -143,7 +143,7 @@ def _culled(query, flags, count, single, work):
 
 @njit()
 def _put_aside(count, listed, tier, waiting, unsure):
-    """Copy the listed pairs that are UNSURE to a list that `waiting` pairs are in already; how many are in it then."""
+    """Append the listed pairs that are UNSURE to a list of `waiting` pairs; return its new length."""
     for lane in range(count):
         if tier[lane] == UNSURE:
             pair_list.copy(unsure, waiting, listed, lane)
@@ -153,9 +153,9 @@ def _put_aside(count, listed, tier, waiting, unsure):
 
 @njit()
 def _improved(query, count, work):
-    """Certify the lanes left UNSURE once more, at the maximum of the contact function; False for a faulty pose."""
+    """Certify UNSURE lanes again, at the maximum of the contact function; return False for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    again = ahead_of(work)  # what it said has been asked for by now
+    again = ahead_of(work)  # these have been prefetched by now
     unsure = _put_aside(count, listed_of(work), tier_of(work), 0, again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
@@ -178,17 +178,18 @@ def _improved(query, count, work):
 def _search(query, turn, count, fresh, last, work, out, tally):
     """Settle the open piece pairs held in one half of the list by the exact searches.
 
-    Pairs of small polytopes that no plane separates at once wait for the batch GJK until they fill registers. None are
-    left if these are the last.
+    Pairs of small polytopes that no plane separates at once wait for the batch GJK until they fill registers. None
+    remain if these are the last.
 
     Parameters
     ----------
     turn, count : int
-        Which half, and how many pairs it has.
+        The half, and its number of pairs.
     fresh : int
-        Pairs in the other half, whose vertices are asked for: between the searches, which a burst of it would hold up.
+        Number of pairs in the other half, whose vertices are prefetched between the searches, which a burst would
+        delay.
     last : int
-        1 if these are the last, else 0.
+        1 if these are the last pairs, otherwise 0.
     """
     a, b = pieces_of(query.a), pieces_of(query.b)
     Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
@@ -259,11 +260,11 @@ def _walk(query, count, work, out, tally):
 
 @njit()
 def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
-    """Settle one open piece pair, whatever its pieces."""
+    """Settle one open piece pair of any kind."""
     A, B = placed(pieces_of(query.a), i, query.poses_a, ka), placed(pieces_of(query.b), j, query.poses_b, kb)
     verdict, tier = exact_piece_pair(A, B, query.margin, normal, exact_of(work))
     tally[tier] += 1
-    # In a body of many pieces another pair may have been found colliding meanwhile.
+    # In a body with many pieces, another pair may have been found colliding meanwhile.
     if verdict != FREE and out[k] != COLLIDING:
         out[k] = verdict
 
@@ -272,15 +273,14 @@ def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
 def _flush(query, flags, count, work, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
-    Those left open are held for the exact search in one half of a list while the next block is certified: their
-    vertices then arrive meanwhile. The few that need the best s wait until they fill registers; so do those that the
-    batch GJK takes (see `_search`). If the list is not DISTINCT nothing waits: what is found at once may spare the
-    rest.
+    Open pairs are held for the exact search in one half of a list while the next block is certified, so that their
+    vertices arrive meanwhile. The few that need the best s wait until they fill registers, and so do pairs for the
+    batch GJK (see `_search`). If the list is not DISTINCT nothing waits: an immediate result may save the rest.
 
     Returns
     -------
     int
-        FAR | CLOSE for how to start with the next block, or FAULTY.
+        FAR | CLOSE, which determine how the next block starts, or FAULTY.
     """
     a, b = pieces_of(query.a), pieces_of(query.b)
     Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
@@ -329,7 +329,7 @@ def _flush(query, flags, count, work, out, tally):
                     a, listed.piece_a[lane], Ta, listed.pose_a[lane], b, listed.piece_b[lane], Tb, listed.pose_b[lane],
                     query.margin,
                 )  # fmt: skip
-    # Without branches: nobody can predict how the next pair comes out.
+    # Without branches, since the result of the next pair is unpredictable.
     far, outer, inner, left = total - count, 0, 0, 0
     for lane in range(count):
         far += tier[lane] == BY_SPHERE
@@ -367,9 +367,9 @@ def _flush(query, flags, count, work, out, tally):
 
 @inline
 def _hold(a, b, count, turn, work):
-    """Copy the pairs left OPEN, with their normals, to one half of the list of those held; how many they are."""
+    """Copy the OPEN pairs, with their normals, to one half of the list of held pairs; return their number."""
     listed, tier, held, at, way = listed_of(work), tier_of(work), held_of(work), turn * BLOCK, turn * (3 * BLOCK)
-    # First where they are: few are open, and each has much to copy.
+    # First find their places: few are open, and each takes much copying.
     open_pairs = 0
     for lane in range(count):
         held.pair[np.uint64(at + open_pairs)] = lane
@@ -394,9 +394,9 @@ def _steps(row, at, more, first, step):
 
 @inline
 def _progressions(work, at, more, k, first, step):
-    """List pairs k .. k + more, whose rows of a, b and their poses are arithmetic progressions; and what comes later.
+    """List pairs k .. k + more, whose rows of bodies and poses are arithmetic progressions, and the later ones.
 
-    Past the end of an axis nobody needs what comes later: no harm in asking for it.
+    Past the end of an axis the later entries are unused, and prefetching them does no harm.
     """
     listed, ahead = listed_of(work), ahead_of(work)
     _steps(listed.pair, at, more, k, 1)
@@ -412,7 +412,7 @@ def _progressions(work, at, more, k, first, step):
 
 @inline
 def _picked(row, later, more, rows, side, k, stop, step):
-    """Write what pairs k .. k + more use, of those listed by number, to the begin of one row; and what comes later."""
+    """Write the rows used by pairs k .. k + more, which are listed by number, to the start of a row, and later ones."""
     begin = np.uint64(k)
     for lane in range(more):
         row[np.uint64(lane)] = rows[side, begin + np.uint64(lane)] * step
@@ -432,7 +432,8 @@ def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
 def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally, memory):
     """Settle pairs start .. stop.
 
-    One function for everything, single pairs included: what calls it would be compiled with all of it once more.
+    A single function does everything, including single pairs: each further caller would be compiled with all of it
+    again.
 
     Parameters
     ----------
@@ -443,22 +444,22 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     plan : ndarray of int64, shape (5, d)
         Batch shape, then the strides, in rows, of a, Ta, b and Tb along its axes.
     rows : ndarray of int64, shape (2, m) or (2, 0)
-        If not empty, pair k is of a's row rows[0, k] and b's row rows[1, k], and d is 1: strides are then steps from
-        one such row to the next.
+        If not empty, pair k has a's row rows[0, k] and b's row rows[1, k], and d is 1; strides are then steps from one
+        such row to the next.
     pack_a, pack_b : int
         Handles of packed pieces, see `pieces.pack`.
     Ta, Tb : ndarray, shape (..., 4, 4), one batch axis
     out : ndarray of int8
         Receives the verdicts; AMBIGUOUS in mode EXACT means that the search did not settle the pair.
     tally : ndarray of int64, shape (TIERS,)
-        Piece pairs settled by each tier are added here.
+        The numbers of piece pairs settled by each tier are added here.
     memory : int
-        Address of `workspace.SIZE` bytes to write to; one thread uses them at a time.
+        Address of `workspace.SIZE` scratch bytes; one thread uses them at a time.
 
     Returns
     -------
     bool
-        False if one of the poses is no rigid motion; nothing then holds.
+        False if one of the poses is not a rigid motion; no result is then valid.
     """
     work = memory
     carried_of(work)[:] = 0
@@ -466,7 +467,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
-        # One piece a body: there is nothing to look up.
+        # One piece per body: there is nothing to look up.
         listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
         last = shape.shape[0] - 1
         step = body_a[last], body_b[last], pose_a[last], pose_b[last]
@@ -496,7 +497,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 return False
             waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
-                # They take the place of the block for once; what is found of them says nothing about those to come.
+                # They replace the block this time; their results do not predict the later ones.
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
@@ -506,7 +507,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
             _search(query, carried[HALF], carried[N_HELD], 0, 1, work, out, tally)
         return True
 
-    # Bodies of which one has many pieces: by their trees.
+    # If one body has many pieces, the trees are used.
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
@@ -514,7 +515,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     flags, filled = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
-        # The trees may leave no piece pair at all, and nobody else would then look at the poses.
+        # The trees may leave no piece pair at all; the poses would then remain unchecked.
         if (a.roots[ia] >= 0 or b.roots[ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
         out[k] = FREE

@@ -1,7 +1,7 @@
-"""What the stages of a query write to, in memory that the caller keeps: no query allocates.
+"""Scratch memory of the stages of a query, which the caller owns, so that no query allocates.
 
-Only the address goes from function to function. Each takes from it what it uses: a record of arrays costs Numba a
-second of compiling for every call that hands it on.
+Only the address is passed from function to function, and each takes the fields that it uses: a record of arrays costs
+Numba a second of compilation for every call that passes it.
 """
 
 from loewner._kernels._jit import njit
@@ -9,8 +9,8 @@ from loewner._kernels.narrow import exact, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.simd.memory import Arena, floats, integers, raw, small_integers
 
-# Entries of `carried_of`: how many pairs are held for the search, and in which half of the list; how many wait for the
-# s at the maximum of the contact function, and how many for the batch GJK.
+# Entries of `carried_of`: the number of pairs held for the search, and their half of the list; the numbers of pairs
+# that wait for the s at the maximum of the contact function, and for the batch GJK.
 N_HELD, HALF, N_UNSURE, N_WALKING, CARRIED = 0, 1, 2, 3, 4
 
 MEMORY = Arena(
@@ -33,5 +33,5 @@ listed_of, ahead_of, unsure_of, held_of, tier_of, normals_of, held_normals_of, c
 
 @njit()
 def workspace_size():
-    """Tell Python how many bytes a query's memory has to have."""
+    """Number of bytes of a query's memory."""
     return SIZE

@@ -1,9 +1,9 @@
-"""A smooth lower bound on how far a robot is from touching, and its gradient, at many configurations; other gradients.
+"""A smooth lower bound on a robot's distance from contact and its gradient, at many configurations; other gradients.
 
-Of all pairs of pieces the gaps of their outer ellipsoids along the contact normals are taken together by a soft
-minimum, -softness log Σ exp(-gap/softness), which is below the least of them. Eight configurations are side by side.
-Pairs of pieces come in runs; what was summed up before is scaled when a run has a smaller gap. A pair whose gap is more
-than FAR times the softness above the least counts for nothing: its share would be lost in rounding.
+The bound is a soft minimum, -softness log Σ exp(-gap/softness), of the gaps of the outer ellipsoids of all pairs of
+pieces along the contact normals; it is below the least gap. Eight configurations are processed side by side, and pairs
+of pieces in runs; the previous sum is scaled when a run has a smaller gap. A pair whose gap exceeds the least by more
+than FAR times the softness is ignored: its share would be lost in rounding.
 """
 
 import math
@@ -55,22 +55,22 @@ from loewner._kernels.tolerances import UP
 
 FAR = 40.0
 
-# What bounds that leave out pairs give away, of themselves and of the lengths that they are made of: far more than
-# rounding takes.
+# Allowance of bounds that exclude pairs, relative to themselves and to the lengths from which they are computed: far
+# more than rounding.
 CAREFUL = 1e-9
 
 RUN = 1024  # pairs of pieces
 
-_ROW = 10  # of an ellipsoid: center, shape matrix, lengths that they are made of
-_BODY = 7  # of a body: middle of the centers of its ellipsoids, how far these are, greatest and least semi-axis, reach
-_MIDDLE = 4  # vectors of a body: that middle in the world, and lengths
-_ENTRY = 2  # vectors of a pair of pieces in a run: gap, where F is greatest
+_ROW = 10  # of an ellipsoid: center, shape matrix, lengths from which they are computed
+_BODY = 7  # of a body: middle of its ellipsoids' centers, their distance from it, largest and least semi-axis, reach
+_MIDDLE = 4  # vectors of a body: this middle in the world, and lengths
+_ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at which F is greatest
 _WHICH = 4  # bodies and pieces
 _LEAST, _SUM, _SCRATCH, _TOTALS = 0, LANES, 2 * LANES, 3 * LANES
 
 
 class _Memory(NamedTuple):
-    """What a query writes to."""
+    """Scratch memory of a query."""
 
     links: Any
     rows: Any
@@ -104,7 +104,7 @@ _memory_of, _size = MEMORY.whole(), MEMORY.sizing()
 
 @njit()
 def memory_of_clearances(pack, problem_handle, dof):
-    """Bytes that `clearances` writes to."""
+    """Number of scratch bytes for `clearances`."""
     return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
@@ -119,7 +119,7 @@ def _center_of(hot, piece):
 
 
 class _Ellipsoids(NamedTuple):
-    """Of one piece at eight configurations, in the world; `size` is the lengths that the center is made of."""
+    """Ellipsoids of a piece at eight configurations, in the world; `size` is the lengths that determine the center."""
 
     center: Any
     shape: Any
@@ -158,7 +158,7 @@ def _placed(hot, piece, R, t):
 
 @njit()
 def _stand(pack, problem_handle, memory, dof):
-    """What holds at all configurations: the ellipsoids of what stands still, and a ball about each body's centers."""
+    """Write the data for all configurations: ellipsoids of static bodies, and a ball about each body's centers."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     to = _memory_of(Place(memory, counts_of(pieces, problem, dof)))
     hot, piece_start, moving = pieces.hot, pieces.piece_start, problem.link.size
@@ -195,7 +195,7 @@ def _stand(pack, problem_handle, memory, dof):
 
 @inline
 def _place_links(problem, to, Q, first, last):
-    """Compute where the links are at the configurations first .. last, eight at most."""
+    """Compute the poses of the links at the configurations first .. last, at most eight."""
     for lane in range(LANES):
         to.rows[lane] = min(first + lane, last)  # filled up with repeats of the last
     place_links(problem.tree, Q, to.rows, 0, to.links)
@@ -203,7 +203,7 @@ def _place_links(problem, to, Q, first, last):
 
 @njit()
 def _place(pack, problem_handle, memory, Q, first, last):
-    """Place what moves at the configurations first .. last, eight at most."""
+    """Place the moving bodies at the configurations first .. last, at most eight."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     to = _memory_of(Place(memory, counts_of(pieces, problem, Q.shape[1])))
     hot, piece_start = pieces.hot, pieces.piece_start
@@ -227,10 +227,10 @@ def _place(pack, problem_handle, memory, Q, first, last):
 
 @inline
 def _all_far(growth, thinnest, lengths, cut):
-    """Whether gaps are above the cut at all eight configurations, where ellipsoids must grow so much to touch.
+    """Whether gaps are above the cut at all eight configurations, given the growth at which the ellipsoids touch.
 
-    The gap is the widths of both along the normal times the growth less one, and no width is below a semi-axis. Of
-    ellipsoids that may overlap that says nothing.
+    The gap is the sum of both widths along the normal times the growth minus one, and no width is below a semi-axis.
+    This decides nothing for ellipsoids that may overlap.
     """
     gap = (growth - 1.0) * (thinnest * (1.0 - CAREFUL))
     return movemask((gap > cut + CAREFUL * lengths) & (gap > CAREFUL * lengths)) == ALL
@@ -251,7 +251,10 @@ def _bodies_far(to, a, b, cut):
 
 @inline
 def _pieces_far(a, b, r, thinnest, cut):
-    """The same of two pieces. Ellipsoids grow to touch by |r| over their widths along r at least (Cauchy-Schwarz)."""
+    """Whether the gaps of two pieces are above the cut at all eight configurations.
+
+    They touch at a growth of at least |r| over their widths along r (Cauchy-Schwarz).
+    """
     widths = sqrt(dot(apply_symmetric(a.shape, r), r)) + sqrt(dot(apply_symmetric(b.shape, r), r))
     return _all_far(dot(r, r) / widths, thinnest, a.size + b.size, cut)
 
@@ -267,7 +270,7 @@ def _exponentials(to, x):
 
 @njit()
 def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
-    """Add a run of pairs of pieces to what was summed up before."""
+    """Add a run of pairs of pieces to the previous sum."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     to = _memory_of(Place(memory, counts_of(pieces, problem, dof)))
     moving, moving_pieces = problem.link.size, pieces.piece_start[problem.link.size]
@@ -276,7 +279,7 @@ def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
     for k in range(count):
         least = minimum(load(to.entries, k * (_ENTRY * LANES)), least)
     store(to.totals, _LEAST, least)
-    scale = _exponentials(to, (least - before) / softness)  # what was summed up is relative to the least gap before
+    scale = _exponentials(to, (least - before) / softness)  # the previous sum is relative to the previous least gap
     total = load(to.totals, _SUM) * scale
     if gradient:
         for k in range(WRENCH * problem.tree.parent.size):
@@ -316,11 +319,11 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
         In metres, positive.
     Q : ndarray, shape (N, dof)
     pack, problem_handle : int
-        As for `configurations.check_configurations`; of at least one pair.
+        As for `configurations.check_configurations`, with at least one pair.
     memory : int
-        Address of `memory_of_clearances` bytes to write to; one thread uses them at a time.
+        Address of `memory_of_clearances` scratch bytes; one thread uses them at a time.
     lower : ndarray, shape (N,)
-        No finite number where positions overflow.
+        Not finite where positions overflow.
     slopes : ndarray, shape (N, dof)
     """
     dof = Q.shape[1]
@@ -344,7 +347,8 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
-                    # Runs end after so many pairs, left out or not: which are depends on the other configurations.
+                    # Runs end after this many pairs, excluded or not, since the exclusion depends on the other
+                    # configurations.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
                         count, run = 0, passed // RUN
@@ -367,7 +371,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
             powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
-            # Not above the least gap: the logarithm of a sum with a term of 1 is not negative.
+            # This is not above the least gap: the logarithm of a sum with a term of 1 is not negative.
             lower[first + lane] = to.totals[_LEAST + lane] - softness * math.log(total)
             if gradient:
                 for k in range(dof):
@@ -384,9 +388,9 @@ def pair_gradients(start, stop, Q, pack, problem_handle, memory, bodies, force, 
     pack, problem_handle, memory : int
         As for `clearances`.
     bodies : ndarray of int64, shape (N, 2)
-        Which pair it is.
+        Indices of the pair's bodies.
     force, point : ndarray, shape (N, 3)
-        The gradient by a motion of the second body: a force, at a point, in the world.
+        The gradient for a motion of the second body: a force, at a point, in the world.
     slopes : ndarray, shape (N, dof)
     """
     dof, problem = Q.shape[1], problem_of(problem_handle)

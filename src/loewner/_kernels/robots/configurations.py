@@ -1,19 +1,19 @@
-"""Is a robot at a configuration free: blocks of configurations, side by side through all pairs of bodies.
+"""Decide whether a robot is free, for blocks of configurations side by side through all pairs of bodies.
 
-The work of a block, cheapest first:
+The steps for a block, cheapest first:
 
 place
-    the links by forward kinematics; of each moving piece the ellipsoids in world coordinates, so that no pair has to
-    rotate them again (`placement`).
+    the links by forward kinematics, and the ellipsoids of each moving piece in world coordinates, so that no pair has
+    to rotate them again (`placement`).
 cull
     bounding spheres and boxes of each pair of bodies, sixteen configurations at a time.
 certify
-    the ellipsoids of the piece pairs that are left, by `narrow.certificate`, whatever configurations they belong to.
+    the ellipsoids of the remaining piece pairs, by `narrow.certificate`, across configurations.
 search
-    what is then open, exactly, pair by pair.
+    the pairs that are then open, exactly and one by one.
 
-A configuration that was found colliding takes no further part, and a motion ends at its first collision. Pairs are
-taken in an order that the caller chooses: those that hit most often first.
+A configuration that was found colliding is skipped from then on, and a motion ends at its first collision. Pairs are
+processed in an order that the caller chooses: the pairs that collide most often come first.
 """
 
 from typing import Any, NamedTuple
@@ -62,15 +62,15 @@ from loewner._kernels.trees import piece_tree
 
 WAITING = 512  # piece pairs that may wait for the exact search
 
-GROUPS = MOST // SINGLE_LANES  # of sixteen configurations, in a block
+GROUPS = MOST // SINGLE_LANES  # groups of sixteen configurations in a block
 
-# Pairs of bodies that are culled together. Of a few configurations the first of these are fewer: it is they that hit,
-# mostly, and nothing is computed for the others then.
+# Pairs of bodies that are culled together. Small batches start with a smaller group: its pairs usually collide, and the
+# rest is then skipped.
 TOGETHER, FIRST = 64, 4
 
 
 MEMORY = Arena(
-    listed=pair_list.arena(BLOCK),  # for the certificate: `pair` is MOST p + s; other rows are the placement's
+    listed=pair_list.arena(BLOCK),  # for the certificate: `pair` is MOST p + s; other rows are from the placement
     pieces_a=integers(BLOCK),  # rows of the listed pieces in the packed pieces
     pieces_b=integers(BLOCK),
     found_a=integers(BLOCK),  # pieces from trees
@@ -81,12 +81,12 @@ MEMORY = Arena(
     directions=floats(WAITING, 3),  # normals of the waiting pairs
     live=integers(GROUPS),  # configurations that may still be free, as bits
     verdicts=small_integers(MOST),  # of the configurations
-    tiers=small_integers(MOST),  # that settled them
+    tiers=small_integers(MOST),  # tiers that settled them
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
     exact=raw(exact.SIZE),
-    codes=integers(TOGETHER * GROUPS),  # pairs that bounds leave, with the first of their sixteen configurations
-    masks=integers(TOGETHER * GROUPS),  # which of the sixteen, as bits
+    codes=integers(TOGETHER * GROUPS),  # pairs left by bounds, with the first of their sixteen configurations
+    masks=integers(TOGETHER * GROUPS),  # the configurations among the sixteen, as bits
     way=floats(MOST, DOF),  # configurations of a motion
     placed=integers(MOVING),  # whether moving bodies are placed
     placement=PLACEMENT,
@@ -102,16 +102,13 @@ _codes_of, _masks_of, _way_of, _placed_of, _placement_of = MEMORY.accessors("cod
 
 
 class Query(NamedTuple):
-    """What is asked, and where to work.
+    """A query, and its memory.
 
     Attributes
     ----------
-    mode : CERTIFY or EXACT
-    first_hit : 1 if the first collision ends it, else 0
-    pack, problem : handles of the pieces, see `pieces.pack`, and of what to check, see `pack.problem_of`
-    counts : how much there is of everything
-    hits : where to count the collisions found, by pair
-    work : address of `MEMORY`
+    mode : CERTIFY or EXACT first_hit : 1 if the first collision ends the query, otherwise 0 pack, problem : handles of
+    the pieces, see `pieces.pack`, and of the problem, see `pack.problem_of` counts : numbers of bodies, pieces, pairs
+    and links hits : counts of the collisions found, by pair work : address of `MEMORY`
     """
 
     mode: Any
@@ -125,19 +122,19 @@ class Query(NamedTuple):
 
 @inline
 def _pair(code):
-    """The pair of bodies that an entry of a list is about."""
+    """The pair of bodies of an entry of a list."""
     return code // MOST
 
 
 @inline
 def _configuration(code):
-    """The configuration that it is about."""
+    """The configuration of an entry of a list."""
     return code % MOST
 
 
 @inline
 def _hit(query, s, pair, tier):
-    """A configuration that collides takes no further part."""
+    """Mark a configuration as colliding, so that it is skipped from now on."""
     live = _live_of(query.work)
     live[s // SINGLE_LANES] &= ~(1 << (s % SINGLE_LANES))
     if query.first_hit != 0:
@@ -149,14 +146,14 @@ def _hit(query, s, pair, tier):
 
 @inline
 def _mark_open(query, s):
-    """A configuration that is not known to collide has a pair that nothing settled."""
+    """Mark a configuration, unless it collides, as having an unsettled pair."""
     _verdicts_of(query.work)[s] = AMBIGUOUS
     _tiers_of(query.work)[s] = OPEN
 
 
 @inline
 def _ended(query):
-    """Whether no configuration needs to be looked at any more."""
+    """Whether no configuration is left to check."""
     live, rest = _live_of(query.work), 0
     for group in range(GROUPS):
         rest |= live[group]
@@ -165,7 +162,7 @@ def _ended(query):
 
 @njit()
 def _improve(query, held):
-    """Certify the pairs that wait once more, at the best s in double precision, margin 0."""
+    """Certify the waiting pairs again, at the best s in double precision, margin 0."""
     work = query.work
     pieces = pieces_of(query.pack)
     hot, poses = pieces.hot, _placement_of(query).poses
@@ -198,7 +195,7 @@ def _improve(query, held):
 
 @njit()
 def _search(query, held):
-    """Settle the pairs that wait by the exact searches."""
+    """Settle the waiting pairs by the exact searches."""
     work, pieces, margins = query.work, pieces_of(query.pack), problem_of(query.problem).margins
     poses, waiting, N = _placement_of(query).poses, _waiting_of(work), _directions_of(work)
     verdicts, tiers = _verdicts_of(work), _tiers_of(work)
@@ -212,7 +209,7 @@ def _search(query, held):
         margin, shift = margins[p], shift_between(A, B)
         widest = max(abs(shift[0]), abs(shift[1]), abs(shift[2]))
         if widest - rounding_error(A, B, shift) > reach(A) + reach(B) + margin:
-            # Far beyond what single precision tells, where the squares of the search overflow.
+            # far beyond the range of single precision, where the squares of the search overflow
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
         verdict, tier = exact_piece_pair(A, B, margin, (N[n, 0], N[n, 1], N[n, 2]), _exact_of(work))
@@ -228,7 +225,7 @@ def _search(query, held):
 
 @inline
 def _settle_waiting(query, held):
-    """Settle the pairs that wait; none are left."""
+    """Settle all waiting pairs."""
     if query.mode == EXACT:
         _search(query, held)
     else:
@@ -238,7 +235,7 @@ def _settle_waiting(query, held):
 
 @njit()
 def _certify(query, keep, count, held):
-    """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
+    """Certify listed piece pairs, append the open ones to the waiting pairs, and return the number of waiting pairs."""
     work, pieces = query.work, pieces_of(query.pack)
     placement = _placement_of(query)
     poses, rows = placement.poses, placement.ellipsoids
@@ -260,7 +257,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # a link that is bent by overflow: nothing is proven about it
+            tier[:count] = OPEN  # a link whose pose is not rigid by overflow: nothing is proven about it
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
@@ -288,7 +285,7 @@ def _certify(query, keep, count, held):
             _mark_open(query, s)
     if _ended(query):
         return 0
-    # Last of all: it makes lists of its own in `listed`.
+    # The last step, since it writes its own lists to `listed`.
     if held > WAITING - BLOCK:
         held = _settle_waiting(query, held)
     return held
@@ -296,7 +293,7 @@ def _certify(query, keep, count, held):
 
 @inline
 def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
-    """List pieces i and j, the first of which moves."""
+    """List pieces i and j; i moves."""
     s = _configuration(code)
     row_b = j * S + s if j < moving_pieces else moving_pieces * (MOST - 1) + j
     pair_list.put(_listed_of(work), count, code, i * S + s, row_b, pose_a, pose_b)
@@ -306,7 +303,7 @@ def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
 
 @inline
 def _place_pairs(query, start, stop, S):
-    """Place the bodies of the pairs start .. stop of the order that are not placed yet, at eight configurations."""
+    """Place the bodies of the pairs start .. stop of the order, unless they are placed, at eight configurations."""
     problem, counts = problem_of(query.problem), query.counts
     placed, address = _placed_of(query), _placement_at(query)
     for number in range(start, stop):
@@ -319,7 +316,7 @@ def _place_pairs(query, start, stop, S):
 
 @inline
 def _cull(query, start, stop, groups, S):
-    """Note what the bounds leave of the pairs start .. stop of the order; how many notes. No branch depends on that."""
+    """List the pairs start .. stop of the order that the bounds leave, without branches; return their number."""
     problem, counts = problem_of(query.problem), query.counts
     bounds, live = _placement_of(query).bounds, _live_of(query.work)
     codes, masks = _codes_of(query), _masks_of(query)
@@ -345,7 +342,7 @@ def _cull(query, start, stop, groups, S):
 def _settle_block(query, Q, first, last, S):
     """Settle the configurations in the rows first .. last of Q, at most S of them, into `verdicts` and `tiers`.
 
-    One function for both entries, compiled once.
+    Both entries use this function, so that it is compiled once.
     """
     work, counts, pieces, problem = query.work, query.counts, pieces_of(query.pack), problem_of(query.problem)
     placement = _placement_of(query)
@@ -353,7 +350,7 @@ def _settle_block(query, Q, first, last, S):
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
     codes, masks = _codes_of(work), _masks_of(work)
     verdicts = _verdicts_of(work)
-    # Of a few configurations bodies are placed when their first pair comes, and pairs are settled at once.
+    # For few configurations, bodies are placed when their first pair comes, and pairs are settled at once.
     few = last - first < LANES
     if few:
         place_joints(problem, Q, first, last, placement)
@@ -379,7 +376,7 @@ def _settle_block(query, Q, first, last, S):
             p = _pair(codes[n])
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             if problem.margins[p] != keep:
-                # The lists are of one margin.
+                # All pairs of a list have the same margin.
                 if count > 0:
                     held = _certify(query, keep, count, held)
                     count = 0
@@ -419,7 +416,7 @@ def _settle_block(query, Q, first, last, S):
 
 @njit()
 def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
-    """List the piece pairs that the trees of two bodies leave at a configuration; returns `count` and `held`."""
+    """List the piece pairs that the trees of two bodies leave at a configuration; return `count` and `held`."""
     work, counts, pieces = query.work, query.counts, pieces_of(query.pack)
     poses, verdicts, s = _placement_of(query).poses, _verdicts_of(work), _configuration(code)
     steps, numbers, found_a, found_b = _steps_of(work), _numbers_of(work), _found_a_of(work), _found_b_of(work)
@@ -439,7 +436,7 @@ def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
 
 @njit()
 def memory_size(pack, problem_handle, dof):
-    """Bytes that the two entries below write to."""
+    """Number of scratch bytes for the two entries below."""
     return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
@@ -453,18 +450,18 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
         CERTIFY or EXACT.
     Q : ndarray, shape (N, dof)
     pack : int
-        Handle of the packed bodies, see `pieces.pack`: those that move, each in the frame of its link, then the others.
+        Handle of the packed bodies, see `pieces.pack`: moving bodies, each in the frame of its link, then the others.
     problem_handle : int
-        Handle of the rest, see `pack.problem_of`.
+        Handle of the problem, see `pack.problem_of`.
     out : ndarray of int8, shape (N,)
         Receives verdicts; AMBIGUOUS in mode EXACT means that the search did not settle a configuration.
     tiers_out : ndarray of int8, shape (N,)
-        Receives the tier that settled a configuration: the costliest any pair needed if it is free, the one that
-        found the collision otherwise.
+        Receives the tier that settled a configuration: the costliest that any pair needed if it is free, otherwise the
+        one that found the collision.
     hits : ndarray of int64, shape (pairs,)
         Collisions found are added here, by pair.
     memory : int
-        Address of `memory_size` bytes to write to; one thread uses them at a time.
+        Address of `memory_size` scratch bytes; one thread uses them at a time.
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = counts_of(pieces, problem, Q.shape[1])
@@ -482,24 +479,25 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
 
 @njit()
 def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory):
-    """Settle configurations on the straight way from `start` to `end` exactly, until the first collision.
+    """Settle configurations on the straight motion from `start` to `end` exactly, until the first collision.
 
     Parameters
     ----------
     start, end : ndarray, shape (dof,)
     fractions : ndarray, shape (N,)
-        Which configurations: 0 is the start, 1 the end.
+        Fractions of the configurations: 0 is the start, 1 the end.
     pack, problem_handle, hits, memory
         As for `check_configurations`.
     out : ndarray of int8, shape (N,)
-        Receives, if there is no collision, FREE or AMBIGUOUS: the search did not settle that configuration.
+        Receives FREE, or AMBIGUOUS if the search did not settle a configuration; only if there is no collision.
 
     Returns
     -------
     verdict : int
-        COLLIDING: there is one. FREE: all are. AMBIGUOUS: none was found, and some are not settled.
+        COLLIDING if one configuration collides, FREE if all are free, AMBIGUOUS if no collision was found and some are
+        unsettled.
     settled : int
-        Configurations looked at.
+        Number of configurations checked.
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     dof, total = len(start), len(fractions)
@@ -507,7 +505,7 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     query = Query(EXACT, 1, pack, problem_handle, counts, hits, memory)
     verdicts, way = _verdicts_of(memory), _way_of(query)
     stand(problem, counts, _placement_of(query))
-    # A motion that collides mostly does so at one of its first configurations.
+    # A colliding motion usually collides at one of its first configurations.
     verdict, first, some = FREE, 0, LANES
     while first < total:
         last = min(first + some, total) - 1

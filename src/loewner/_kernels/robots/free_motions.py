@@ -1,4 +1,4 @@
-"""What planners share: random numbers, and whether a straight motion is free, proven or looked at in steps."""
+"""Code shared by planners: random numbers, and whether a straight motion is free, proven or sampled."""
 
 from typing import Any, NamedTuple
 
@@ -13,17 +13,17 @@ from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.robots.motions import certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
-# Cosine of a quarter of the turn between two orientations that are half a turn apart, give or take rounding: which way
-# `Robot.between` goes is then chosen by the last bit.
+# Cosine of a quarter of the turn between two orientations that are half a turn apart, up to rounding: the last bit then
+# decides the direction of `Robot.between`.
 HALF_TURN = 1e-9
 
-# splitmix64, which passes the usual tests of randomness and has one word of state.
+# splitmix64, which passes the usual tests of randomness and has one word of state
 _GAMMA, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
 class Judge(NamedTuple):
-    """What a motion has to be to count as free.
+    """The criterion by which a motion counts as free.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def judge_of(handles, lengths, dof, samples):
 
 @inline
 def random(state):
-    """Draw a number from 0 to 1, 1 excluded, where `state` is as `columns` describes it."""
+    """Draw a number from 0 (included) to 1 (excluded); `state` is described in `columns`."""
     bits = np.uint64(state[RANDOM]) + _GAMMA
     state[RANDOM] = np.int64(bits)
     bits = (bits ^ (bits >> _S30)) * _FIRST
@@ -99,7 +99,7 @@ def random(state):
 
 @inline
 def _coarse_first(parts, fractions):
-    """Write where to look: 0, 1, the middle, the quarters and so on, as `loewner.robots.edges.coarse_first` has it."""
+    """Write the fractions of samples: 0, 1, the middle, quarters and so on, as `loewner.robots.edges.coarse_first`."""
     fractions[0], fractions[1] = 0.0, 1.0
     digits, count = 1, 2
     while (parts - 1) >> digits != 0:
@@ -116,7 +116,7 @@ def _coarse_first(parts, fractions):
 
 @njit()
 def _looks_free(judge, ends):
-    """Are all configurations looked at free?"""
+    """Whether all sampled configurations are free."""
     squares = 0.0
     for c in range(ends.shape[1]):
         squares += (ends[1, c] - ends[0, c]) * (ends[1, c] - ends[0, c])
@@ -133,7 +133,7 @@ def _looks_free(judge, ends):
 
 @inline
 def turns_clearly(tree, ends):
-    """Give quaternions the sign with which `Robot.between` goes to them; False if rounding chooses it."""
+    """Give quaternions the sign that `Robot.between` uses; return False if rounding decides it."""
     clear = True
     for link in range(tree.kind.size):
         at, cosine = quaternion_of(tree, link), 0.0
@@ -149,14 +149,14 @@ def turns_clearly(tree, ends):
 
 @apart
 def is_free(judge, ends, tally):
-    """Whether the straight motion between two configurations is free; what is not known is not.
+    """Whether the straight motion between two configurations is free; an unsettled one is not.
 
     Parameters
     ----------
     judge : Judge
     ends : ndarray, shape (2, dof)
     tally : ndarray of int64, shape (2,)
-        The work done is added here: configurations placed and searches, of motions that are proven.
+        The work of proofs is added here: configurations placed, and searches.
     """
     if judge.resolution > 0.0:
         return _looks_free(judge, ends)

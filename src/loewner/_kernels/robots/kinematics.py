@@ -1,24 +1,25 @@
-"""Where the links of a robot are: forward kinematics of eight configurations side by side.
+"""Forward kinematics: the poses of a robot's links at eight configurations side by side.
 
-A robot is a tree of links, each hung on its parent by one joint. Kernels get it as a record of arrays, a `pack.Tree`,
-with an entry or a row a link, parents first:
+A robot is a tree of links, each attached to its parent by one joint. Kernels get it as a record of arrays, a
+`pack.Tree`, with an entry or a row per link, parents first:
 
 parent : ndarray of int64, shape (L,)
-    The link that this one's pose is computed from, -1 for the world. Rigidly joined links are one moving thing, so this
-    is the first link of the thing that the joint hangs on.
+    The link from which this link's pose is computed, -1 for the world. Rigidly joined links form one moving group, so
+    this is the first link of the group to which the joint is attached.
 kind : ndarray of int64, shape (L,)
     FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING or BALL.
 column : ndarray of int64, shape (L,)
-    First column of the joint's values in a configuration; 0 for fixed ones, which read none.
+    First column of the joint's values in a configuration; 0 for fixed joints, which read none.
 multiplier, offset : ndarray, shape (L,)
-    A joint of one value moves by multiplier * value + offset (one that mimics another; otherwise 1 and 0).
+    A joint with one value moves by multiplier * value + offset; they are 1 and 0 unless it mimics another joint.
 constants : ndarray, shape (L, CONSTANTS)
-    ROTATION, 9 entries by rows, and TRANSLATION [m], 3: pose in `parent` of what the joint moves. A turning joint's
-    rotation is ROTATION + sin q SINE + cos q COSINE, 9 entries each. ACROSS and ALONG, 3 each: unit vectors along
-    which a planar joint slides by its first two values; a prismatic one slides along ACROSS.
+    ROTATION, 9 entries by rows, and TRANSLATION [m], 3 entries, are the pose in `parent` of the link that the joint
+    moves. A turning joint's rotation is ROTATION + sin q SINE + cos q COSINE, with 9 entries each. ACROSS and ALONG, 3
+    entries each, are unit vectors along which a planar joint slides by its first two values; a prismatic one slides
+    along ACROSS.
 
-Eight poses are twelve vectors a link in a flat array W of float64:
-W[(12 link + r) * 8 + lane], r = 0 .. 8 the rotation by rows, 9 .. 11 the translation.
+Eight poses are twelve vectors per link in a flat array W of float64: W[(12 link + r) * 8 + lane], r = 0 .. 8 the
+rotation by rows, 9 .. 11 the translation.
 """
 
 from typing import Any
@@ -46,12 +47,12 @@ from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transp
 
 WIDTH = (0, 1, 1, 3, 7, 4)  # columns of a configuration, by kind
 
-POSE = 12  # vectors a link in W
+POSE = 12  # vectors per link in W
 
 
 @inline
 def quaternion_of(tree, link):
-    """First column of the quaternion by which a joint turns; -1 if it turns by none."""
+    """First column of a joint's quaternion; -1 if it has none."""
     if tree.kind[link] == FLOATING:
         return tree.column[link] + 3
     return tree.column[link] if tree.kind[link] == BALL else -1
@@ -85,7 +86,7 @@ def _turned(constants, link, angle):
 
 @inline
 def _by_quaternion(w, x, y, z):
-    """Rotation of eight quaternions, of any length but 0."""
+    """Rotations of eight quaternions, of any length except 0."""
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = scale * x, scale * y, scale * z
     wx, wy, wz, xx, xy, xz, yy, yz, zz = w * sx, w * sy, w * sz, x * sx, x * sy, x * sz, y * sy, y * sz, z * sz
@@ -141,12 +142,12 @@ def place_links(tree, Q, rows, at, W):
     ----------
     tree : Tree
     Q : ndarray, shape (N, dof)
-        In C order; checked at the border (quaternions of norm 1). NaN gives poses of NaN.
+        In C order, validated by the caller (quaternions have norm 1). NaN gives poses of NaN.
     rows : ndarray of int64
         Row numbers of Q; entries at .. at + 8 are used, which may repeat.
     at : int64
     W : ndarray, shape (workspace_size(links, dof),) or longer
-        What lies behind the poses is scratch.
+        Entries after the poses are scratch.
     """
     parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
     multiplier, offset, constants = borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants)
@@ -187,7 +188,7 @@ def place_links(tree, Q, rows, at, W):
 def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, stop, out):
     """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4).
 
-    The tree comes in its six arrays: a record would cost each call from Python a microsecond.
+    The tree is passed as its six arrays: a record would cost each call from Python a microsecond.
     """
     tree = Tree(parent, kind, column, multiplier, offset, constants)
     links = parent.size
@@ -197,7 +198,7 @@ def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, st
     zero, one = broadcast(0.0), broadcast(1.0)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, last)  # the last block is filled up with repeats, written as often
+            rows[lane] = min(first + lane, last)  # the last block is filled up with repeats
         place_links(tree, Q, rows, 0, W)
         for link in range(links):
             R, t = rotation_of_link(W, link), translation_of_link(W, link)

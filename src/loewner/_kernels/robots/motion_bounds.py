@@ -1,14 +1,14 @@
-"""Bounds on the speed and the curvature of points on a course, and on what rounding does to them, rounded outward.
+"""Bounds on the speed and the curvature of points on a course, and on their rounding, all rounded outward.
 
-Seen from one body, the points of another one move by the joints between the two. With w the rates of turning joints, s
-those of sliding ones and R how far the body gets from a joint's axis, a point's speed is at most the sum of all w R and
-s, and its second derivative at most
+Relative to one body, the points of another one are moved by the joints between the two. Let w be the rates of turning
+joints, s the rates of sliding joints and R the largest distance of the body from a joint's axis. A point's speed is
+then at most the sum of all w R and s, and its second derivative at most
 
     A = sum over turning joints j of R_j (w_j (w_j + 2 W_j) + w'_j) + sum over sliding joints j of 2 s_j W_j + s'_j
 
-with W_j the sum of the rates of the turning joints between j and the body that is taken to stand still, and w' and s'
-the largest second derivatives of joint values, which are zero on straight motions. A planar joint is one that slides
-and then one that turns, seen from its parent; and so is a floating one, whose turning part is a ball joint.
+where W_j is the sum of the rates of the turning joints between j and the reference body, and w' and s' are the largest
+second derivatives of joint values, which are zero on straight motions. A planar joint is a sliding joint followed by a
+turning one, seen from its parent; a floating joint likewise, with a ball joint as its turning part. See
 docs/certified.md, "Motions".
 """
 
@@ -20,36 +20,37 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import BALL, FIXED, FLOATING, PLANAR, PRISMATIC
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# What forward kinematics rounds a position by, for each joint of the chain, in units of the chain's length.
+# Rounding of a position by forward kinematics, for each joint of the chain, in units of the chain's length.
 JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 64, certified.md B24
 
-# What the value of a joint is off by when it is computed, in units of the course's degree and largest control point.
+# Error of a computed joint value, in units of the course's degree and largest control point.
 VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B25
 
-# What control points of a part of a course are off by, in the same units.
+# Error of the control points of a part of a course, in the same units.
 PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # derived 3, certified.md B50
 
-# What an angle does to the entries of a rotation, in the Frobenius norm.
+# Effect of an angle on the entries of a rotation, in the Frobenius norm.
 TURN = 1.5  # derived 1.42, certified.md B26
 
-# Angle [rad] that an interpolated quaternion is off by: rounding, and in units of how far the ends are from norm 1.
+# Angle error [rad] of an interpolated quaternion: from rounding, and in units of the ends' deviation from norm 1.
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 64, certified.md B27
 NORM_SHARE = 16.0  # derived 6.2, certified.md B28
 
-# What poses accepted as rigid stretch ways by, and the few dozen roundings that rates and bounds are formed by.
+# Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
 STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
 UPWARD = 1.0 + STRETCH
 
-SMALLEST_TURN = 1e-15  # rad; more than an angle between two equal quaternions is off by
+SMALLEST_TURN = 1e-15  # rad; more than the error of an angle between two equal quaternions
 
 
-# Control points of a quaternion all reach this far along the first one, as a share of their largest norm: otherwise the
-# orientation might turn arbitrarily fast. Any two points of such a course reach along each other, so all parts will do.
+# The control points of a quaternion must all extend this far along the first one, as a share of their largest norm:
+# otherwise the orientation might turn arbitrarily fast. Any two points of such a course extend along each other, so its
+# parts satisfy this as well.
 LEAST_NORM = 0.75
 
 
 class Rates(NamedTuple):
-    """Bounds on what joints do on a course, or on a part of it: arrays with an entry a link.
+    """Bounds on the motions of joints on a course, or on a part of it: arrays with an entry per link.
 
     Attributes
     ----------
@@ -67,7 +68,7 @@ class Rates(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """Bounds on the ways of a body's points, as seen from another body.
+    """Bounds on the paths of a body's points, relative to another body.
 
     Attributes
     ----------
@@ -108,7 +109,7 @@ def _derivatives(course, at, count, width):
 
 @inline
 def _derivatives_of_value(course, c, width):
-    """The same of one column."""
+    """Bound one column of a part of a course."""
     degree = course.shape[0] - 1
     size, first, second = abs(course[0, c]), 0.0, 0.0
     for k in range(1, degree + 1):
@@ -140,7 +141,7 @@ def norm_of_quaternion(course, row, at):
 
 @inline
 def _arc(ends, at):
-    """Angle [rad] of the rotation between two quaternions, or more; and how far they are from norm 1."""
+    """Upper bound on the angle [rad] of the rotation between two quaternions, and their deviation from norm 1."""
     p, q = norm_of_quaternion(ends, 0, at), norm_of_quaternion(ends, 1, at)
     squares, same = 0.0, True
     for k in range(4):
@@ -153,10 +154,10 @@ def _arc(ends, at):
 
 @inline
 def _orientation(course, at, width):
-    """Angular velocity and acceleration of the orientation in columns at .. at + 4, at most, and its rounding [rad].
+    """Bounds on angular velocity and acceleration of the orientation in columns at .. at + 4, and its rounding [rad].
 
-    A quaternion p / |p| has the derivative p' / |p| at most, and p'' / |p| + 2 (p' / |p|)² is a bound on the part of
-    its second derivative that turns; angles are twice as large.
+    The derivative of a quaternion p / |p| is at most p' / |p|, and p'' / |p| + 2 (p' / |p|)² bounds the turning part of
+    its second derivative; angles are twice as large.
     """
     if course.shape[0] == 2:
         turn, astray = _arc(course, at)
@@ -178,32 +179,32 @@ def _orientation(course, at, width):
 
 @inline
 def _angle_off(off, at):
-    """Angle [rad] that a rotation is off by, at most, whose quaternion may be off by the entries at .. at + 4."""
+    """Largest angle error [rad] of a rotation whose quaternion has the errors in columns at .. at + 4."""
     w, x, y, z = off[at], off[at + 1], off[at + 2], off[at + 3]
-    # Made a unit again it is off by twice as much, and a chord c of unit quaternions is an angle of up to π c.
+    # Normalisation doubles the error, and a chord c of unit quaternions is an angle of at most π c.
     return 2.0 * np.pi * np.sqrt(w * w + x * x + y * y + z * z)
 
 
 @njit()
 def rates_of(tree, course, width, rates):
-    """Write bounds on the rates of all joints on a course, or on a part; returns what rounding does to poses.
+    """Write bounds on the rates of all joints on a course, or on a part; return bounds on the rounding of poses.
 
     Parameters
     ----------
     tree : Tree
     course : ndarray, shape (degree + 1, dof)
     width : float
-        Share of the whole course that it is, whose fractions derivatives refer to: 1 for the whole, whose control
-        points are exact.
+        Share of the whole course, to whose fractions derivatives refer: 1 for the whole course, whose control points
+        are exact.
     rates : Rates
 
     Returns
     -------
     travel : float
-        Sum of how far all sliding joints are from 0, at most [m].
+        Largest sum of the distances of all sliding joints from 0 [m].
     angles, places : float
-        Sum of what the angles of all joints [rad], and what the places of all sliding joints [m], are off by when they
-        are computed in floating point.
+        Sums of the floating-point errors of the angles of all joints [rad], and of the positions of all sliding joints
+        [m].
     """
     travel, angles, places = 0.0, 0.0, 0.0
     rounded = VALUE_ROUNDINGS * (course.shape[0] - 1)
@@ -242,23 +243,23 @@ def rates_of(tree, course, width, rates):
 
 @njit()
 def write_strays(tree, off, rates, strays):
-    """Write how far joints may be from a motion, as `Rates`.
+    """Write the allowed deviations of joints from a motion, as `Rates`.
 
     Parameters
     ----------
     tree : Tree
     off : ndarray, shape (dof,)
-        How far each value may be from the course's at the same fraction.
+        Allowed deviation of each value from the course at the same fraction.
     rates : Rates
-        Of the course.
+        Rates of the course.
     strays : Rates
-        Receives by how much joints may be turned and slid away from it, at a constant rate; `far` holds on the way
-        there as well.
+        Receives the amounts by which joints may turn and slide away from it, at a constant rate; `far` also holds in
+        between.
 
     Returns
     -------
     float
-        By how much farther from 0 all sliding joints together may be [m].
+        Sum of the additional distances of all sliding joints from 0 [m].
     """
     travel = 0.0
     for link in range(tree.kind.size):
@@ -286,15 +287,15 @@ def write_strays(tree, off, rates, strays):
 
 @inline
 def uncertainty(tables, travel, angles, places):
-    """How far a computed point of the robot may be from where it is on the real motion [m].
+    """Largest distance of a computed point of the robot from its position on the real motion [m].
 
     Returns
     -------
     off : float
     length : float
-        Of the chain [m].
+        Length of the chain [m].
     turned : float
-        What computed rotations are off by, as a share of what they turn.
+        Relative error of lengths that computed rotations turn.
     """
     length = tables.chain[1] + travel
     turned = JOINT_ROUNDINGS * tables.chain[0] + TURN * angles
@@ -303,7 +304,7 @@ def uncertainty(tables, travel, angles, places):
 
 @inline
 def _common(tables, a, b):
-    """How many joints, from the world on, the paths of two links share."""
+    """Number of joints, from the world on, that the paths of two links share."""
     start_a, start_b = tables.path_start[a], tables.path_start[b]
     most = min(tables.path_start[a + 1] - start_a, tables.path_start[b + 1] - start_b)
     k = 0
@@ -314,16 +315,16 @@ def _common(tables, a, b):
 
 @njit()
 def ways_between(tables, rates, body, link, fixed):
-    """How a body's points move as seen from a link.
+    """Bounds on the motion of a body's points relative to a link.
 
     Parameters
     ----------
     tables : MotionTables
     rates : Rates
     body : int
-        The one that moves.
+        The moving body.
     link, fixed : int
-        Its link, and the one that is taken to stand still; -1 is the world.
+        Its link, and the reference link; -1 is the world.
 
     Returns
     -------
@@ -335,7 +336,7 @@ def ways_between(tables, rates, body, link, fixed):
     down_from = tables.path_start[fixed] + shared if fixed >= 0 else 0
     down_to = tables.path_start[fixed + 1] if fixed >= 0 else 0
     reach = tables.reach
-    every = 0.0  # rates of the turning joints between here and the body that stands still
+    every = 0.0  # rates of the turning joints between here and the reference body
     for k in range(up_from, up_to):
         every += rates.turn[tables.path_link[k]]
     for k in range(down_from, down_to):
@@ -361,5 +362,5 @@ def ways_between(tables, rates, body, link, fixed):
         bend += far * (turn + 2.0 * rest)
         bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
-    # What `rest` lost in the differences: a few roundings of the whole, for each joint.
+    # Rounding of `rest` by the differences: a few roundings of the whole, for each joint.
     return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD)

@@ -1,8 +1,8 @@
 """Courses: the configurations that a motion passes, and the parts of a course.
 
 A course of degree d is an array of shape (d + 1, dof), the control points of a Bézier curve over the fractions from 0
-to 1. A straight motion has degree 1: its values run straight, and its orientations turn at a constant rate. On a course
-of a higher degree, values are polynomials, and quaternions are polynomials that are scaled to norm 1.
+to 1. A straight motion has degree 1: its values change linearly, and its orientations turn at a constant rate. On a
+course of a higher degree, values are polynomials, and quaternions are polynomials that are scaled to norm 1.
 
 Control points bound a curve and its derivatives: a polynomial stays within the convex hull of its control points, and
 the control points of its derivative are the differences of neighbours times d.
@@ -14,7 +14,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.simd.vectors import rounded_product
 
-SMALL_ANGLE = 1e-6  # rad; below it the chord is the arc
+SMALL_ANGLE = 1e-6  # rad; below it the chord equals the arc
 SMALLEST_SINE = 1e-12
 
 
@@ -63,7 +63,7 @@ def configuration_at(tree, course, t, Q, row):
     ----------
     tree : Tree
     course : ndarray, shape (degree + 1, dof)
-        Of q and -q, which are the same orientation, quaternions have the one that is nearer to the row before.
+        Among q and -q, which are the same orientation, a quaternion is the one nearer to the previous row.
     t : float
         From 0 to 1.
     Q : ndarray, shape (N, dof)

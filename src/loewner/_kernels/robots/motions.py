@@ -1,19 +1,19 @@
-"""Is a motion free at every one of its configurations: proven by planes, not by samples.
+"""Prove that a motion is free at every one of its configurations, by planes and not by samples.
 
-A motion is cut into intervals, seven at a time. Over an interval of width w every point of a body, seen from another
-one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in the frame of one body that has the other
-one beyond it at both ends, by more than the margin and A w² / 8, proves the pair for the whole interval.
+A motion is cut into intervals, seven at a time. Over an interval of width w every point of a body, relative to another
+one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in the frame of one body, with the other
+body beyond it at both ends by more than the margin and A w² / 8, proves the pair for the whole interval.
 
 cull
-    balls and boxes about what bodies sweep, and planes between their ellipsoids, seven intervals at a time (`sweeps`).
+    balls and boxes about swept bodies, and planes between their ellipsoids, seven intervals at a time (`sweeps`).
 search
-    a plane between the pieces themselves (`narrow.gjk_swept`), for what is left, piece pair by piece pair.
+    a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair.
 test
     the exact answer at both ends of an interval that is not proven.
 halve
-    what is still neither, until there is a plane, a collision, or nothing to tell apart within the tolerance.
+    intervals that are still undecided, until there is a plane, a collision, or no difference beyond the tolerance.
 
-docs/certified.md, "Motions", derives the bounds, and that this ends.
+docs/certified.md, "Motions", derives the bounds, and proves that this ends.
 """
 
 from typing import Any, NamedTuple
@@ -55,41 +55,39 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 FIRST_OFF = 0.01
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# Neighbouring intervals that one plane is looked for together, if points are then no farther off than this [m].
+# One plane is sought for neighbouring intervals together, if points are then within this distance of their chords [m].
 MERGED_OFF = 0.005
 
-# What `collide` may take for touching, and then some: a motion that is free has no such configuration.
+# Slightly more than the distance at which `collide` may report touching: a free motion has no such configuration.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
 
 # An interval that fails is AMBIGUOUS once its points move by less than this share of the tolerance; the rest is left
-# for the search to converge in.
+# for the convergence of the search.
 DECIDED = 0.5
 
-# Intervals that are not proven, of one block, that wait to be halved. When there are more, they are halved at once.
+# Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
 
-PARTS = 8  # that an interval is cut into at a time
-# A cut divides a width by eight, and seconds of 1 have 53 bits: after seventeen there is no number between the ends.
+PARTS = 8  # parts into which an interval is cut at a time
+# A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
+# ends.
 DEPTH = 19
-STACK = 4 * DEPTH  # a halved interval leaves one, three times in a cut
+STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times per cut
 
 _POSES = 2 * (PARTS + 1)
 
 
 class Motion(NamedTuple):
-    """One motion: what is asked, and where to work.
+    """A query about one motion, and its memory.
 
     Attributes
     ----------
-    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
-    tolerance : m
-    confirmed : whether collisions are confirmed where `collide` places the bodies; if not, it matters only what is free
-    rounding : what computed poses may be off by, and what places of the robot's points round by [m]
-    skew : how far turned lengths may be off, as a share of them: that of what a pair keeps comes on top
-    strays : whether values may be off the course's; then pairs keep that much more
-    points : control points of the course
-    counts : how much there is of everything
-    work : address of `MEMORY`
+    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables` tolerance : m confirmed :
+    whether collisions are confirmed at the poses of `collide`; if not, only FREE matters rounding : errors of computed
+    poses, and rounding of the positions of the robot's points [m] skew : relative error of turned lengths, which is
+    also added for a pair's margin strays : whether values may deviate from the course; pairs then keep a larger
+    distance points : control points of the course counts : numbers of bodies, pieces, pairs and links work : address of
+    `MEMORY`
     """
 
     pack: Any
@@ -106,15 +104,12 @@ class Motion(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Two pieces of a pair of bodies, and what is known of their ways.
+    """Two pieces of a pair of bodies, with bounds on their motion.
 
     Attributes
     ----------
-    pair : number of the pair of bodies
-    i, j : the pieces; i moves
-    bend, speed : `Ways` of i as j sees it
-    margin : m that they must keep
-    slack : m that rounding takes, at most
+    pair : number of the pair of bodies i, j : the pieces; i moves bend, speed : `Ways` of i relative to j margin : m
+    that they must keep slack : bound on rounding, in m
     """
 
     pair: Any
@@ -136,9 +131,9 @@ _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 MEMORY = Arena(
     rows=integers(LANES),  # of the configurations
     times=floats(LANES),  # of the block
-    scratch=floats(PIECE),  # a piece as another body sees it
+    scratch=floats(PIECE),  # a piece relative to another body
     normals=floats(3 * LANES),  # directions from `sweeps.near_piece`
-    relative=floats(4, 4, 4),  # the identity, and two poses of a body as another one sees it
+    relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
     waiting=integers(WAITING, 4),  # piece pairs to be halved: pair, i, j, the interval's number
     waiting_ways=floats(WAITING, 8),  # their normals, `Ways`, margin and slack
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
@@ -148,22 +143,22 @@ MEMORY = Arena(
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
     exact=raw(exact.SIZE),
-    vectors=floats(3, 4),  # for the careful search, like the next
+    vectors=floats(3, 4),  # for the careful search, like the next field
     simplex=floats(4, 9),
     course=raw(8 * MOST_POINTS * DOF),
-    part=raw(8 * MOST_POINTS * DOF),  # of the course, for a block
+    part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
     scratch_points=floats(MOST_POINTS),  # for `write_part`
-    configurations=floats(LANES, DOF),  # eight on the way
+    configurations=floats(LANES, DOF),  # eight configurations
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
-    ways=floats(MOVING, 2),  # `Ways` of moving bodies, seen from the world
+    ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
     swept=Arena(
         Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
         done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
-    ),  # where everything is in a block
-    order=integers(PAIRS),  # in which pairs are taken
-    off=floats(DOF),  # how far values may be from the motion's
-    strays=_RATES,  # how far joints may be then
+    ),  # placement of a block
+    order=integers(PAIRS),  # order of the pairs
+    off=floats(DOF),  # allowed deviations of values from the motion
+    strays=_RATES,  # the resulting deviations of joints
 )  # fmt: skip
 _rows_of, _times_of, _scratch_of, _normals_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
     "rows times scratch normals relative waiting waiting_ways"
@@ -192,7 +187,7 @@ def _part_of(motion):
 
 @njit()
 def motion_memory(pack, problem_handle, dof):
-    """Bytes that `certify_motions` writes to, for courses of up to `MOST_POINTS` control points."""
+    """Number of scratch bytes for `certify_motions`, for courses of up to `MOST_POINTS` control points."""
     return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
@@ -201,13 +196,13 @@ def motion_memory(pack, problem_handle, dof):
 
 @inline
 def _standing_poses(problem):
-    """Poses of what stands, as an array like the others."""
+    """Poses of static bodies, as an array like the others."""
     return floats_at(problem.standing_poses.ctypes.data, (len(problem.standing_poses), 4, 4))
 
 
 @inline
 def _relative(poses, fixed, row, to, k):
-    """Write the pose in `row` as seen from the one in row `fixed` to row k of `to`."""
+    """Write the pose in `row` relative to the one in row `fixed` to row k of `to`."""
     for r in range(3):
         for c in range(3):
             to[k, r, c] = (
@@ -224,7 +219,7 @@ def _relative(poses, fixed, row, to, k):
 
 @apart
 def _proven_standing(motion, i, poses, first, last, j, still, row, keep, n):
-    """Is piece i, at two poses, apart from piece j, which stands? And the direction from j to i that was reached."""
+    """Whether piece i, at two poses, is apart from the static piece j, and the direction reached from j to i."""
     pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
     return separated(
         placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, keep,
@@ -234,7 +229,7 @@ def _proven_standing(motion, i, poses, first, last, j, still, row, keep, n):
 
 @njit()
 def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, keep, n):
-    """The same where both move, seen from the body of j; n is in its frame."""
+    """Whether two moving pieces are apart, relative to the body of j, and the direction n in its frame."""
     to = _relative_of(motion)
     _relative(poses, fixed_first, first, to, 1)
     _relative(poses, fixed_last, last, to, 2)
@@ -243,9 +238,9 @@ def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, ke
 
 @apart
 def _collides(motion, i, poses, row, j, others, other_row, margin, n):
-    """Are two pieces within the margin, at poses of the world? n is from i to j.
+    """Whether two pieces are within the margin, at poses in the world; n is from i to j.
 
-    FREE, COLLIDING, or BY_CARE: what only the careful search calls touching.
+    FREE, COLLIDING, or BY_CARE if only the careful search finds them touching.
     """
     pieces = pieces_of(motion.pack)
     A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
@@ -259,7 +254,7 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n):
 
 @inline
 def _to_world(poses, row, n):
-    """A direction of a body's frame in the world."""
+    """Transform a direction from a body's frame to the world."""
     return (
         poses[row, 0, 0] * n[0] + poses[row, 0, 1] * n[1] + poses[row, 0, 2] * n[2],
         poses[row, 1, 0] * n[0] + poses[row, 1, 1] * n[1] + poses[row, 1, 2] * n[2],
@@ -269,7 +264,7 @@ def _to_world(poses, row, n):
 
 @inline
 def _to_body(poses, row, n):
-    """A direction of the world in a body's frame."""
+    """Transform a direction from the world to a body's frame."""
     return (
         poses[row, 0, 0] * n[0] + poses[row, 1, 0] * n[1] + poses[row, 2, 0] * n[2],
         poses[row, 0, 1] * n[0] + poses[row, 1, 1] * n[1] + poses[row, 2, 1] * n[2],
@@ -279,31 +274,31 @@ def _to_body(poses, row, n):
 
 @inline
 def _enough(motion, near):
-    """How far points may move in an interval that counts as settled [m]; see docs/certified.md."""
+    """Largest motion of points in an interval that counts as settled [m]; see docs/certified.md."""
     return DECIDED * max(motion.tolerance - near.slack, near.slack)
 
 
 @inline
 def _off(near, width):
-    """How far points may be from their chords in an interval."""
+    """Largest distance of points from their chords in an interval."""
     return near.bend * width * width / 8.0
 
 
 @inline
 def _moved(near, width):
-    """How far conv of both ends may be from the piece in the middle."""
+    """Largest distance of the hull of both ends from the piece in the middle."""
     return near.speed * width / 2.0 + _off(near, width)
 
 
 @njit()
 def _place_at(motion, W):
-    """Place the links at the configurations that are written."""
+    """Place the links at the configurations that have been written."""
     place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), 0, W)
 
 
 @apart
 def _confirmed(motion, near, t, n):
-    """What `CollisionChecker.collide` says of the two pieces at this fraction, as it places them: alone.
+    """The result of `CollisionChecker.collide` for two pieces at this fraction, placed as it does, one at a time.
 
     COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
     """
@@ -345,7 +340,7 @@ def _copy_standing(problem, k, poses, row):
 
 @njit()
 def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other_low, other_high):
-    """Write times and poses of an interval in eight parts to a depth; those at its ends are copied."""
+    """Write times and poses of an interval in eight parts to a depth; the ones at its ends are copied."""
     problem = problem_of(motion.problem)
     times, to, W = _cut_times_of(motion), _cut_poses_of(motion), _cut_links_of(motion)
     course, Q = _course_of(motion), _configurations_of(motion)
@@ -372,23 +367,23 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
 
 @njit()
 def _halve(motion, near, swept, back, low, high, k, n, tally):
-    """Settle the interval k of the block, from `low` to `high`, which a plane between its ends does not prove.
+    """Settle the interval k of the block, from `low` to `high`, which no plane between its ends proves.
 
     Parameters
     ----------
     near : Near
     back : Ways
-        Of j as i sees it.
+        `Ways` of j relative to i.
     n : tuple of 3 float
         Direction from j to i, in the frame of j's body.
     tally : ndarray of int64
-        Poses and searches are added.
+        Numbers of poses and searches are added.
 
     Returns
     -------
     verdict : int
     t : float
-        Where it is COLLIDING or AMBIGUOUS.
+        Fraction at which it is COLLIDING or AMBIGUOUS.
     """
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
@@ -468,7 +463,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
 
 
 class Found(NamedTuple):
-    """The worst that is known of a motion: verdict, where, and which pair of bodies."""
+    """The worst result for a motion so far: verdict, fraction, and pair of bodies."""
 
     verdict: Any
     t: Any
@@ -477,7 +472,7 @@ class Found(NamedTuple):
 
 @inline
 def _worse(found, verdict, t, pair):
-    """What is known, with one more thing; of two alike the first stays."""
+    """Merge another verdict into the worst so far; on a tie the earlier one stays."""
     if verdict == FREE or found.verdict == verdict or (verdict == AMBIGUOUS and found.verdict != FREE):
         return found
     return Found(verdict, t, pair)
@@ -485,13 +480,13 @@ def _worse(found, verdict, t, pair):
 
 @inline
 def _hit(found):
-    """Whether nothing worse can be found."""
+    """Whether no worse result is possible."""
     return found.verdict == COLLIDING or found.verdict == BY_CARE
 
 
 @njit()
 def _halve_waiting(motion, count, found, tally):
-    """Settle all that waits, until a collision is found."""
+    """Settle all waiting intervals, until a collision is found."""
     problem, tables, swept = problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion)
     waiting, ways, times, rates = (
         _waiting_of(motion), _waiting_ways_of(motion), _times_of(motion), _rates_of(motion),
@@ -512,7 +507,7 @@ def _halve_waiting(motion, count, found, tally):
 
 @inline
 def _proven(motion, near, swept, first, last, keep, n):
-    """Does a plane prove the intervals from configuration `first` to `last` of the block?"""
+    """Whether a plane proves the intervals from configuration `first` to `last` of the block."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     a, b = one * LANES + first, one * LANES + last
@@ -527,7 +522,7 @@ def _proven(motion, near, swept, first, last, keep, n):
 
 @inline
 def _collides_in_block(motion, near, swept, k, n):
-    """Do two pieces collide at configuration k of the block? n is from j to i, in j's frame."""
+    """Whether two pieces collide at configuration k of the block; n is from j to i, in j's frame."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     a = one * LANES + k
@@ -542,13 +537,13 @@ def _collides_in_block(motion, near, swept, k, n):
 
 @inline
 def _test(motion, near, swept, k, n, found, tested, tally):
-    """Ask whether two pieces collide at configuration k of the block, once; n is from j to i, in j's frame.
+    """Test once whether two pieces collide at configuration k of the block; n is from j to i, in j's frame.
 
     Returns
     -------
     found : Found
     tested : int
-        Configurations that were asked about, as bits.
+        Configurations that were tested, as bits.
     """
     if (tested >> k) & 1 == 0:
         tested |= 1 << k
@@ -564,7 +559,7 @@ def _test(motion, near, swept, k, n, found, tested, tally):
 
 @njit()
 def _search(motion, near, live, found, waiting_count, tally):
-    """Prove the intervals `live` of a piece pair by planes; those left wait.
+    """Prove the intervals `live` of a piece pair by planes; the remaining ones wait.
 
     Returns
     -------
@@ -576,7 +571,7 @@ def _search(motion, near, live, found, waiting_count, tally):
     tested = 0
     width = (times[INTERVALS] - times[0]) / INTERVALS
     while live != 0:
-        # From the end on: of the motions that planners ask about, most of those that collide do so there.
+        # From the end backward: most colliding motions of planners collide there.
         last = highest_bit(live) + 1
         first = last - 1
         while first > 0 and (live >> (first - 1)) & 1 != 0 and _off(near, (last - first + 1) * width) <= MERGED_OFF:
@@ -656,9 +651,9 @@ def _measure(motion, course, width):
     Returns
     -------
     most : float
-        The largest second derivative, as seen from the world.
+        The largest second derivative, relative to the world.
     travel, angles, places
-        As `rates_of`.
+        As for `rates_of`.
     """
     problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
     rates, ways, most = _rates_of(motion), _ways_of(motion), 0.0
@@ -672,7 +667,7 @@ def _measure(motion, course, width):
 
 @njit()
 def _settle_block(motion, low, high, found, tally):
-    """Settle the intervals between two times, seven in all."""
+    """Settle the seven intervals between two times."""
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, times, Q, course = _swept_of(motion), _times_of(motion), _configurations_of(motion), _course_of(motion)
     ways, rates, scratch = _ways_of(motion), _rates_of(motion), _scratch_of(motion)
@@ -702,7 +697,7 @@ def _settle_block(motion, low, high, found, tally):
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
-            # Seen from the world first, each on its own way: that is cheap, and leaves few.
+            # First relative to the world, each body on its own path, which is cheap and leaves few pairs.
             bend = ways[one, 0] + ways[other, 0]
             live = near_in_world(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept)
             if live == 0:
@@ -721,7 +716,7 @@ def _settle_block(motion, low, high, found, tally):
 
 @njit()
 def _certify(motion, tally):
-    """Settle one motion, whose course is written."""
+    """Settle one motion, whose course has been written."""
     problem, tables, course = problem_of(motion.problem), motion_tables_of(motion.tables), _course_of(motion)
     most, travel, angles, places = _measure(motion, course, 1.0)
     if motion.strays:
@@ -743,7 +738,7 @@ def _certify(motion, tally):
             return Found(TOO_LONG, np.nan, -1)
     found = Found(FREE, np.nan, -1)
     for number in range(blocks):
-        # The first, the one in the middle, those between: the bits of their numbers reversed.
+        # The order is the first, the middle one, the ones in between: the bits of their numbers reversed.
         block, bit, rest = 0, blocks // 2, number
         while rest != 0:
             block += bit * (rest & 1)
@@ -761,14 +756,14 @@ def _certify(motion, tally):
 
 @inline
 def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, points, dof, memory):
-    """A motion whose course is still to be written, in memory that is ready."""
+    """A motion in prepared memory, whose course has yet to be written."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
     return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, points, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
-    """Write to the memory what all motions find there."""
+    """Write the data shared by all motions to the memory."""
     motion = _motion(pack, problem_handle, tables_handle, 0.0, False, False, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
@@ -794,24 +789,24 @@ def certify_motions(
     courses : ndarray, shape (N, degree + 1, dof)
         See `motion_path`.
     off : ndarray, shape (N, dof) or (0, dof)
-        How far each value may be from the course's at the same fraction: FREE holds for all such configurations, and
-        COLLIDING for one of the course itself. No rows: not at all.
+        Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
+        and COLLIDING for one on the course itself. No rows: no deviation.
     tolerance : float
-        m; what comes within the margin and this may be AMBIGUOUS.
+        In metres; a motion that comes within the margin plus this may be AMBIGUOUS.
     pack : int
         Handle of the packed bodies, as for `configurations.check_configurations`.
     problem_handle, tables_handle : int
-        Handles of the rest, see `pack.problem_of` and `pack.motion_tables_of`.
+        Handles of the problem and the tables, see `pack.problem_of` and `pack.motion_tables_of`.
     out : ndarray of int8, shape (N,)
         Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE.
     t_out : ndarray, shape (N,)
-        Receives fractions of the way where a motion is colliding or ambiguous; NaN for the others.
+        Receives fractions at which a motion is colliding or ambiguous; NaN for the others.
     pair_out : ndarray of int64, shape (N,)
-        Receives the number of the pair that is; -1 for the others.
+        Receives the number of the colliding or ambiguous pair; -1 for the others.
     tallies : ndarray of int64, shape (N, 2)
-        Receives how many configurations were placed, and how many searches there were.
+        Receives the numbers of configurations placed, and of searches.
     memory : int
-        Address of `motion_memory` bytes to write to; one thread uses them at a time.
+        Address of `motion_memory` scratch bytes; one thread uses them at a time.
     """
     _, points, dof = courses.shape
     make_ready(pack, problem_handle, tables_handle, dof, memory)
@@ -829,10 +824,10 @@ def certify_motions(
 
 @njit()
 def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memory):
-    """Whether one motion is FREE, as `certify_motions` has it, in memory that was made ready.
+    """Whether one motion is FREE, as in `certify_motions`, with prepared memory.
 
-    The work done is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be
-    free is taken earlier the next time: pairs that hit most often come first.
+    The work is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be free is
+    moved forward, so that pairs that collide most often come first.
     """
     motion = _motion(pack, problem_handle, tables_handle, tolerance, False, False, 2, ends.shape[1], memory)
     course = _course_of(motion)

@@ -1,8 +1,8 @@
-"""How far a robot is from touching: bounds, and the exact distance of the nearest pair, at many configurations.
+"""Distance of a robot from contact at many configurations: bounds, and the exact distance of the nearest pair.
 
-Configurations are taken sixteen at a time. Balls and boxes bound the distance of every pair of bodies from below, and
-the ellipsoids of the pair that looks nearest bound the least distance from above. Only pairs that may be nearer are
-looked at: by their ellipsoids first, and then, where exact distances are wanted, by the searches.
+Configurations are processed sixteen at a time. Balls and boxes bound the distance of every pair of bodies from below,
+and the ellipsoids of the seemingly nearest pair bound the least distance from above. Only pairs that may be nearer are
+examined: first by their ellipsoids, and then, if exact distances are requested, by the searches.
 """
 
 import numpy as np
@@ -81,7 +81,7 @@ _distances_of, _bodies_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _
 
 @njit()
 def memory_of_nearest(pack, problem_handle, dof):
-    """Bytes that `nearest_pairs` writes to."""
+    """Number of scratch bytes for `nearest_pairs`."""
     return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
@@ -89,7 +89,7 @@ def memory_of_nearest(pack, problem_handle, dof):
 def _least_distances(a, b):
     """Lower bounds on the signed distance of two bodies at sixteen configurations, by their balls and boxes.
 
-    -inf where squares overflow: the bodies are far from each other then, but not infinitely far.
+    The bound is -inf where squares overflow: the bodies are then far from each other, but not infinitely far.
     """
     r, up, down, nought = minus(b.center, a.center), np.float32(UP), np.float32(DOWN), np.float32(0.0)
     balls = sqrt(dot(r, r)) * down - (a.radius + b.radius) * up
@@ -118,8 +118,8 @@ def _pose_row(body, s, moving):
 def _bound(count, operands, place):
     """Bounds of queued piece pairs, merged into those of their configurations.
 
-    Balls and boxes may say more than ellipsoids. Where they do they count: a pair that was left out in another order
-    of pairs, for it is farther than `upper`, then lowers nothing here either.
+    If balls and boxes give better bounds than ellipsoids, these are used: a pair that would be left out in another
+    order of pairs, because it is farther than `upper`, then does not lower the result here either.
     """
     write_bounds(count, operands, queued_at(_distances_of(place)))
     queue, bodies = queue_of(queued_at(_distances_of(place))), _bodies_of(place)
@@ -255,19 +255,19 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers,
 
 @njit()
 def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, count):
-    """List the pairs of bodies that balls and boxes leave within a distance at the configurations start .. stop.
+    """List the pairs of bodies that may be within a distance by balls and boxes at the configurations start .. stop.
 
     Parameters
     ----------
     within : float
     listed : ndarray of int64, shape (room, 2)
-        Receives rows of a configuration and a pair, from row `count` on, as far as there is room.
+        Receives rows of a configuration and a pair, from row `count` on, as many as fit.
     Others as for `nearest_pairs`.
 
     Returns
     -------
     count : int
-        Rows that there are by now; those beyond the room are not listed.
+        Number of rows found so far; only as many as fit are listed.
     """
     problem = problem_of(problem_handle)
     counts = counts_of(pieces_of(pack), problem, Q.shape[1])
@@ -289,7 +289,7 @@ def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, cou
 
 @inline
 def _place(pack, problem_handle, at_placement, counts, Q, first, last):
-    """Place what moves at the configurations first .. last, sixteen at most."""
+    """Place the moving bodies at the configurations first .. last, at most sixteen."""
     problem, to = problem_of(problem_handle), placement_of(Place(at_placement, counts))
     for lane in range(0, last + 1 - first, LANES):
         place_joints(problem, Q, first + lane, last, to)
@@ -299,7 +299,7 @@ def _place(pack, problem_handle, at_placement, counts, Q, first, last):
 
 @inline
 def _bound_pairs(problem, bounds, moving, least, seeds):
-    """Write lower bounds for all pairs, and which pair has the least, at sixteen configurations."""
+    """Write lower bounds for all pairs, and the pair with the least bound, at sixteen configurations."""
     best, which = broadcast(np.float32(np.inf)), broadcast(np.float32(0.0))
     for p in range(len(problem.pairs)):
         one, other = problem.pairs[p, 0], problem.pairs[p, 1]

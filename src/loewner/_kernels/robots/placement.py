@@ -1,8 +1,8 @@
-"""Where everything of a robot and its scene is in a block of configurations: poses, ellipsoids, bounds.
+"""Placement of a robot and its scene in a block of configurations: poses, ellipsoids, bounds.
 
-Rows of a block of S configurations, S a multiple of sixteen and MOST at most: body b that moves has its pose at
-configuration s in row b S + s, piece p its ellipsoids in row p S + s. Those that stand still have one row each, behind
-as many as S = MOST takes: they stay where they are when S changes.
+In a block of S configurations, with S a multiple of sixteen and at most MOST, a moving body b has its pose at
+configuration s in row b S + s, and a piece p its ellipsoids in row p S + s. Static bodies have one row each, after as
+many rows as S = MOST takes, so they stay in place when S changes.
 """
 
 from typing import Any, NamedTuple
@@ -41,23 +41,23 @@ from loewner._kernels.tolerances import LEAST, OFF, SHAPE_ROUNDINGS, SINGLE_ROUN
 
 MOST = 64  # configurations in a block
 
-# What a body's row of bounds holds: center, how far a sphere about it must be from another one, half widths.
+# Columns of a body's bounds: center, radius of a sphere about it, half widths.
 X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z = 0, 1, 2, 3, 4, 5, 6
 
 
 class Placement(NamedTuple):
-    """What `place` and `stand` write.
+    """The output of `place` and `stand`.
 
     Attributes
     ----------
     poses : ndarray, shape (rows, 4, 4)
-        Of all bodies.
+        Poses of all bodies.
     ellipsoids : ndarray of float32, shape (rows, HOT)
-        Of all pieces, in world coordinates.
+        Ellipsoids of all pieces, in world coordinates.
     bounds : ndarray of float32
-        Of the bodies that move: BOUNDS rows of S numbers each.
+        Bounds of the moving bodies: BOUNDS rows of S numbers each.
     links : ndarray
-        What the kinematics writes, see `kinematics`.
+        Output of the kinematics, see `kinematics`.
     numbers : ndarray of int64, shape (8,)
         Row numbers of a vector's lanes.
     """
@@ -70,7 +70,7 @@ class Placement(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How much there is of everything: decides the sizes of memory."""
+    """Numbers of bodies, pieces, pairs and links, which determine the sizes of memory."""
 
     links: Any
     dof: Any
@@ -83,7 +83,7 @@ class Counts(NamedTuple):
 
 @inline
 def counts_of(pieces, problem, dof):
-    """How much there is of everything."""
+    """The counts of a problem."""
     moving = problem.link.size
     return Counts(
         problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing),
@@ -106,7 +106,7 @@ placement_of = PLACEMENT.whole()
 
 @inline
 def _place_piece(hot, p, R, t, S, at, numbers, rows):
-    """Write the ellipsoids of piece p at eight configurations; returns center, length and squared half widths."""
+    """Write the ellipsoids of piece p at eight configurations; return center, length and squared half widths."""
     outer = plus(apply(R, (hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])), t)
     inner = plus(apply(R, (hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])), t)
     k = OUTER_SHAPE
@@ -133,7 +133,7 @@ def _place_piece(hot, p, R, t, S, at, numbers, rows):
 
 @inline
 def place_joints(problem, Q, first, last, to):
-    """Compute where the links are at the configurations first .. last, eight at most: what `place_body` reads."""
+    """Compute the links' poses at the configurations first .. last, at most eight, for `place_body`."""
     for lane in range(LANES):
         to.numbers[lane] = min(first + lane, last)  # filled up with repeats of the last
     place_links(problem.tree, Q, to.numbers, 0, to.links)
@@ -141,9 +141,10 @@ def place_joints(problem, Q, first, last, to):
 
 @njit()
 def place_body(pack, problem_handle, address, counts, body, S, at):
-    """Place a body that moves at the configurations at .. at + 8 of a block, from what `place_joints` wrote last.
+    """Place a moving body at the configurations at .. at + 8 of a block, from the last output of `place_joints`.
 
-    It takes handles, since it is no part of its callers and a record's arrays would be copied for each call.
+    It takes handles, since it is compiled separately from its callers and a record's arrays would be copied for each
+    call.
     """
     pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_of(Place(address, counts))
     link, ball, piece_start, hot = problem.link, problem.ball, pieces.piece_start, pieces.hot
@@ -161,7 +162,7 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
     wide = off + ball[body, 3] * UP
     half = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
     if piece_start[body + 1] - p > 1:
-        # About the ball's center: the box that holds those of the pieces, if these are few, and else the ball.
+        # A box about the ball's center that contains the boxes of the pieces, if there are few, and otherwise the ball.
         middle = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length
@@ -189,20 +190,20 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
 
 @inline
 def _around(middle, center, half):
-    """Half widths of the box about `middle` that holds the box about `center`."""
+    """Half widths of the box about `middle` that contains the box about `center`."""
     r = minus(center, middle)
     return absolute(r[0]) + half[0], absolute(r[1]) + half[1], absolute(r[2]) + half[2]
 
 
 @inline
 def _wider(x, y):
-    """The larger width; no number if either is not, or if x overflowed: such a box bounds nothing."""
+    """The larger width; NaN if either is NaN, or if x overflowed: such a box bounds nothing."""
     return maximum(x, y) + 0.0 * x
 
 
 @inline
 def stand(problem, counts, to):
-    """Write what stands still, for blocks of any number of configurations."""
+    """Write the static bodies, for blocks of any number of configurations."""
     behind = counts.moving * MOST
     for k in range(counts.standing):
         for row in range(4):
@@ -215,7 +216,7 @@ def stand(problem, counts, to):
 
 
 class Bounds(NamedTuple):
-    """Of one body at sixteen configurations: center of a ball and a box about it, radius, half widths."""
+    """Bounds of one body at sixteen configurations: center of a ball and a box about it, radius, half widths."""
 
     center: Any
     radius: Any
@@ -224,9 +225,9 @@ class Bounds(NamedTuple):
 
 @inline
 def near(a, b, keep, live):
-    """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`.
+    """The configurations among `live`, as bits, at which the bounds of two bodies are not apart by `keep`.
 
-    Balls and boxes are both looked at, whatever the first say: a branch between would be foretold badly.
+    Balls and boxes are always both computed: a branch between them would be mispredicted.
     """
     r, up = minus(b.center, a.center), np.float32(UP)
     far = ((a.radius + b.radius) + keep) * up
@@ -239,7 +240,7 @@ def near(a, b, keep, live):
 
 @inline
 def bounds_at(bounds, at, S):
-    """Bounds of a body that moves."""
+    """Bounds of a moving body."""
     return Bounds(
         (load_single(bounds, at + X * S), load_single(bounds, at + Y * S), load_single(bounds, at + Z * S)),
         load_single(bounds, at + WIDE * S),
@@ -253,7 +254,7 @@ def bounds_at(bounds, at, S):
 
 @inline
 def bounds_standing(standing, k):
-    """Bounds of a body that stands still, at all configurations."""
+    """Bounds of a static body, at all configurations."""
     return Bounds(
         (broadcast(standing[k, X]), broadcast(standing[k, Y]), broadcast(standing[k, Z])),
         broadcast(standing[k, WIDE]),

@@ -1,4 +1,4 @@
-"""Shorter paths: corners left out, then cut between points drawn at random, wherever the straight way is free.
+"""Shorten paths: skip corners, then cut between random points, wherever the straight motion is free.
 
 Geraerts, Overmars: Creating high-quality paths for motion planning. Int. Journal of Robotics Research 26, 2007.
 """
@@ -15,7 +15,7 @@ from loewner._kernels.simd.memory import held
 
 @inline
 def _free(judge, ends, a, b, state):
-    """Is the motion between two configurations free?"""
+    """Whether the motion between two configurations is free."""
     for c in range(len(a)):
         ends[0, c], ends[1, c] = a[c], b[c]
     state[MOTIONS] += 1
@@ -37,7 +37,7 @@ def _move(path, first, count, by):
 
 @njit()
 def _skip_corners(judge, path, count, ends, state):
-    """Leave out what is between two configurations of a path; far ones are tried first, half as far ones next."""
+    """Skip the rows between two configurations of a path; the farthest are tried first, then ones half as far."""
     k = 0
     while k < count - 2:
         ahead = count - 1 - k
@@ -62,7 +62,7 @@ def _length(path, k):
 
 @inline
 def _at(path, count, way):
-    """The motion of a path that a point at a distance along it is on, and the fraction of that motion."""
+    """The motion of a path that contains the point at a distance along it, and the fraction of this motion."""
     k, length = 0, _length(path, 0)
     while k < count - 2 and way > length:
         way -= length
@@ -83,9 +83,9 @@ def _point(judge, path, k, t, ends, points, row):
 
 @njit()
 def _cut(judge, path, count, ends, points, state):
-    """Cut from one random point of a path to another, if the way there is free and so is what is left of both motions.
+    """Cut from one random point of a path to another, if the straight motion and the rest of both motions are free.
 
-    That is asked anew: rounded points are not exactly on the motions they were taken from.
+    The rest is checked anew, since rounded points are not exactly on their motions.
     """
     whole = 0.0
     for k in range(count - 1):
@@ -115,15 +115,15 @@ def shorten_path(count, most, handles, lengths, path, state, ends, points):
     Parameters
     ----------
     count : int
-        Configurations of the path.
+        Number of configurations of the path.
     most : int
         Cuts to try in all, those of earlier calls included.
     handles, lengths
         See `free_motions.judge_of`.
     path : ndarray, shape (capacity, dof)
-        Its first rows are the path, and are changed; the ends stay. No cut is made that it has no room for.
+        Its first rows are the path, and are changed; the ends stay. Cuts for which there is no room are not made.
     state : ndarray of int64, shape (columns.STATE,)
-        Where the work stands, see `columns`; goes on from there.
+        State of the work, see `columns`, from which it continues.
     ends : ndarray, shape (2, dof)
         Memory.
     points : ndarray, shape (2, dof)
@@ -132,7 +132,7 @@ def shorten_path(count, most, handles, lengths, path, state, ends, points):
     Returns
     -------
     int
-        Configurations of the path now.
+        New number of configurations of the path.
     """
     samples = sample_memory(handles)
     judge = judge_of(handles, lengths, path.shape[1], samples.ctypes.data)

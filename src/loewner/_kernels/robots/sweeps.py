@@ -1,10 +1,10 @@
-"""Seven intervals of a motion side by side: everything at eight configurations, and what is surely apart between two.
+"""Seven intervals of a motion side by side: bodies at eight configurations, and pairs certainly apart in between.
 
-In each interval a point stays within `grow` of its chord. So a body stays within the hull of what bounds it at both
-ends, widened by that: a ball about a segment, a box, or what a plane square to a direction leaves of two ellipsoids.
+In each interval a point stays within `grow` of its chord. So a body stays within the hull of its bounds at both ends,
+widened by this: a ball about a segment, a box, or a half-space that contains both ellipsoids.
 
-Rows of vectors: a quantity at the eight configurations takes STRIDE numbers, the first eight of which count; reading
-from the second one on gives the later end of each interval, and nothing in the last lane.
+In rows of vectors a quantity at the eight configurations takes STRIDE numbers, and the first eight count; reading from
+the second one on gives the later end of each interval, with the last lane unused.
 """
 
 from typing import Any, NamedTuple
@@ -37,18 +37,18 @@ EVERY = (1 << INTERVALS) - 1
 
 STRIDE = 2 * LANES
 
-# Of a body: its center and half widths at the configurations; over the intervals the middle and half the length of the
-# center's chord, and the middle and half widths of a box.
+# Numbers of a body: its center and half widths at the configurations; over the intervals the middle and half the length
+# of the center's chord, and the middle and half widths of a box.
 _MIDDLE = 6 * STRIDE
 _HALF_CHORD = _MIDDLE + 3 * LANES
 _BOX = _HALF_CHORD + LANES
 BODY = _BOX + 6 * LANES
 
-# Of a piece: the center and the shape matrix of its outer ellipsoid.
+# Numbers of a piece: the center and the shape matrix of its outer ellipsoid.
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half widths are widened by this, for what poses accepted as rigid stretch them by, and rounding.
+# Radii and half widths are widened by this, for the stretching by poses accepted as rigid, and for rounding.
 STRETCH = 1e-5  # derived 1.7e-6, certified.md B31
 WIDER = 1.0 + STRETCH
 
@@ -56,17 +56,15 @@ TINY = 1e-300
 
 
 class Swept(NamedTuple):
-    """What `sweep` writes: flat arrays.
+    """Flat arrays that `sweep` writes.
 
     Attributes
     ----------
-    poses : ndarray, shape (LANES * moving bodies, 4, 4)
-    bodies : ndarray, BODY numbers a body
-    pieces : ndarray, PIECE numbers a piece
-    done : ndarray of int64, an entry a body
-        Whether the pieces of a body of many are there.
+    poses : ndarray, shape (LANES * moving bodies, 4, 4) bodies : ndarray, BODY numbers per body pieces : ndarray, PIECE
+    numbers per piece done : ndarray of int64, an entry per body
+        Whether the pieces of a body with many pieces have been written.
     links : ndarray
-        What the kinematics wrote.
+        Output of the kinematics.
     numbers : ndarray of int64, shape (LANES,)
     """
 
@@ -114,7 +112,7 @@ def _outer_center(table, p):
 
 @inline
 def _place_piece(hot, p, R, t, rows):
-    """Write center and shape of a piece; returns both."""
+    """Write center and shape of a piece, and return both."""
     center = plus(apply(R, _outer_center(hot, p)), t)
     Q = rotated_shape(R, _outer_shape(hot, p))
     _store_three(rows, p * PIECE, center)
@@ -124,7 +122,7 @@ def _place_piece(hot, p, R, t, rows):
 
 @njit()
 def place_pieces(problem, pieces, body, to):
-    """Write centers and shapes of all pieces of a body, unless they are there."""
+    """Write centers and shapes of all pieces of a body, unless this has been done."""
     if to.done[body] != 0:
         return
     to.done[body] = 1
@@ -136,7 +134,7 @@ def place_pieces(problem, pieces, body, to):
 
 @njit()
 def sweep(problem, pieces, to):
-    """Write poses of all that moves, and bounds over the intervals, from the links that are placed."""
+    """Write poses of all moving bodies, and bounds over the intervals, from the placed links."""
     zero, one, nought = broadcast(0.0), broadcast(1.0), 0
     for body in range(problem.link.size):
         link = problem.link[body]
@@ -175,7 +173,7 @@ def sweep(problem, pieces, to):
 
 @inline
 def near_standing(problem, body, k, keep, to):
-    """Intervals, as bits, in which a body that moves may come within `keep` of the one that stands in row k."""
+    """Intervals, as bits, in which a moving body may come within `keep` of the static one in row k."""
     at, still = body * BODY, problem.standing
     r = minus(_middle(to, at), (np.float64(still[k, X]), np.float64(still[k, Y]), np.float64(still[k, Z])))
     far = load(to.bodies, at + _HALF_CHORD) + (problem.ball[body, 3] + np.float64(still[k, WIDE]) + keep)
@@ -203,7 +201,7 @@ def _middle(to, at):
 
 @inline
 def near_in_world(problem, body, other, keep, to):
-    """Intervals, as bits, in which two bodies that move may come within `keep` of each other, seen from the world."""
+    """Intervals, as bits, in which two moving bodies may come within `keep` of each other, relative to the world."""
     a, b = body * BODY, other * BODY
     r = minus(_middle(to, a), _middle(to, b))
     far = load(to.bodies, a + _HALF_CHORD) + load(to.bodies, b + _HALF_CHORD)
@@ -213,7 +211,7 @@ def near_in_world(problem, body, other, keep, to):
 
 @inline
 def _near_balls(rows, at, center, radii, keep):
-    """Intervals in which a ball, its center in the rows from `at` on, may come within `keep` of one that stands."""
+    """Intervals in which a ball, with its center in the rows from `at` on, may come within `keep` of a static one."""
     first, last = _load_three(rows, at), _load_three(rows, at + 1)
     way = minus(last, first)
     r = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1]), 0.5 * (first[2] + last[2])
@@ -224,7 +222,7 @@ def _near_balls(rows, at, center, radii, keep):
 
 @inline
 def near_moving(problem, body, other, keep, to, scratch):
-    """The same of two bodies that move, seen from the second one."""
+    """Intervals in which two moving bodies may come within `keep` of each other, relative to the second one."""
     ball, link = problem.ball, problem.link[other]
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
     _store_three(scratch, 0, apply_transposed(R, minus(_load_three(to.bodies, body * BODY), t)))
@@ -234,7 +232,7 @@ def near_moving(problem, body, other, keep, to, scratch):
 
 @inline
 def see_piece(problem, p, other, to, scratch):
-    """Write center and shape of piece p, that moves, as the body `other` sees them, which moves too."""
+    """Write center and shape of a moving piece p relative to the body `other`, which also moves."""
     link = problem.link[other]
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
     _store_three(scratch, 0, apply_transposed(R, minus(_load_three(to.pieces, p * PIECE), t)))
@@ -244,21 +242,21 @@ def see_piece(problem, p, other, to, scratch):
 
 @inline
 def near_piece(rows, at, radius, table, q, keep, live, normals):
-    """Of the intervals `live`, those in which two ellipsoids may come within `keep` of each other.
+    """The intervals among `live` in which two ellipsoids may come within `keep` of each other.
 
     Parameters
     ----------
     rows, at :
-        Center and shape of the piece that moves, from entry `at` on.
+        Center and shape of the moving piece, from entry `at` on.
     radius : float
-        Of a ball about it.
+        Radius of a ball about it.
     table, q :
-        Row of the piece that stands still: a table like `Pieces.hot`.
+        Row of the static piece, in a table like `Pieces.hot`.
     keep : float
     live : int
         As bits.
     normals : ndarray, shape (3 * LANES,)
-        Receives directions from the one that stands still to the other.
+        Receives directions from the static piece to the moving one.
     """
     center = _outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)

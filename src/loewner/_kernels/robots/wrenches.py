@@ -1,8 +1,9 @@
-"""What wrenches on the links of a robot do to its joints, at eight configurations side by side.
+"""Effects of wrenches on a robot's links on its joints, at eight configurations side by side.
 
-A wrench is a force and its moment about the world's origin, both in the world's axes; it is the gradient of something
-by the motion of a link. The gradient by a value of the configuration is the power of the wrenches on all that it moves
-along the twist that it moves them by. The power of unit wrenches on one link is its Jacobian.
+A wrench is a force and its moment about the world's origin, both in the world's axes; it is the gradient of a quantity
+with respect to the motion of a link. The gradient with respect to a value of the configuration is the power of the
+wrenches on all links that the value moves, along the twist with which it moves them. The power of unit wrenches on one
+link is its Jacobian.
 
 References
 ----------
@@ -36,12 +37,12 @@ from loewner._kernels.robots.kinematics import (
 )
 from loewner._kernels.simd.vectors import LANES, broadcast, load, store
 
-WRENCH = 6  # vectors a link: force, moment
+WRENCH = 6  # vectors per link: force, moment
 
 
 @inline
 def clear(vectors, count):
-    """Write nothing but zeros."""
+    """Write zeros."""
     for k in range(count):
         store(vectors, k * LANES, broadcast(0.0))
 
@@ -53,7 +54,7 @@ def _add(vectors, at, x):
 
 @inline
 def push(wrenches, link, force, moment):
-    """Add a wrench to that on a link."""
+    """Add a wrench to the wrench on a link."""
     at = link * (WRENCH * LANES)
     for k in range(3):
         _add(wrenches, at + k * LANES, force[k])
@@ -72,7 +73,7 @@ def _direction(constants, link, k):
 
 @inline
 def _axis(constants, link):
-    """Axis of a turning joint in the frame of what it moves, from the derivative of its rotation at 0: ZᵀS is skew."""
+    """Axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0: ZᵀS is skew."""
     x = y = z = 0.0
     for r in range(3):
         at = 3 * r
@@ -87,17 +88,17 @@ def _axis(constants, link):
 
 @inline
 def powers(tree, W, wrenches, dof, slopes):
-    """Gradients by the values of eight configurations.
+    """Gradients with respect to the values of eight configurations.
 
     Parameters
     ----------
     tree : Tree
     W : ndarray
-        Where the links are, and the configurations behind: what `kinematics.place_links` writes.
+        Poses of the links, and then the configurations: the output of `kinematics.place_links`.
     wrenches : ndarray
-        WRENCH vectors a link. Those on what hangs on a link are added to its own.
+        WRENCH vectors per link. Wrenches on the links below a link are added to its own.
     slopes : ndarray
-        Receives a vector for each value of a configuration, of which there are `dof`.
+        Receives a vector for each of the `dof` values of a configuration.
     """
     parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
     multiplier, constants = borrowed(tree.multiplier), borrowed(tree.constants)
@@ -110,7 +111,7 @@ def powers(tree, W, wrenches, dof, slopes):
         what, above = kind[link], parent[link]
         if what != FIXED:
             q = column[link] * LANES
-            # The moment about the link's own origin, which a turn leaves where it is.
+            # The moment about the link's own origin, which a turn does not move.
             torque = minus(moment, cross(translation_of_link(W, link), force))
             seen = force
             if above >= 0:
@@ -144,7 +145,7 @@ def powers(tree, W, wrenches, dof, slopes):
 
 @inline
 def _by_quaternion(slopes, q, turn, W, at):
-    """Of a quaternion: a turn by 2 vec(dq q*) / |q|²."""
+    """Gradient with respect to a quaternion, which turns by 2 vec(dq q*) / |q|²."""
     w, x, y, z = load(W, at), load(W, at + LANES), load(W, at + 2 * LANES), load(W, at + 3 * LANES)
     v = x, y, z
     scale = 2.0 / (w * w + dot(v, v))
@@ -156,10 +157,10 @@ def _by_quaternion(slopes, q, turn, W, at):
 
 @njit()
 def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start, stop, link, point, out):
-    """Write how a point of a link moves with the configurations start .. stop to out, shape (N, 6, dof).
+    """Write the Jacobians of a point of a link at the configurations start .. stop to out, shape (N, 6, dof).
 
-    The tree comes in its six arrays, as in `kinematics.link_poses`. Rows are the velocity of the point and the angular
-    velocity of the link: the powers of unit forces at the point, and of unit moments.
+    The tree is passed as its six arrays, as in `kinematics.link_poses`. Rows are the velocity of the point and the
+    angular velocity of the link: the powers of unit forces at the point, and of unit moments.
     """
     tree = Tree(parent, kind, column, multiplier, offset, constants)
     links, dof = parent.size, Q.shape[1]

@@ -1,6 +1,6 @@
 """Memory by address: arrays for kernels in memory that Python owns.
 
-A call from Python costs 150 ns for every array that it passes and 20 ns for a number; and an array that a kernel makes
+A call from Python costs 150 ns for every array that it passes and 20 ns for a number, and an array that a kernel makes
 itself costs an allocation. So Python owns the memory, passes its address, and keeps it alive.
 
 An `Arena` divides such memory into named fields. Its accessors write LLVM's code themselves, which costs next to no
@@ -73,8 +73,8 @@ _ENTRIES = {"F": types.float64, "I": types.int64, "S": types.float32}
 def record_kind(record: Any, *parts: Any) -> Any:
     """Numba's type of a record of arrays.
 
-    Parts are such types of inner records, or words for arrays as in `entries`: a letter, here also S for float32, and
-    the number of axes.
+    Parts are the types of inner records, or words for arrays as in `entries`: a letter, which here may also be S for
+    float32, and the number of axes.
     """
     kinds = []
     for part in parts:
@@ -194,7 +194,7 @@ class Arena:
             self.kind = types.BaseTuple.from_types([fields[name].kind for name in record._fields], record)
 
     def _starts(self, counts: Any) -> Iterator[tuple[str | None, Any]]:
-        """Yield the fields and their offsets, then None and where the last one ends."""
+        """Yield the fields and their offsets, then None and the end of the last one."""
         end = 0
         for name, field in self._fields.items():
             start = _whole_lines(end)
@@ -220,7 +220,7 @@ class Arena:
         return context.make_tuple(builder, self.kind, found)
 
     def accessors(self, names: str) -> Any:
-        """Functions for kernels that return the fields of these names, which are words of one text.
+        """Functions for kernels that return the named fields; the names are words of one string.
 
         Each takes the address of the arena; where sizes depend on counts, a record that has both as `work` and
         `counts`.
@@ -254,7 +254,7 @@ def raw(size: Any) -> Any:
 
 
 class Place(NamedTuple):
-    """Where an arena is whose sizes depend on counts."""
+    """Address of an arena whose sizes depend on counts, with these counts."""
 
     work: Any
     counts: Any

@@ -1,7 +1,7 @@
-"""What one thread of a GPU reads and writes: numbers at addresses, one lane at a time.
+"""Reads and writes of a GPU thread: numbers at addresses, one lane at a time.
 
-The same functions compile for the CPU, where a loop over the threads' numbers does what the GPU does side by side.
-Memory comes as an address and the place of an entry: an array of Numba would bring its shape and reference count.
+The same functions compile for the CPU, where a loop over the threads' numbers replaces the GPU's parallel threads.
+Memory is given by an address and the index of an entry: an array of Numba would add its shape and reference count.
 """
 
 from llvmlite import ir
@@ -20,7 +20,7 @@ def _place(builder, entry, address, at):
 
 
 def _reader(entry, result, widened, what):
-    """Make a function that reads an entry of a kind."""
+    """Make a function that reads an entry of the given type."""
 
     @intrinsic
     def read(typingctx, address, at):
@@ -40,7 +40,7 @@ integer_at = _reader(_HALF, types.int64, True, "int32")
 
 @intrinsic
 def eight_at(typingctx, address, at):
-    """Eight float32 from the entry `at` on, which begins at a multiple of sixteen bytes."""
+    """Eight float32 from the entry `at` on, which must be aligned to sixteen bytes."""
 
     def generate(context, builder, sig, args):
         four, found = ir.VectorType(ir.FloatType(), 4), []

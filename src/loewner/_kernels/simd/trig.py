@@ -1,18 +1,18 @@
-"""Sine and cosine: of eight angles side by side, within two units in the last place; and on one lane."""
+"""Sine and cosine of eight angles side by side, within two units in the last place, and on one lane."""
 
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import ALL, absolute, cosines, floor, movemask, round_to_even, select, sines
 
-# π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so that their products with
-# a whole number below 2^20 are exact; what the sum misses is below 2^-119.
+# π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so their products with a whole
+# number below 2^20 are exact; the error of the sum is below 2^-119.
 QUARTER_TURN = (
     float.fromhex("0x1.921fb544p+0"),
     float.fromhex("0x1.0b4611a6p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns; a rounding here moves the seam between quadrants only
+TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns; its rounding only moves the border between quadrants
 
-# Beyond this angle [rad] the whole number of quarter turns has more than the 20 bits of the above.
+# Beyond this angle [rad] the number of quarter turns has more than 20 bits.
 LARGEST = 1e6
 
 
@@ -20,8 +20,8 @@ LARGEST = 1e6
 def sine_cosine(x):
     """Sine and cosine of eight angles.
 
-    The rest after whole quarter turns, within ±π/4, goes into the Taylor series, cut where the next term is below
-    2^-56 of the result. NaN and infinity give NaN.
+    The remainder after whole quarter turns, within ±π/4, is the argument of the Taylor series, which is truncated where
+    the next term is below 2^-56 of the result. NaN and infinity give NaN.
 
     Parameters
     ----------
@@ -59,18 +59,18 @@ def sine_cosine(x):
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)
 
 
-# π/2 as a sum of three floats, the first two of twelve bits: their products with a whole number below 2^12 are exact.
-# What the sum misses is below 2^-57.
+# π/2 as a sum of three floats, the first two with twelve bits, so their products with a whole number below 2^12 are
+# exact. The error of the sum is below 2^-57.
 SINGLE_QUARTER_TURN = float.fromhex("0x1.922p+0"), float.fromhex("-0x1.2aep-18"), float.fromhex("-0x1.de973ep-31")
 
-SINGLE_LARGEST = 1000.0  # rad; the whole number of quarter turns is below 2^10
+SINGLE_LARGEST = 1000.0  # rad; the number of quarter turns is below 2^10
 
 
 @inline
 def sine_cosine_single(x):
-    """Sine and cosine of an angle on one lane, within 5 · 2^-24 of those of the float x (docs/certified.md).
+    """Sine and cosine of a float on one lane, within 5 · 2^-24 of the exact values (docs/certified.md).
 
-    Beyond ±1000 rad they mean nothing: whoever calls this asks.
+    Beyond ±1000 rad the results are meaningless, which the caller has to check.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Eight doubles, eight or sixteen floats or one as one number: Numba types whose arithmetic is vector instructions.
 
-A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions
-below take floats and vectors alike, a float standing for as many copies as needed. LLVM maps ``<8 x double>`` and
-``<16 x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON; nothing hangs on whether it finds a loop
-worth vectorising. Comparisons give masks; there are no branches on vectors.
+A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions below take both
+floats and vectors, and a float counts as the required number of copies. LLVM maps ``<8 x double>`` and ``<16 x float>``
+to one AVX-512 register, two of AVX2 or four of SSE2 and NEON, so nothing depends on its vectorisation of loops.
+Comparisons give masks; there are no branches on vectors.
 
-One lane of single precision is the third such type, for a thread of a GPU: unlike with a float32 of Numba, a literal
-beside it is rounded to single precision, as beside vectors. `simd.scalars` has its memory.
+The third type is one lane of single precision, for a GPU thread: unlike with Numba's float32, a literal combined with
+it is rounded to single precision, as with vectors. `simd.scalars` has its memory access.
 
-As everywhere in this package the only freedom given to the compiler is contraction.
+As everywhere in this package, contraction is the only freedom given to the compiler.
 """
 
 import operator
@@ -22,13 +22,13 @@ from loewner._kernels._jit import inline
 from loewner._kernels.columns import CACHE_LINE
 
 LANES, SINGLE_LANES = 8, 16
-ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that holds everywhere
+ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that is true everywhere
 
 _CONTRACT = ("contract",)
 
 
 class _Lanes(types.Type):
-    """Numba type of several values in a register; a single one is no vector to LLVM."""
+    """Numba type of several values in a register; for LLVM a single one is not a vector."""
 
     def __init__(self, name, entry, count):
         super().__init__(name)
@@ -66,7 +66,7 @@ def _indices(numbers):
 
 
 def _spread(builder, value, kind, wanted):
-    """A float as copies; a vector as it is."""
+    """Copies of a float, or a vector unchanged."""
     if kind == wanted:
         return value
     if wanted != vector and value.type == ir.DoubleType():
@@ -75,13 +75,13 @@ def _spread(builder, value, kind, wanted):
 
 
 def _joint(args):
-    """The one vector type among these, if the others are floats or the same; None otherwise."""
+    """The only vector type among the arguments, if all others are floats; otherwise None."""
     kinds = {a for a in args if not isinstance(a, types.Float)}
     return kinds.pop() if len(kinds) == 1 and kinds <= set(_VECTORS) else None
 
 
 def _operation(symbol, emit, compares=False):
-    """Teach Numba one binary operator on vectors."""
+    """Define one binary operator on vectors for Numba."""
 
     @infer_global(symbol)
     class _Typed(AbstractTemplate):
@@ -149,7 +149,7 @@ def _call(builder, name, *args):
 
 
 def _ones(kind):
-    """What makes a constant of ones, as many as a type has."""
+    """Make a constant of ones for a type."""
     return [1.0] * kind.count if isinstance(kind, ir.VectorType) else 1.0
 
 
@@ -179,7 +179,7 @@ def absolute(typingctx, x):
 
 @intrinsic
 def signed_one(typingctx, x):
-    """1 with the sign of x, that of a zero included."""
+    """1 with the sign of x, including the sign of a zero."""
 
     def generate(context, builder, sig, args):
         return _call(builder, "copysign", ir.Constant(args[0].type, _ones(args[0].type)), args[0])
@@ -189,7 +189,7 @@ def signed_one(typingctx, x):
 
 @intrinsic
 def round_to_even(typingctx, x):
-    """Nearest whole number, halves to the even one."""
+    """Nearest whole number, with halves rounded to even."""
 
     def generate(context, builder, sig, args):
         return _call(builder, "rint", args[0])
@@ -199,7 +199,7 @@ def round_to_even(typingctx, x):
 
 @intrinsic
 def floor(typingctx, x):
-    """Largest whole number that is not above x."""
+    """Largest whole number that is at most x."""
 
     def generate(context, builder, sig, args):
         return _call(builder, "floor", args[0])
@@ -239,7 +239,7 @@ def _both(builder, sig, args):
 
 @intrinsic
 def rounded_product(typingctx, x, y):
-    """x * y of two floats, rounded by itself: never part of a fused multiply-add, so that it is what NumPy computes."""
+    """x * y of two floats, rounded separately and never fused with an addition, so that it equals NumPy's product."""
 
     def generate(context, builder, sig, args):
         return builder.fmul(*args)
@@ -326,7 +326,7 @@ def lane_numbers(typingctx):
 
 @intrinsic
 def select(typingctx, condition, x, y):
-    """x where the condition holds, else y."""
+    """x where the condition holds, otherwise y."""
 
     def generate(context, builder, sig, args):
         a, b = _both(builder, signature(sig.return_type, *sig.args[1:]), args[1:])
@@ -348,10 +348,10 @@ def broadcast(typingctx, x):
 
 @intrinsic
 def share_of_roots(typingctx, x, y):
-    """√x / (√x + √y) of two numbers > 0, as 1 / (1 + √(y/x)): a guess, its root in single precision.
+    """√x / (√x + √y) of two numbers > 0, as 1 / (1 + √(y/x)): a guess, with its root in single precision.
 
-    Single precision has eight square roots in the time that double precision has two. Past its range the guess is 0 or
-    1.
+    Single precision computes eight square roots in the time of two in double precision. Beyond its range the guess is 0
+    or 1.
     """
 
     def generate(context, builder, sig, args):
@@ -389,7 +389,7 @@ def mask_of(typingctx, x):
 
 @intrinsic
 def masked_store(typingctx, array, at, m, code):
-    """Write a code to those of consecutive bytes that the mask names."""
+    """Write a code to the consecutive bytes that are set in a mask."""
 
     def generate(context, builder, sig, args):
         array, at, where, code = args
@@ -404,7 +404,7 @@ def masked_store(typingctx, array, at, m, code):
 
 
 def _address(context, builder, array_type, array, offset):
-    if array_type.layout != "C":  # no strides are looked at: another array's entries would be taken for these
+    if array_type.layout != "C":  # strides are ignored, so another layout would give wrong entries
         raise errors.LoweringError(f"expected an array in C order, found {array_type}")
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [offset])
@@ -438,7 +438,7 @@ def load(typingctx, array, offset):
 
 
 def _columns_of(builder, rows):
-    """Transpose rows of eight, or of two times eight side by side, by three rounds of pairwise exchanges."""
+    """Transpose rows of eight, or of twice eight side by side, by three rounds of pairwise exchanges."""
     width = rows[0].type.count
     for step in (1, 2, 4):
         low = [i // step % 2 * width + i - i // step % 2 * step for i in range(width)]
@@ -476,7 +476,7 @@ def gather_transpose(typingctx, table, width, rows, at, column):
     ----------
     table : ndarray
     width : int
-        Entries a row.
+        Number of entries per row.
     rows : ndarray of int64
         Row numbers; entries at .. at + 8 are used.
     at, column : int
@@ -523,7 +523,7 @@ def scatter_transpose(typingctx, table, width, rows, at, column, eight):
 
 @intrinsic
 def gather_transpose_single(typingctx, table, width, rows, at, column):
-    """The same of sixteen rows, in single precision; the table may be of either."""
+    """`gather_transpose` for sixteen rows, in single precision; the table may have either precision."""
 
     def generate(context, builder, sig, args):
         rows = _load_rows(context, builder, sig, args, SINGLE_LANES)
@@ -610,7 +610,7 @@ def load_single(typingctx, array, offset):
 
 @intrinsic
 def store_strided(typingctx, array, offset, step, eight):
-    """Write eight vectors to a flat array of their precision, the first at `offset` and each other `step` further."""
+    """Write eight vectors to a flat array of their precision, at `offset` and at steps of `step` from there."""
 
     def generate(context, builder, sig, args):
         array, at, step, eight = args

@@ -1,21 +1,20 @@
-"""Configurations of a robot, in tiles of some thousand: one thread a configuration, body, pair of bodies or survivor.
+"""Configurations of a robot in tiles of thousands, one thread per configuration, body, pair of bodies or survivor.
 
-The steps of a tile, each a kernel of its own, since a thread that did all of them would need more registers than there
-are:
+Each step of a tile is a separate kernel, since a thread that did all of them would need too many registers:
 
 place_links
-    forward kinematics; with each link how far off its rotation and its translation may be.
+    forward kinematics, with bounds on the error of each link's rotation and translation.
 place_body
     a ball and a box about each moving body.
 cull_pair
-    those pairs of bodies whose bounds are not apart go to a list.
+    lists the pairs of bodies whose bounds are not apart.
 certify_survivor
     the ellipsoids of the pieces of a listed pair.
 conclude
-    verdicts; what is left open goes to a list for the CPU.
+    verdicts; open configurations go to a list for the CPU.
 
-Numbers of a tile of S configurations, S a power of two, lie side by side: entry r of link l at configuration s is at
-``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S + s``.
+Numbers of a tile of S configurations, with S a power of two, lie side by side: entry r of link l at configuration s is
+at ``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S + s``.
 """
 
 import numpy as np
@@ -73,16 +72,16 @@ from loewner._kernels.simd.vectors import absolute, maximum, minimum, select, sq
 from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS, append
 from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 
-# Of a placed body, beside its bounds: metres that any of its points may be off by.
+# Column of a placed body beside its bounds: the largest error of any of its points, in metres.
 ASTRAY = 7
 
-# What a joint adds to how far a rotation is off (spectral norm), and what its value does, both in roundings; and what a
-# joint adds to how far a translation is off, times the lengths that it is made of.
+# Error that a joint adds to a rotation (spectral norm), and that its value adds, both in roundings; and error that a
+# joint adds to a translation, times the lengths from which it is computed.
 JOINT_TURN = 40.0  # derived 28, certified.md B45
 VALUE_TURN = 8.0  # derived 6, certified.md B46
 JOINT_SHIFT = 20.0  # derived 14, certified.md B47
 
-# What is known of a configuration: a number that only grows.
+# State of a configuration: a number that only grows.
 SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2
 
 
@@ -136,18 +135,18 @@ def _put_link(placed, link, S, s, R, t, turn_off, shift_off):
 
 @njit()
 def place_links(thread, S, Q, dof, links, joints, constants, placed):
-    """Place the links at one configuration, and bound what rounding does to that (docs/certified.md, B45 to B47).
+    """Place the links at one configuration, and bound the rounding of this (docs/certified.md, B45 to B47).
 
     Parameters
     ----------
     thread : int
         The configuration, a row of Q.
     S : int
-        Configurations a tile.
+        Number of configurations per tile.
     Q : float32, shape (n, dof)
         The configurations, rounded to single precision if they came in double.
     joints : int32, shape (links, LINK_INTEGERS)
-        Parent, kind and column of each link, see `robots.kinematics`. No kinds but FIXED, REVOLUTE and PRISMATIC.
+        Parent, kind and column of each link, see `robots.kinematics`. The only kinds are FIXED, REVOLUTE and PRISMATIC.
     constants : float32, shape (links, LINK_CONSTANTS)
     placed : float32
         Receives the links of the tile.
@@ -187,13 +186,13 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
 
 @inline
 def _placed_center(rows, piece, first, R, t):
-    """Where the center of an ellipsoid is, by its first column in the piece's row."""
+    """Position of the center of an ellipsoid, given by its first column in the piece's row."""
     return plus(apply(R, _three(rows, HOT * piece + first)), t)
 
 
 @inline
 def _put_bounds(bounds, body, S, s, center, wide, half, astray):
-    """Write the bounds of a body, rounded up, and how far it may be astray."""
+    """Write the bounds of a body, rounded up, and its position error."""
     at = body * BOUNDS * S + s
     put_number(bounds, at + X * S, center[0])
     put_number(bounds, at + Y * S, center[1])
@@ -220,7 +219,7 @@ def place_body(thread, S, log_S, placed, bodies, balls, rows, bounds):
     balls : float32, shape (moving bodies, BALL_NUMBERS)
         See `records.Problem`; radius and reach are rounded up.
     rows : float32, shape (pieces, HOT)
-        In the frames of their links.
+        Rows in the frames of their links.
     bounds : float32
         Receives the bounds of the tile.
     """
@@ -252,13 +251,13 @@ def place_body(thread, S, log_S, placed, bodies, balls, rows, bounds):
 
 @inline
 def _wider(x, y):
-    """The larger width; no number if either is none."""
+    """The larger width; NaN if either is NaN."""
     return maximum(x, y) + 0.0 * x
 
 
 @inline
 def _narrower(x, y):
-    """The lesser width; no number if either is none."""
+    """The smaller width; NaN if either is NaN."""
     return minimum(x, y) + 0.0 * x
 
 
@@ -286,16 +285,16 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
     thread : int
         The pair times S plus the configuration; S is 2 ** log_S.
     total : int
-        Configurations in the tile that are asked about.
+        Number of configurations in the tile that are requested.
     moving : int
-        Bodies that move.
+        Number of moving bodies.
     pairs : int32, shape (pairs, 2)
-        Bodies, the first of which moves.
+        Indices of two bodies; the first one moves.
     margins : float32, shape (pairs,)
         Rounded up.
     bounds : float32
-        Of the moving bodies, of the tile.
-    standing : float32, shape (standing bodies, BOUNDS)
+        Bounds of the moving bodies in the tile.
+    standing : float32, shape (static bodies, BOUNDS)
     state : int32, shape (S,)
         A configuration for whose pairs the list is too short is left to the CPU.
     survivors : int32, shape (1 + capacity,)
@@ -328,14 +327,14 @@ def _pieces_of(bodies, body):
 
 @inline
 def _pose_of_body(placed, link, S, s):
-    """Where a moving body is."""
+    """Pose of a moving body."""
     R, t = _rotation_at(placed, link * LINK_NUMBERS, S, s), _vector_at(placed, link * LINK_NUMBERS + LINK_AT, S, s)
     return Pose(R, t, True)
 
 
 @inline
 def _pose_of_standing():
-    """What stands still has its rows in the world."""
+    """Pose of a static body, whose rows are in world coordinates: the identity."""
     on, off = lane_of(1.0), lane_of(0.0)
     return Pose((on, off, off, off, on, off, off, off, on), (off, off, off), True)
 
@@ -344,7 +343,7 @@ def _pose_of_standing():
 def certify_survivor(
     thread, S, log_S, moving, bodies, pairs, margins, placed, bounds, rows, state, survivors, capacity
 ):  # fmt: skip
-    """Certify the ellipsoids of a listed pair of bodies, and raise the state of its configuration by what comes out.
+    """Certify the ellipsoids of a listed pair of bodies, and raise the state of its configuration accordingly.
 
     Parameters
     ----------
@@ -353,9 +352,9 @@ def certify_survivor(
     moving, pairs, margins, placed, bounds, state, survivors, capacity
         As for `cull_pair` and `place_body`.
     bodies : int32, shape (bodies, BODY_INTEGERS)
-        As for `place_body`; those that stand still follow.
+        As for `place_body`; static bodies follow.
     rows : float32, shape (pieces, HOT)
-        In the frames of their links; of what stands still in the world.
+        Rows in the frames of their links, or in the world for static bodies.
     """
     if thread >= min(integer_at(survivors, 0), capacity):
         return
@@ -370,7 +369,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    more = astray * (UP / OFF)  # a length of which positions take that much for slack
+    more = astray * (UP / OFF)  # a length for which positions have this slack
     i, last_a = _pieces_of(bodies, one)
     first_b, last_b = _pieces_of(bodies, other)
     found = SO_FAR_FREE

@@ -1,7 +1,7 @@
 """One pair of bodies for each thread: the certificate in single precision, margin 0.
 
-What single precision cannot tell is not decided here. It is marked as AMBIGUOUS, which claims nothing, and its number
-goes to a list, for the CPU.
+Pairs that single precision cannot decide are marked as AMBIGUOUS, which claims nothing, and their numbers go to a list
+for the CPU.
 """
 
 import numpy as np
@@ -25,13 +25,13 @@ from loewner._kernels.simd.scalars import (
 
 ROW = 4 * HOT  # bytes of a piece
 
-# Piece pairs that a thread looks at. Bodies of more pieces have trees, which the CPU goes through.
+# Limit on the piece pairs of a thread. Bodies with more pieces have trees, which the CPU searches.
 MOST_PIECE_PAIRS = 1024
 
 
 @inline
 def _with(verdict, of_piece_pair):
-    """Verdict of several piece pairs and one more: COLLIDING if any is, then LEFT, AMBIGUOUS, FREE."""
+    """Combined verdict of several piece pairs and another one: COLLIDING if any is, then LEFT, AMBIGUOUS, FREE."""
     if verdict == COLLIDING or of_piece_pair == COLLIDING:
         return COLLIDING
     return max(verdict, of_piece_pair)
@@ -39,7 +39,7 @@ def _with(verdict, of_piece_pair):
 
 @inline
 def _verdict_of(tier, of_open):
-    """Verdict of a piece pair by its tier; `of_open` is that of OPEN ones."""
+    """Verdict of a piece pair by its tier; `of_open` is the verdict of OPEN ones."""
     if tier in (BY_SPHERE, BY_OUTER):
         return FREE
     if tier == BY_INNER:
@@ -49,7 +49,7 @@ def _verdict_of(tier, of_open):
 
 @inline
 def _pose_at(poses, row):
-    """One of an array of poses, shape (n, 4, 4)."""
+    """A pose from an array of poses, shape (n, 4, 4)."""
     p, q = eight_at(poses, 16 * row), eight_at(poses, 16 * row + 8)
     R, t = (p[0], p[1], p[2], p[4], p[5], p[6], q[0], q[1], q[2]), (p[3], p[7], q[3])
     return Pose(R, t, holds(is_rigid_single(p, q)))
@@ -57,12 +57,12 @@ def _pose_at(poses, row):
 
 @inline
 def _row_of(k, plan, axes, operand):
-    """Row that an operand contributes to pair k: `pipeline.verdicts.row_of`, of a plan of int32."""
+    """Row that an operand contributes to pair k: `pipeline.verdicts.row_of`, for a plan of int32."""
     row = 0
     axis = axes - 1
     while axis > 0:
         length = integer_at(plan, axis)
-        # Numbers of pairs fit into 31 bits, and dividing twice as many takes a GPU four times as long.
+        # Numbers of pairs fit into 31 bits, and 64-bit divisions take a GPU four times as long.
         above = np.int64(np.uint32(k) // np.uint32(length))
         row += (k - above * length) * integer_at(plan, operand * axes + axis)
         k = above
@@ -72,7 +72,7 @@ def _row_of(k, plan, axes, operand):
 
 @inline
 def _rows_of_pair(k, plan, axes, rows, total):
-    """Rows of a and of its pose, and of b and of its, that belong to pair k."""
+    """Rows of a and its pose, and of b and its pose, for pair k."""
     if rows == 0:
         return (
             _row_of(k, plan, axes, 1),
@@ -105,15 +105,15 @@ def classify_pieces(thread, plan, axes, rows, total, packed_a, Ta, packed_b, Tb,
     Parameters
     ----------
     thread : int
-        The pair.
+        Number of the pair.
     plan : int32, shape (5, axes)
         Batch shape, and the strides of a, Ta, b and Tb along its axes, in rows: `pipeline.verdicts.settle_range`.
     rows : int32, shape (2, total), or the address 0
-        Rows of a and b for each pair, instead of its number; `total` is how many pairs there are.
+        Rows of a and b for each pair, instead of its number; `total` is the number of pairs.
     packed_a, packed_b : float32, shape (pieces, HOT)
     Ta, Tb : float32, shape (n, 4, 4)
     of_open : int
-        AMBIGUOUS, or LEFT where the CPU has more to say about what no ellipsoids settle.
+        AMBIGUOUS, or LEFT if the CPU can decide more than the ellipsoids.
     verdicts : int8
         Receives the verdict.
     left : int32
@@ -133,8 +133,8 @@ def classify_bodies(
 ):  # fmt: skip
     """Certify one pair of bodies of any number of pieces, margin 0.
 
-    Parameters as for `classify_pieces`, and where the pieces of bodies begin: of body i they are start[i] ..
-    start[i + 1], int32.
+    Parameters are as for `classify_pieces`, plus the starts of the bodies' pieces, int32: body i has the pieces
+    start[i] .. start[i + 1].
     """
     body_a, pose_a, body_b, pose_b = _rows_of_pair(thread, plan, axes, rows, total)
     a, b = _pose_at(Ta, pose_a), _pose_at(Tb, pose_b)
@@ -160,11 +160,11 @@ def gather_rows(thread, width, rows, table, gathered):
     Parameters
     ----------
     thread : int
-        Place of the entry among all that are copied.
+        Index of the entry among all copied entries.
     width : int
-        Entries a row.
+        Number of entries per row.
     rows : int32
-        Numbers of rows, the n-th of which becomes the n-th of `gathered`.
+        Numbers of rows; the n-th one becomes the n-th row of `gathered`.
     """
     row = np.int64(np.uint32(thread) // np.uint32(width))
     put_number(gathered, thread, number_at(table, integer_at(rows, row) * width + thread - row * width))
@@ -172,5 +172,5 @@ def gather_rows(thread, width, rows, table, gathered):
 
 @njit()
 def scatter_bytes(thread, rows, values, bytes_of_all):
-    """Write one of some values of int32 to the byte that `rows` names."""
+    """Write one of the int32 values to the byte given by `rows`."""
     put_byte(bytes_of_all, integer_at(rows, thread), integer_at(values, thread))

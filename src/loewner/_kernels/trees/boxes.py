@@ -1,11 +1,10 @@
-"""Which boxes of a crowd meet: a tree of axis-aligned boxes, eight to a group, and the search in it.
+"""Find boxes of a crowd that meet, by a tree of axis-aligned boxes in groups of eight.
 
-Bodies are put in the order of a space-filling curve, the large ones before the small ones. The tree is then implicit:
-node q of a level has the nodes 8q .. 8q+7 of the level below, and no pointer is kept. A group of eight boxes lies
-together in memory, as six rows of eight numbers (lower x, y, z, upper x, y, z), so that one box is compared with eight
-in six vector comparisons.
+Bodies are ordered along a space-filling curve, large ones before small ones. The tree is then implicit: node q of a
+level has the nodes 8q .. 8q+7 of the level below, without pointers. A group of eight boxes is contiguous in memory, as
+six rows of eight numbers (lower x, y, z, upper x, y, z), so one box is compared with eight in six vector comparisons.
 
-Every rounding is outward: boxes that the search keeps apart hold bodies that are apart by more than the margin.
+Every rounding is outward: if the search finds boxes apart, their bodies are apart by more than the margin.
 
 References
 ----------
@@ -32,10 +31,10 @@ STEPS = np.uint64(20)
 SIZE_CLASSES = 16
 SIZE_RATIO = 0.25  # bodies of one class differ by up to this ratio in size
 
-DIGIT = np.uint64(11)  # bits that one pass of the radix sort looks at
+DIGIT = np.uint64(11)  # bits per pass of the radix sort
 PASSES = 6
 
-# The largest bound of a box: the boxes that fill up a group start at infinity and so meet none.
+# The largest bound of a box: boxes that fill up a group start at infinity and so meet none.
 MOST = 1.7e308
 
 
@@ -88,7 +87,7 @@ def meeting(typingctx, boxes, group, lx, ly, lz, ux, uy, uz):
 
 @intrinsic
 def within(typingctx, boxes, group, lx, ly, lz, ux, uy, uz, squared):
-    """Bit mask of the boxes of a group whose squared distance from a box is `squared` at most."""
+    """Bit mask of the boxes of a group whose squared distance from a box is at most `squared`."""
 
     def generate(context, builder, signature, arguments):
         rows = _rows(context, builder, signature.args[0], *arguments[:2])
@@ -114,7 +113,7 @@ def within(typingctx, boxes, group, lx, ly, lz, ux, uy, uz, squared):
 
 @inline
 def lowered(bound, by):
-    """Move a lower bound outward, the rounding of that included; one that is NaN excludes nothing."""
+    """Move a lower bound outward, including the rounding of the move; a bound that is NaN excludes nothing."""
     moved = (bound - by) - 4.0 * UNIT_ROUNDOFF * (abs(bound) + by)
     return moved if moved > -MOST else -MOST
 
@@ -133,7 +132,7 @@ def body_boxes(first, last, body_step, pose_step, pack, T, lower, upper):
     Parameters
     ----------
     body_step, pose_step : int
-        1 if each body has its own pieces, its own pose; 0 if all share one.
+        1 if each body has its own pieces, or its own pose; 0 if all share one.
     pack : int
         Handle of packed pieces, see `pieces.pack`.
     T : ndarray, shape (..., 4, 4), one batch axis
@@ -189,7 +188,8 @@ def _extent(lower, upper, i):
 def curve_order(lower, upper):
     """Order of the boxes in the tree: by size class, large ones first, then along a Morton curve through the middles.
 
-    Large boxes among small ones would widen every group they are in. The order decides only how fast the search is.
+    Large boxes among small ones would widen every group that contains them. The order only affects the speed of the
+    search.
     """
     n = lower.shape[0]
     corner = np.full(3, np.inf)
@@ -279,7 +279,7 @@ def box_tree(lower, upper, order):
         total += groups
         levels += 1
     boxes = np.empty(total * ROWS)
-    # What fills up the last group of a level meets no box.
+    # Padding of the last group of a level meets no box.
     for at in range(0, total * ROWS, ROWS):
         for c in range(3 * WIDE):
             boxes[at + c] = np.inf
@@ -307,7 +307,7 @@ def box_tree(lower, upper, order):
 
 @inline
 def _query(boxes, group, lane, margin):
-    """Box of a lane, `margin` wider on every side."""
+    """Box of a lane, widened by `margin` on every side."""
     at = group * ROWS + lane
     return (
         lowered(boxes[at], margin),
@@ -321,16 +321,16 @@ def _query(boxes, group, lane, margin):
 
 @njit()
 def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers):
-    """Collect the leaf groups behind `leaf` whose boxes are within `margin` of its own.
+    """Collect the leaf groups after `leaf` whose boxes are within `margin` of its own.
 
-    Their boxes go to `near`, in groups as in `boxes`, their numbers to `numbers`; returns how many.
+    Their boxes go to `near`, in groups as in `boxes`, and their numbers to `numbers`; returns their count.
     """
     count = 0
     if level_start.shape[0] == 1:
         return count
     lx, ly, lz, ux, uy, uz = _query(boxes, level_start[1] + leaf // WIDE, leaf % WIDE, margin)
     node = leaf
-    # What comes later is in later nodes of the same group, on every level up to the root.
+    # Later leaves are in later nodes of the same group, on every level up to the root.
     for level in range(1, level_start.shape[0]):
         group = node // WIDE
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
@@ -367,7 +367,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
 
 @inline
 def _note(body, leaf, mask, order, rows_a, rows_b, count):
-    """Write down a body's pairs with the bodies of a leaf group that a mask names."""
+    """Write a body's pairs with the bodies of a leaf group that are in a mask."""
     while mask != 0:
         lane, mask = next_lane(mask)
         other = order[leaf * WIDE + lane]
@@ -378,9 +378,9 @@ def _note(body, leaf, mask, order, rows_a, rows_b, count):
 
 @njit()
 def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b):
-    """Pairs of boxes within `margin` of each other: one of a leaf group first .. last, the other at a later place.
+    """Pairs of boxes within `margin` of each other: one from a leaf group first .. last, and a later one.
 
-    The tree is searched once for all eight boxes of a leaf group; each of them then goes through what that found.
+    The tree is searched once for all eight boxes of a leaf group; each of them is then compared with the results.
 
     Parameters
     ----------
@@ -393,7 +393,7 @@ def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b
     Returns
     -------
     leaf, count : int
-        Where to go on (the buffers may be full before `last`), and the number of pairs written.
+        Leaf at which to continue (the buffers may be full before `last`), and the number of pairs written.
     """
     n = order.shape[0]
     leaves = (n + WIDE - 1) // WIDE

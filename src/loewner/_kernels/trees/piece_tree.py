@@ -1,13 +1,13 @@
-"""Trees over the pieces of a body, and the walk through two of them for the piece pairs that could meet.
+"""Trees over the pieces of a body, and the walk through two of them to find piece pairs that could meet.
 
-A tree is one of `boxes`, over the boxes of the outer ellipsoids in the body's own frame, with its links written down:
-child c of group g is ``children[8 g + c]``, a group if not negative, else ~piece. ``roots`` holds the top group of each
-body, or -1 for a body of few pieces, which has no tree: all its pieces are tried.
+A tree is as in `boxes`, over the boxes of the outer ellipsoids in the body's own frame, but with explicit links: child
+c of group g is ``children[8 g + c]``, a group if not negative, otherwise ~piece. ``roots`` holds the top group of each
+body, or -1 for a body with few pieces, which has no tree: all its pieces are tried.
 
-The walk takes the pieces of a that come near the box of b, in a's frame, and looks for each of them in b's tree, in b's
-frame, by the box of its own ellipsoid there. All roundings are outward. A pose's rotation R need not be orthonormal to
-the last bit: in the frame of its own axes a body's point y lies at RᵀR y rather than y, and lengths there are those of
-the world times at most the norm of R. `BEND` allows for both.
+The walk takes the pieces of a that come near the box of b, in a's frame, and searches b's tree for each of them, in b's
+frame, with the box of its own ellipsoid there. All roundings are outward. A pose's rotation R need not be orthonormal
+to the last bit: in the frame of its own axes a body's point y lies at RᵀR y instead of y, and lengths there are world
+lengths times at most the norm of R. `BEND` allows for both.
 """
 
 import numpy as np
@@ -19,8 +19,9 @@ from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
-# |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves each coordinate of a point by so much of the
-# point's distance from the body's origin, and stretches a length by less; the rest is far more than distances round.
+# |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves each coordinate of a point by this share of the
+# point's distance from the body's origin, and stretches a length by less; the rest is far above the rounding of
+# distances.
 BEND = 4e-6  # derived 1.8e-6, certified.md B21
 
 # Numbers of a walk: the integers ...
@@ -28,8 +29,8 @@ PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6
 A_STACK = 7
 B_STACK = A_STACK + LEVELS * WIDE
 STEPS = B_STACK + LEVELS * WIDE
-# ... and the floats: boxes (lower, upper) of b in a's frame and of the piece in b's, what they are widened by, how
-# points of a map to b's frame (rotation, shift), and the lengths that all this rounds with.
+# ... and the floats: boxes (lower, upper) of b in a's frame and of the piece in b's, the amounts by which they are
+# widened, the map of points of a to b's frame (rotation, shift), and the lengths that determine the rounding.
 B_BOX, PIECE_BOX, A_SLACK, B_SLACK, TURN, SHIFT, SIZE = 0, 6, 12, 13, 14, 23, 26
 NUMBERS = 27
 
@@ -47,7 +48,7 @@ def piece_trees(piece_start, lower, upper):
     Returns
     -------
     groups : ndarray
-        As `boxes.box_tree` lays them out, all bodies end to end.
+        In the layout of `boxes.box_tree`, with all bodies end to end.
     children : ndarray of int64
         Eight for each group.
     roots : ndarray of int64, shape (n,)
@@ -127,7 +128,7 @@ def begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers):
 
 @njit()
 def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
-    """Go on with a walk: the next piece pairs that are not proven farther apart than `margin`.
+    """Continue a walk: the next piece pairs that are not proven farther apart than `margin`.
 
     The margin may shrink from call to call.
 
@@ -137,12 +138,12 @@ def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
     margin : float
         In metres, >= 0.
     pieces_a, pieces_b : ndarray of int64
-        Receive the pairs, as many as there is room for.
+        Receive the pairs, as many as fit.
 
     Returns
     -------
     int
-        Pairs written; 0 at the end of the walk.
+        Number of pairs written; 0 at the end of the walk.
     """
     hot_a, groups_a, children_a = a.hot, a.groups, a.children
     groups_b, children_b, root = b.groups, b.children, b.roots[ib]
@@ -188,9 +189,9 @@ def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
 
 @njit()
 def nearest_centers(a, ia, b, ib, numbers, rounds):
-    """Two pieces whose centers are close: each the nearest to the other, as far as `rounds` of that lead.
+    """Two pieces with close centers, found by `rounds` of alternating nearest-center searches.
 
-    A guess to start from; `numbers` as from `begin`.
+    They are a starting guess; `numbers` is as from `begin`.
     """
     hot_a, hot_b = a.hot, b.hot
     c = OUTER_CENTER
@@ -220,7 +221,7 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
 
 @inline
 def _open(groups, children, group, numbers, box, slack, reach, steps, stack, height):
-    """Put those children of a group on a stack that come within `reach` of a box of the walk."""
+    """Push the children of a group that come within `reach` of a box of the walk onto a stack."""
     by = numbers[slack]
     mask = within(
         groups, group,
@@ -255,7 +256,7 @@ def _placed_center(hot, piece, numbers, row):
 
 @njit()
 def _place(hot, piece, numbers):
-    """Put the box of a piece of a, in b's frame, where the walk keeps it."""
+    """Store the box of a piece of a, in b's frame, in the state of the walk."""
     for row in range(3):
         x, y, z = numbers[TURN + 3 * row], numbers[TURN + 3 * row + 1], numbers[TURN + 3 * row + 2]
         width, _ = outward_width(_shape(hot, piece), (x, y, z), x * x + y * y + z * z)
@@ -267,7 +268,7 @@ def _place(hot, piece, numbers):
 
 @njit()
 def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
-    """Put a box around all of b, in a's frame, where the walk keeps it."""
+    """Store a box around all of b, in a's frame, in the state of the walk."""
     hot = b.hot
     root = b.roots[ib]
     c = OUTER_CENTER

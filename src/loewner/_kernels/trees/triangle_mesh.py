@@ -1,4 +1,4 @@
-"""Which vertices of a mesh are the same point, and which triangles hang together."""
+"""Equal vertices and connected parts of a mesh."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from loewner._kernels._jit import inline, njit
 
 @njit()
 def equal_vertices(vertices):
-    """Number the different points among vertices, in order of their first appearance.
+    """Number the distinct points among vertices, in order of first appearance.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def part_vertices(count, triangles):
     Parameters
     ----------
     count : int
-        Of vertices; those of no triangle are in no part.
+        Number of vertices; vertices without a triangle are in no part.
     triangles : ndarray of int64, shape (T, 3)
 
     Returns

@@ -1,18 +1,18 @@
 """Bounding hierarchies over the triangles of a surface: wide nodes of boxes, leaves that are blocks of triangles.
 
-A node has sixteen boxes side by side, six rows of single precision: their middles, then their half widths, both along
-x, y and z of the body's frame and rounded outward. Box s, counted over all nodes, leads to ``children[s]``: a node if
-that is not negative, else a leaf, `leaf_of` of it and how many triangles it has. Node 0 has one box, around everything.
-A leaf is a block of eight triangles, nine rows of double precision: x, y, z of the first corners, of the second and of
-the third. The last triangle fills up a block.
+A node has sixteen boxes side by side, in six rows of single precision: their middles, then their half widths, both
+along x, y and z of the body's frame and rounded outward. Box s, counted over all nodes, leads to ``children[s]``, which
+is a node if it is not negative. Otherwise it encodes a leaf, `leaf_of`, and its number of triangles, `size_of`. Node 0
+has one box, around everything. A leaf is a block of eight triangles, in nine rows of double precision: x, y, z of the
+first, the second and the third corners. A block is filled up with repeats of its last triangle.
 
-Each box has twenty rows of single precision more, the diagonals: how far its triangles go along x + y, x - y, -x + y
-and -x - y, the same of x and z and of y and z, and along x + y + z, x + y - z and so on to -x - y - z. With the box
-itself these bound how far they go along any direction: its coordinates, put in order, make it a sum of an axis and two
-diagonals, and a support function of a sum is at most the sum of the support functions.
+Each box has twenty additional rows of single precision, the diagonals: the extents of its triangles along x + y, x - y,
+-x + y and -x - y, likewise for x and z and for y and z, and along x + y + z, x + y - z and so on to -x - y - z.
+Together with the box these bound the extent along any direction: sorting its coordinates makes it a sum of multiples of
+an axis and two diagonals, and the support function of a sum is at most the sum of the support functions.
 
-The boxes of the topmost node have ellipsoids as well, around the same triangles: nine rows of single precision, their
-centers and the roots of their shape matrices (xx, xy, xz, yy, yz, zz). These are of the corners' covariance.
+The boxes of the top node also have ellipsoids around the same triangles: nine rows of single precision, with their
+centers and the roots of their shape matrices (xx, xy, xz, yy, yz, zz), from the covariance of the corners.
 
 The tree is built from the top by the surface area heuristic.
 
@@ -32,7 +32,7 @@ from loewner._kernels.simd.vectors import broadcast, highest, load, lowest, maxi
 WIDE_BITS, LEAF_BITS = 4, 3
 WIDE = 1 << WIDE_BITS  # boxes of a node
 ROWS = 6 * WIDE  # numbers of a node
-LEAF = 1 << LEAF_BITS  # triangles of a leaf at most
+LEAF = 1 << LEAF_BITS  # largest number of triangles of a leaf
 BLOCK = 9 * LEAF  # numbers of a leaf
 DIAGONALS = 20 * WIDE  # numbers of a node's diagonals
 CORNERS = 12  # the row of x + y + z among them
@@ -41,36 +41,36 @@ OVAL = 9 * WIDE  # numbers of the ellipsoids
 # Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
 BOX = 8
 
-BINS, FEW_BINS, MANY = 16, 8, 256  # the fewer for so many triangles or less
-DEEP = 40  # splits above a range from which on ranges are halved, so that no tree is deeper than LEVELS
+BINS, FEW_BINS, MANY = 16, 8, 256  # fewer for this many triangles or less
+DEEP = 40  # after this many splits ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 
-MOST_BELOW = 80  # triangles below a node whose boxes are all leaves, or nearly
+MOST_BELOW = 80  # triangles below a node whose boxes are all, or nearly all, leaves
 
-# An ellipsoid is at least this thin, relative to its width, and this much wider than its corners; single precision can
+# Least relative thickness of an ellipsoid, and the share by which it is wider than its corners; single precision can
 # turn it by a part in ten million.
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
-# No semi-axis is longer than this many times the radius of a ball around the same corners; else that is taken.
+# If a semi-axis is longer than this many times the radius of a ball around the same corners, the ball is used.
 MOST_WIDE = 2.0
 
-# Of Jacobi's rotations, which converge quadratically; and entries not worth one. The axes need not be exact.
+# Number of Jacobi's rotations, which converge quadratically, and entries too small for one. The axes need not be exact.
 SWEEPS, SMALL = 3, 1e-13
 
-UP = 1.0 + 2.0**-22  # more than what rounding to single precision takes
+UP = 1.0 + 2.0**-22  # more than the rounding to single precision
 _LEAST = 1e-37  # the same for numbers near zero
 
 
 @inline
 def leaf_of(child):
-    """Which block a negative entry of `children` is."""
+    """Number of the block that a negative entry of `children` encodes."""
     return ~child >> LEAF_BITS
 
 
 @inline
 def size_of(child):
-    """How many triangles it has."""
+    """Number of triangles that a negative entry of `children` encodes."""
     return (~child & (LEAF - 1)) + 1
 
 
@@ -103,7 +103,7 @@ def triangle_tree(vertices, triangles):
     ellipsoids : ndarray
         OVAL, of single precision likewise.
     numbers : ndarray of int64
-        LEAF for each leaf: which triangles are in its block.
+        LEAF for each leaf: the triangles in its block.
     """
     count = triangles.shape[0]
     box, order = np.empty(BOX * count), np.arange(count)
@@ -226,7 +226,7 @@ def _diagonals(boxes, children, blocks):
 
 @inline
 def _write_diagonal(diagonals, at, row, opposite, sums):
-    """Write how far three corners of eight triangles go along a diagonal, and against it."""
+    """Write the extents of three corners of eight triangles along a diagonal, and in the opposite direction."""
     most = highest(maximum(maximum(sums[0], sums[1]), sums[2]))
     least = lowest(minimum(minimum(sums[0], sums[1]), sums[2]))
     diagonals[at + row * WIDE], diagonals[at + opposite * WIDE] = float(_high(most)), float(_high(-least))
@@ -234,7 +234,7 @@ def _write_diagonal(diagonals, at, row, opposite, sums):
 
 @njit()
 def _enough(count):
-    """How many triangles the boxes of a node are to hold, so that all levels below it are filled alike."""
+    """Number of triangles for each box of a node, so that all levels below are filled evenly."""
     levels = 0
     held = float(MOST_BELOW)
     while held < count:
@@ -248,7 +248,7 @@ def _enough(count):
 
 @njit()
 def _longer(array):
-    """The array with as much room again."""
+    """A copy of the array with twice the room."""
     more = np.zeros(2 * len(array), array.dtype)
     for n in range(len(array)):
         more[n] = array[n]
@@ -282,7 +282,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
         for corner in range(3):
             v = triangles[order[n], corner]
             x, y, z = x + vertices[v, 0], y + vertices[v, 1], z + vertices[v, 2]
-    # The center as it is kept, so that nothing is off by its rounding.
+    # The center as stored, so that its rounding has no effect.
     x, y, z = float(np.float32(x / count)), float(np.float32(y / count)), float(np.float32(z / count))
     xx = xy = xz = yy = yz = zz = radius = 0.0
     for n in range(first, last):
@@ -293,7 +293,8 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
             xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
     radius = np.sqrt(radius) + _LEAST
     U, spread = _principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
-    # Half widths along the axes found, however well: directions with none still get what rounding may hide there.
+    # Half widths along the axes, however accurate these are: a direction without width still gets the bound on
+    # rounding.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
     a, b, c = (
         np.sqrt(max(spread[0], 0.0)) + least, np.sqrt(max(spread[1], 0.0)) + least, np.sqrt(max(spread[2], 0.0)) + least
@@ -310,7 +311,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
     scale = np.sqrt(farthest) * WIDER
     a, b, c = a * scale, b * scale, c * scale
     if not max(a, max(b, c)) <= MOST_WIDE * radius:
-        # A few corners far from all others.
+        # a few corners are far from all others
         a = b = c = radius * WIDER
     ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE] = x, y, z
     row = 3
@@ -388,7 +389,7 @@ def _middle(box, n, axis):
 
 @njit()
 def _split(box, order, first, last, halve, bins):
-    """Part boxes first .. last in two, at the least cost by the surface area heuristic; where the second part begins.
+    """Split boxes first .. last at least cost by the surface area heuristic; return the start of the second part.
 
     With `halve` both parts are equally large.
     """
@@ -412,9 +413,9 @@ def _split(box, order, first, last, halve, bins):
     for axis in range(3):
         scale[axis] = used / (high[axis] - low[axis])
         if not scale[axis] < np.inf:
-            scale[axis] = 0.0  # all in one bin, where there is no width, or one that overflows the quotient
+            scale[axis] = 0.0  # all in one bin, if there is no width, or the quotient overflows
     axis, best = _best_split(box, first, last, low, scale, used, bins)
-    if axis < 0:  # all in one bin, or what overflows
+    if axis < 0:  # all in one bin, or overflow
         return _split_by_rank(box, order, first, last, longest, True)
     i, j = first, last
     while True:
@@ -429,7 +430,7 @@ def _split(box, order, first, last, halve, bins):
 
 @njit()
 def _best_split(box, first, last, low, scale, used, bins):
-    """Axis and bin at which to part boxes at least cost; -1 if there is none."""
+    """Axis and bin at which to split boxes at least cost; -1 if there is none."""
     boxes, held = bins
     nothing = broadcast(np.inf)
     for axis in range(3):
@@ -443,7 +444,7 @@ def _best_split(box, first, last, low, scale, used, bins):
             store(boxes, BOX * row, minimum(own, load(boxes, BOX * row)))
             held[row] += 1
     best_axis, best_bin, least = -1, 0, np.inf
-    above = 3 * BINS  # rows from here: what lies in bins k and above
+    above = 3 * BINS  # rows from here: contents of bins k and above
     for axis in range(3):
         around = nothing
         for k in range(used - 1, 0, -1):
@@ -469,8 +470,8 @@ def _bin(box, n, axis, low, scale, used):
 
 @njit()
 def _split_by_rank(box, order, first, last, axis, halve):
-    """Part boxes in two by their middles along an axis: in equal parts, or in two leaves at least cost."""
-    # Shell's sort: short of all else, and ranges to halve are either short or pathological.
+    """Split boxes by their middles along an axis: into equal parts, or into two leaves at least cost."""
+    # Shell's sort, which is the shortest code; ranges to halve are either short or pathological.
     gap = 1
     while gap < (last - first) // 3:
         gap = 3 * gap + 1
