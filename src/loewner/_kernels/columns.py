@@ -28,7 +28,7 @@ PLANES_FROM, PLANES_TO = 3, 4  # columns of the stored layout; no kernel needs t
 # Columns of a piece in `part_start`, if there are surfaces: rows of `parts`.
 PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 
-BLOCK = 8  # points in a block, see `simd.support`
+BLOCK = 8  # points in a block, see `pieces.support`
 CACHE_LINE = 64  # bytes
 
 # A polytope with more vertices is MAPPED. Up to this number a search through all of them is as fast.

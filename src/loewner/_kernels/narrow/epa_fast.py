@@ -121,7 +121,7 @@ def _place(P, shift, W, at):
     vectors = (P.layout[P.piece, POINTS_TO] - first) // 8
     R = rotation_of(P)
     for c in range(vectors):
-        i = 3 * (first + 8 * c)  # see `simd.support`
+        i = 3 * (first + 8 * c)  # see `pieces.support`
         px, py, pz = load(P.points, i), load(P.points, i + 8), load(P.points, i + 16)
         store(W, at + 8 * c, px * R[0] + py * R[1] + pz * R[2] + shift[0])
         store(W, at + MAX_CORNERS + 8 * c, px * R[3] + py * R[4] + pz * R[5] + shift[1])

@@ -28,8 +28,8 @@ from loewner._kernels.narrow import pair_list
 from loewner._kernels.narrow.certificate import rounded_size, single_pose_of, turns
 from loewner._kernels.narrow.gjk_fast import KEPT
 from loewner._kernels.narrow.pair_list import fill
+from loewner._kernels.pieces.support import extent
 from loewner._kernels.simd.memory import Arena, floats, integers, singles, small_integers
-from loewner._kernels.simd.support import extent
 from loewner._kernels.simd.vectors import (
     SINGLE_ALL,
     SINGLE_LANES,

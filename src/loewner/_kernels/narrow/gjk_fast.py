@@ -19,8 +19,8 @@ from loewner._kernels.linalg3 import along, cross, dot, minus, negated, plus, sc
 from loewner._kernels.narrow.gjk_robust import DISTANCE_TOLERANCE, ERROR_SHARE
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
 from loewner._kernels.pieces.shapes import placed_support, rotation_of
+from loewner._kernels.pieces.support import entry_of, farthest, place_vertices
 from loewner._kernels.simd.memory import Arena, floats
-from loewner._kernels.simd.support import entry_of, farthest, place_vertices
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 DECIDE_ROUNDS = 24

@@ -310,7 +310,7 @@ def measured(A, B, shift, W, ends, n, error, near, far, result):
 
 @inline
 def write_triangle(W, at, corners):
-    """Write a triangle as a block of eight points, see `simd.support`."""
+    """Write a triangle as a block of eight points, see `pieces.support`."""
     for axis in range(3):
         W[at + axis * LEAF], W[at + axis * LEAF + 1] = corners[0][axis], corners[1][axis]
         for lane in range(2, LEAF):

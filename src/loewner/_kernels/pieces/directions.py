@@ -2,8 +2,8 @@
 
 Directions are points on the surface of a cube. Each of its six faces is a square of cells that are halved both ways
 until few vertices can be the farthest along any direction of the cell; such a leaf keeps copies of its vertices as
-blocks (see `simd.support`). A search then descends a few levels and reads a few blocks, however many vertices the hull
-has.
+blocks (see `pieces.support`). A search then descends a few levels and reads a few blocks, however many vertices the
+hull has.
 
 A vertex v is left out of a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so w
 beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a

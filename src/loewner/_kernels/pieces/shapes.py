@@ -7,8 +7,9 @@ A packed set of pieces is a tuple of twelve arrays:
 ``layout`` (P, 4) int64
     Kind, first and last+1 column of its points; for a surface, the address of its table (`narrow.surface_boxes`).
 ``points`` (3 V,) float64
-    Vertices in blocks, see `simd.support`; each piece is filled up to whole blocks with repeats of its last vertex, so
-    a piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
+    Vertices in blocks, see `pieces.support`. Each piece is filled up to whole blocks with repeats of its last vertex,
+    so a piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions`
+    instead.
 ``piece_start`` (n+1,) int64
     Body i owns pieces piece_start[i] .. piece_start[i+1].
 ``hot`` (P, HOT) float64
@@ -53,7 +54,7 @@ from loewner._kernels.columns import (
 )
 from loewner._kernels.linalg3 import apply, apply_transposed
 from loewner._kernels.pieces.directions import candidates
-from loewner._kernels.simd.support import LINE, entry_of, farthest
+from loewner._kernels.pieces.support import LINE, entry_of, farthest
 from loewner._kernels.simd.vectors import prefetch, prefetch_far
 
 

@@ -25,11 +25,11 @@ from loewner._kernels.narrow.surface_distance import surface_distance
 from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.shapes import prefetch_points, radius
+from loewner._kernels.pieces.support import LINE
 from loewner._kernels.pipeline.bounds import MEMORY as QUEUE_MEMORY
 from loewner._kernels.pipeline.bounds import QUEUED, Operands, load_three, next_pieces, queue_of, write_bounds
 from loewner._kernels.pipeline.verdicts import rows_of
 from loewner._kernels.simd.memory import Arena, floats, floats_at, held, integers, integers_at, raw
-from loewner._kernels.simd.support import LINE
 from loewner._kernels.simd.vectors import (
     LANES,
     broadcast,
@@ -139,7 +139,7 @@ MEMORY = Arena(
     ),
 )  # fmt: skip
 _BYTES, _QUEUE_BYTES = MEMORY.size(), QUEUE_MEMORY.size()
-queued_at, (round_of, late_of, searches_of) = *MEMORY.addresses("queued"), MEMORY.accessors("round late searches")
+(queued_at,), (round_of, late_of, searches_of) = MEMORY.addresses("queued"), MEMORY.accessors("round late searches")
 
 
 class Left(NamedTuple):
