@@ -13,9 +13,9 @@ from loewner._kernels.simd.vectors import (
     broadcast,
     entry_at_highest,
     highest,
-    lane_numbers,
     load,
     maximum,
+    numbers_from,
     select,
     store,
 )
@@ -43,14 +43,15 @@ def farthest(points, start, stop, n):
     Columns start .. stop, at least one block. Ties go the same way every time. If all products are NaN or -inf the
     answer is still one of the columns.
     """
-    here = lane_numbers() + float(start)
-    best, at = broadcast(-np.inf), here
-    for column in range(start, stop, BLOCK):
+    best, at = broadcast(-np.inf), numbers_from(start)
+    column = start
+    while True:
         products = dot(_block(points, column), n)
         more = products > best
-        best, at = select(more, products, best), select(more, here, at)
-        here = here + float(BLOCK)
-    return int(entry_at_highest(best, at))
+        best, at = select(more, products, best), select(more, numbers_from(column), at)
+        column += BLOCK
+        if column >= stop:
+            return entry_at_highest(best, at)
 
 
 @inline
@@ -72,9 +73,12 @@ def extent(points, start, stop, n):
 @inline
 def place_vertices(points, start, stop, R, t, placed, to):
     """Write R p + t for a range of columns, at least one block, to `placed` from column `to` on."""
-    for column in range(start, stop, BLOCK):
+    column, at = start, 3 * to
+    while True:
         x, y, z = plus(apply(R, _block(points, column)), t)
-        at = 3 * (to + column - start)
         store(placed, at, x)
         store(placed, at + BLOCK, y)
         store(placed, at + 2 * BLOCK, z)
+        column, at = column + BLOCK, at + 3 * BLOCK
+        if column >= stop:
+            return

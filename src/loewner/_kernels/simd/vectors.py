@@ -43,6 +43,7 @@ single_mask = _Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
 eight_singles = _Lanes("Single8", ir.FloatType(), LANES)
 scalar = _Lanes("Single1", ir.FloatType(), 1)
 scalar_mask = _Lanes("Mask1", ir.IntType(1), 1)
+numbers = _Lanes("Numbers8", ir.IntType(64), LANES)
 
 _MASK_OF = {vector: mask, eight_singles: mask, single: single_mask, scalar: scalar_mask}
 _VECTORS, _MASKS = tuple(_MASK_OF), tuple(dict.fromkeys(_MASK_OF.values()))
@@ -267,16 +268,23 @@ def minimum(typingctx, x, y):
     return signature(_result((x, y)), x, y), generate
 
 
+def _halves(count):
+    """Half of a number of lanes, a quarter, and so on down to one."""
+    return [1 << bit for bit in reversed(range(count.bit_length() - 1))]
+
+
+def _split(builder, x, half):
+    """The two halves of a vector."""
+    return [builder.shuffle_vector(x, x, _indices(list(range(at, at + half)))) for at in (0, half)]
+
+
 def _reduction(name, comparison, what):
     @intrinsic
     def reduction(typingctx, x):
         def generate(context, builder, sig, args):
             found = args[0]
-            step = x.llvm.count // 2
-            while step > 0:
-                turned = _indices([lane ^ step for lane in range(x.llvm.count)])
-                other = builder.shuffle_vector(found, ir.Constant(x.llvm, ir.Undefined), turned)
-                found, step = _choice(builder, comparison, found, other), step // 2
+            for half in _halves(x.llvm.count):
+                found = _choice(builder, comparison, *_split(builder, found, half))
             return builder.extract_element(found, ir.Constant(ir.IntType(32), 0))
 
         return signature(types.float64 if x == vector else types.float32, x), generate
@@ -290,18 +298,17 @@ lowest, highest = _reduction("lowest", "<", "least"), _reduction("highest", ">",
 
 @intrinsic
 def entry_at_highest(typingctx, x, y):
-    """Entry of y in the lane where x, a vector without NaN, is largest. Ties go the same way every time."""
+    """Entry of y, which are `numbers`, in the lane where x, without NaN, is largest. Ties go the same way."""
 
     def generate(context, builder, sig, args):
         x, y = args
-        for half in (4, 2, 1):
-            first, other = (_indices(list(range(at, at + half))) for at in (0, half))
-            (x, more), (y, at_more) = ([builder.shuffle_vector(v, v, part) for part in (first, other)] for v in (x, y))
+        for half in _halves(LANES):
+            (x, more), (y, at_more) = _split(builder, x, half), _split(builder, y, half)
             larger = builder.fcmp_ordered(">", more, x)
             x, y = builder.select(larger, more, x), builder.select(larger, at_more, y)
         return builder.extract_element(y, ir.Constant(ir.IntType(32), 0))
 
-    return signature(types.float64, vector, vector), generate
+    return signature(types.int64, vector, numbers), generate
 
 
 @intrinsic
@@ -315,13 +322,13 @@ def halves_swapped(typingctx, x):
 
 
 @intrinsic
-def lane_numbers(typingctx):
-    """The numbers of the lanes of a vector, 0 to 7."""
+def numbers_from(typingctx, first):
+    """A whole number and the seven after it, as `numbers`."""
 
     def generate(context, builder, sig, args):
-        return ir.Constant(vector.llvm, [float(lane) for lane in range(LANES)])
+        return builder.add(_repeat(builder, args[0], LANES), ir.Constant(numbers.llvm, list(range(LANES))))
 
-    return signature(vector), generate
+    return signature(numbers, types.int64), generate
 
 
 @intrinsic
@@ -329,10 +336,10 @@ def select(typingctx, condition, x, y):
     """x where the condition holds, otherwise y."""
 
     def generate(context, builder, sig, args):
-        a, b = _both(builder, signature(sig.return_type, *sig.args[1:]), args[1:])
+        a, b = args[1:] if x == numbers else _both(builder, signature(sig.return_type, *sig.args[1:]), args[1:])
         return builder.select(args[0], a, b)
 
-    return signature(_result((x, y)), condition, x, y), generate
+    return signature(x if x == y == numbers else _result((x, y)), condition, x, y), generate
 
 
 @intrinsic
