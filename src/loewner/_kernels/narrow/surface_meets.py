@@ -59,14 +59,18 @@ def surface_pair(A, B, near, far, memory, listed_at, room):
     open_pairs : int
     """
     asked = Asked(near, far, memory, listed_at, room)
-    if not is_surface(A):
-        A, B = B, A
+    return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
+
+
+@njit()
+def _settled(A, B, asked):
+    """As `surface_pair`, for a surface A."""
     shift = shift_between(A, B)
     size = lengths(A, B, shift)
     open_pairs = _two_surfaces(A, B, shift, size, asked) if is_surface(B) else _with_piece(A, B, shift, size, asked)
     if open_pairs == MEETING:
         return COLLIDING, 0
-    within = within_either(A, B, shift, size, memory)
+    within = within_either(A, B, shift, size, asked.memory)
     if within == WITHIN:
         return COLLIDING, open_pairs
     return FREE if within == OUTSIDE and open_pairs == 0 else AMBIGUOUS, open_pairs
