@@ -610,7 +610,9 @@ class Body(_Bodies):
         FileError
             If the file is missing or is not a complete octree.
         GeometryError
-            If no cell of the octree is occupied. Examples
+            If no cell of the octree is occupied.
+
+        Examples
         --------
         >>> Body.from_octree("none.bt")
         Traceback (most recent call last):
@@ -1115,7 +1117,7 @@ class Bodies(_Bodies):
 
     @property
     def piece_start(self) -> Ints:
-        """Body i owns the pieces piece_start[i] .. piece_start[i+1]; shape (n + 1,)."""
+        """Starts of the bodies' ranges of pieces, shape (n + 1,); body i has piece_start[i] : piece_start[i+1]."""
         return self._packed.piece_start
 
     @classmethod

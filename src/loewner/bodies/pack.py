@@ -91,7 +91,7 @@ class Packed(Prepared):
         return cls(**arrays, maps=maps, trees=trees, kernel=kernel, addresses=table, handle=table.ctypes.data)
 
     def __reduce__(self) -> Any:
-        """Rebuild copies and pickles: a handle is an address, which is only valid for this object."""
+        """Let copies and pickles be built anew: the handle is an address that is valid only for this object."""
         return type(self).of, (PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
     @property
