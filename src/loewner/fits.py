@@ -286,7 +286,7 @@ def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, report
 
 
 def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
-    """Largest ellipsoid about `center`: the polar of the smallest one about the origin around the polar points."""
+    """Find the largest ellipsoid about `center`, the polar of the smallest origin-centered one around polar points."""
     slack = b - A @ center
     if not (slack > 0).all():
         i = int(slack.argmin())

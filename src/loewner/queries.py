@@ -370,7 +370,8 @@ def classify(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep: FREE means farther apart than the margin, COLLIDING means not.
+        Distance in metres that the bodies have to keep: FREE then means that they are farther apart than `margin`, and
+        COLLIDING that they are not.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, where a single body or
         pose serves all rows. Nothing is copied. To compare each of n bodies with each of m, pass ``np.indices((n,

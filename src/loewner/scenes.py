@@ -717,7 +717,7 @@ class Scene:
             self._changed()
 
     def widen(self, least: float) -> None:
-        """Raise the margins of all pairs with a body of this scene to `least`; margins between links do not change.
+        """Raise margins of pairs with a body of this scene to at least `least`; margins between links do not change.
 
         Parameters
         ----------

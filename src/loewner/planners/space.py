@@ -148,7 +148,7 @@ class Space:
         return self.checker.robot.configuration_names[column]
 
     def check_still(self, Q: Floats, what: str, kept: str, joints: str) -> None:
-        """Refuse configurations that differ from `still` where nothing moves; the texts are for the message."""
+        """Refuse configurations that differ from `still` in joints that do not move; the strings are for messages."""
         differs = self.still != Q
         differs[:, self.columns] = False
         if differs.any():

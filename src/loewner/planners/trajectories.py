@@ -573,7 +573,7 @@ class Straights(NamedTuple):
         return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
 
     def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points where blends begin, the corners, and points where blends end; `halves` as for `_passed`."""
+        """Return the points where blends begin, the corners, and the points where blends end; see `_passed`."""
         k = np.arange(len(halves))
         return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
 

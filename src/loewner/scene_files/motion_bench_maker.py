@@ -150,7 +150,7 @@ def _json_text(file: Path) -> str:
 
 
 def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Make a mapping from pairs; JSON allows duplicate keys, whose first values would be lost, so they are refused."""
+    """Make a mapping from pairs; refuse duplicate keys, which JSON allows, since only the last value would remain."""
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]

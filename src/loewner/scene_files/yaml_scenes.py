@@ -215,7 +215,7 @@ def _yaml() -> Any:
 
 
 def _composed(file: Path) -> Any:
-    """Root node of a YAML file; nodes record their lines, and nothing in the file is executed or constructed."""
+    """Read the root node of a YAML file; nodes record their lines, and nothing in the file is executed."""
     data = read_regular(file, "a scene in YAML", MOST_BYTES)
     root = _parsed(data, file, _yaml().compose)
     if root is None:
