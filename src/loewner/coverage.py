@@ -81,7 +81,7 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
     size : float
         Diagonal of the mesh's bounding box.
     grow : bool
-        Add to each piece the adjacent parts of the surface that lie in no piece.
+        Add each part of the surface that lies in no piece to the piece closest to it.
 
     Returns
     -------

@@ -131,7 +131,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
 
 @guarded
 def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: float = 0.01) -> NearPoints:
-    """Near points of ellipsoids.
+    """Find near points of ellipsoids.
 
     Parameters
     ----------

@@ -185,7 +185,7 @@ class Ellipsoids:
     @property
     @guarded
     def shape_matrix(self) -> Floats:
-        """Q = F Fᵀ, shape (..., n, n), in square metres; infinite or 0 where a float cannot hold the square."""
+        """Q = F Fᵀ, shape (..., n, n), in square metres; entries may overflow to infinity or underflow to 0."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.factor @ np.swapaxes(self.factor, -1, -2)
 

@@ -293,7 +293,7 @@ class Joined:
 
 
 def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Generator) -> list[Cell]:
-    """Join cells whose common hull sticks out by no more than the tolerance, until none are left."""
+    """Join pairs of cells whose common hull sticks out by no more than the tolerance, until no such pair remains."""
     cells, alive, new = list(cells), list[int](), list(range(len(cells)))
     possible = dict[tuple[int, int], Joined]()
     while True:

@@ -86,7 +86,7 @@ class Polytope:
 
     @classmethod
     def from_points(cls, points: ArrayLike) -> Polytope:
-        """Convex hull of points.
+        """Make the convex hull of points.
 
         Duplicate points, interior points, and points within rounding of a face (about 1e-14 of the width) are dropped.
 

@@ -99,8 +99,7 @@ def strip(corners: Ints) -> Triangles:
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """One mesh of several; meshes with the same array of vertices share it. A mesh that would be too large is
-    refused."""
+    """Join meshes into one, in which meshes with the same array of vertices share it; refuse one that is too large."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
     starts: dict[int, int] = {}  # of the arrays in `vertices`
