@@ -279,7 +279,7 @@ def _box(points: Floats, around: Floats | float) -> Floats:
 
 
 def parts(body: Body) -> list[Part]:
-    """Shapes that draw a body's pieces: all triangles as one, the points of each cloud, and large sets of balls."""
+    """Make the shapes for a body's pieces: one for all triangles, one per point cloud, one per large set of balls."""
     packed = packed_of(body)
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
