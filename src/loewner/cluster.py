@@ -480,7 +480,7 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
     Returns
     -------
     dask.array.Array of bool, shape (...)
-        A lazy array with the chunks of `Q`, each of which is one task.
+        A lazy array with the chunks of `Q`; each chunk is one task.
 
     Raises
     ------

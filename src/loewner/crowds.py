@@ -245,7 +245,7 @@ def _settled(
 ) -> Ints:
     """Find pairs i, j not proven free, encoded as i n + j, with the earlier body in the leaf groups first to last.
 
-    The number of these pairs is added to `counts`, which all threads share.
+    The number of pairs found is added to `counts`, which all threads share.
     """
     n = len(tree[2])
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)

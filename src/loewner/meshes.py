@@ -534,7 +534,7 @@ def _coacd_by_parts(
 
 
 def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
-    """Join pairs of pieces, those with the smallest common box first, until the number of pieces is within a limit.
+    """Join pairs of pieces, beginning with the smallest common box, until the number of pieces is within a limit.
 
     CoACD keeps unconnected parts separate regardless of the limit.
     """

@@ -645,8 +645,11 @@ class Scene:
 
     @property
     def margins(self) -> dict[MarginKey, float]:
-        """All other margins: of a body or link under ``(name,)``, of a pair under sorted ``(a, b)``, of a body or link
-        against any link under ``(name, None)``, and between links under ``(None, None)``."""
+        """All margins except the scene's own, keyed by names.
+
+        The margin of a body or link has the key ``(name,)``, or ``(name, None)`` if it applies only against links. The
+        margin of a pair has the sorted names ``(a, b)`` as its key, and the margin between links ``(None, None)``.
+        """
         with _CHANGING:
             return dict(self._margins)
 

@@ -72,7 +72,7 @@ class Piece:
 
 
 class _Unmade:
-    """Stand in for the arrays of a body whose constructor was skipped, until the arrays are set."""
+    """Placeholder for the arrays of a body whose constructor was skipped, until the arrays are set."""
 
     def __get__(self, body: Any, kind: type) -> Any:
         if body is None:

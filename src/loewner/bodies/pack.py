@@ -61,7 +61,7 @@ class Packed(Prepared):
     kernel : records.Pieces
         The arrays that kernels receive.
     addresses : ndarray of int64
-        The addresses of these arrays, and their lengths.
+        The addresses and lengths of the kernels' arrays.
     handle : int
         Address of `addresses`, see `loewner._kernels.pieces.pack`; valid as long as this object lives.
     """

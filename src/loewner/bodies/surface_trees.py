@@ -130,7 +130,7 @@ Trees = dict[int, SurfaceTree]
 
 
 def surface_trees(layout: Ints, points: Floats, triangles: Ints, triangle_start: Ints) -> Trees:
-    """Build the trees of those pieces that are surfaces, keyed by piece index."""
+    """Build a tree for every piece that is a surface, keyed by piece index."""
     made = {}
     for i in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
         vertices = points[layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]

@@ -1,7 +1,7 @@
 """Read other libraries' arrays on a GPU by address, and return results in the same way.
 
 CuPy, PyTorch, JAX and Numba share arrays by ``__cuda_array_interface__`` (version 2 and 3) and by DLPack. An array is
-any object that supports one of these two protocols; nothing is imported and nothing is copied.
+any object that supports one of the two protocols; nothing is imported and nothing is copied.
 """
 
 from __future__ import annotations

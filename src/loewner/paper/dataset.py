@@ -75,7 +75,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     InputError
         If `pairs` or `seed` is out of range, or the pairs do not fit into memory.
     UnknownNameError
-        If the data set is not one of these two.
+        If the data set is neither "radius" nor "volume".
 
     Examples
     --------

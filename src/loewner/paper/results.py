@@ -69,7 +69,7 @@ class Experiment:
     estimate : Result
         The rule F_in F_out <= 1, for which pairs are ambiguous if the two exact overlap checks do not settle them.
     fittings : tuple of Fitting
-        Reliability of each kind of fit, on at most the first 2000 of these polyhedra.
+        Reliability of each kind of fit, measured on at most the first 2000 polyhedra.
 
     Examples
     --------

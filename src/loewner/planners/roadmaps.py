@@ -171,7 +171,7 @@ class _Neighbours:
         return self._nearest(values, many)
 
     def pairs(self, neighbours: int) -> Ints:
-        """List the pairs of nodes of which one is among the other's nearest, each once, in order, shape (m, 2)."""
+        """List, in order, each pair of nodes once if one node is among the nearest of the other, shape (m, 2)."""
         each = min(neighbours, self.count - 1)
         if each == 0:
             return np.empty((0, 2), dtype=np.int64)
@@ -380,7 +380,7 @@ class Roadmap:
         -------
         Roadmap
             The roadmap, which belongs to this checker. A verdict depends on the robot's joints and bodies, the checked
-            pairs, margins, attachments, and the poses of the scene's bodies. If all of these are the same as when the
+            pairs, margins, attachments, and the poses of the scene's bodies. If all this is the same as when the
             roadmap was saved, the motions marked as free in the file count as free in the search for a path; otherwise
             the first query proves all motions again. The path itself is proven in either case.
 
@@ -551,8 +551,8 @@ def roadmap(
         Bodies attached in its scene move with the robot. If bodies come and go, make the roadmap while the scene has
         few bodies, since configurations that collide now are permanently excluded.
     samples : int or array_like, shape (n, dof)
-        The number of configurations to draw, uniformly within the limits; or the configurations themselves. Those that
-        are free become the nodes.
+        The number of configurations to draw, uniformly within the limits; or the configurations themselves. All free
+        configurations become nodes.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep their values. Default: all.
     fixed : array_like, shape (dof,), optional

@@ -154,7 +154,7 @@ class Problem:
         return ordered
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
-        """Place the static bodies at new poses, shape (bodies, 4, 4), those of a version of the scene."""
+        """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
         start = self.packed.piece_start[len(self.link) :]
         flat = np.ascontiguousarray(poses.reshape(-1, 16))
         # New arrays, since another thread may be reading the old ones; most of their entries still hold.
@@ -398,7 +398,7 @@ def _farthest(packed: Packed, first: int, last: int, T: Floats, center: Floats) 
 
 
 def _corners(packed: Packed, first: int, last: int, T: Floats) -> tuple[Floats, Ints, NDArray[np.bool_]]:
-    """Place the corners of those pieces that are polytopes; return also the first row of each, and which they are."""
+    """Place the corners of all polytopes among the pieces; also return their first rows, and which pieces they are."""
     layout = packed.layout[first:last]
     polytopes = layout[:, columns.KIND] == columns.POLYTOPE
     begin, end = layout[polytopes, columns.POINTS_FROM], layout[polytopes, columns.POINTS_TO]

@@ -197,7 +197,7 @@ class Robot:
             If a file is missing or cannot be read, or one of `package_dirs` is not a folder. For a mesh, the message
             names its link and the places searched.
         InputError
-            If neither or both of `path` and `text` are given; if `path` is not a path, but for instance XML; if the
+            If neither or both of `path` and `text` are given; if `path` is not a path (but XML, for instance); if the
             SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined. GeometryError if a shape
             is flat or has no size.
         UnknownNameError
@@ -845,6 +845,6 @@ def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> F
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Return whichever of the quaternions q and -q is nearer to p, and the cosine of its angle to p."""
+    """Return the nearer to p of the quaternions q and -q, and the cosine of its angle to p."""
     cosine = (p * q).sum(axis=-1, keepdims=True)
     return np.where(cosine < 0, -q, q), np.abs(cosine)

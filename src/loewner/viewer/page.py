@@ -148,7 +148,7 @@ class Viewer:
         raise NotImplementedError
 
     def _changed(self) -> bool:
-        """Return whether Python code has changed what the page shows without notifying the page."""
+        """Return whether Python code has changed the contents of the page without notifying it."""
         return False
 
     def _look_every(self) -> float:
