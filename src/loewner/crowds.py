@@ -1,4 +1,4 @@
-"""Find the pairs that meet among many bodies, and their depths: a broad phase over boxes, then exact verdicts."""
+"""Find which pairs of many bodies meet, and their depths: a broad phase over boxes, then a verdict for each pair."""
 
 from __future__ import annotations
 

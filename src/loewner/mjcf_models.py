@@ -200,7 +200,7 @@ class _Names:
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
-        """Name of a part: the body's for its first part, otherwise, and in the world, the name of its first geom."""
+        """Return a part's name: the body's for its first part; for further parts and in the world, its first geom's."""
         if body and not number:
             return self.bodies[body]
         name = self.geoms[geoms[0]] if not body else f"{self.bodies[body]}/{self.geoms[geoms[0]]}"

@@ -662,7 +662,7 @@ class Body(_Bodies):
 
     @classmethod
     def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 1000.0) -> Body:
-        """Make a floor, wall or ceiling: the part below a plane of the space in a cube with edges of length `extent`.
+        """Make a floor, wall or ceiling: a cube below a plane, with edges of length `extent`.
 
         Parameters
         ----------
@@ -672,9 +672,9 @@ class Body(_Bodies):
         offset : float
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
-            Edge of the cube, in metres, at most 1e9. One of its sides lies in the plane, centered at the point nearest
-            to the origin. Everything outside the cube is free, so choose a cube larger than the range of the moving
-            bodies. Contact is accurate to about 1e-12 times this length.
+            Edge length of the cube, in metres, at most 1e9. One side of the cube lies in the plane, centered at the
+            plane's point nearest to the origin. Everything outside the cube is free, so choose a cube larger than the
+            range of the moving bodies. Contact is accurate to about 1e-12 times this length.
 
         Raises
         ------

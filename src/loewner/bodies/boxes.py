@@ -20,7 +20,7 @@ THICKNESS = 0.01
 
 
 def least_box_axes(triangles: Floats) -> Floats:
-    """Find the axes, as columns, of a box around triangles: of the orientations tried, the one with the least area.
+    """Find the axes, as columns, of a box around triangles that has the least area among the orientations tried.
 
     Parameters
     ----------

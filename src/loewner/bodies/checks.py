@@ -225,7 +225,7 @@ def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
 
 
 def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floats:
-    """Map points to the coordinates of their piece's ellipsoid, shape (3, V), the order in which NumPy is fastest."""
+    """Map points to the coordinates of their piece's ellipsoid; NumPy is fastest with the shape (3, V) used here."""
     away = np.ascontiguousarray((points - center[owner]).T)
     rows = np.ascontiguousarray(inverse.transpose(1, 2, 0))
     return np.stack([_dot(rows[k].take(owner, axis=1), away) for k in range(3)])

@@ -247,7 +247,7 @@ def _triangles(p: PieceArrays, i: int) -> Ints:
 
 
 def _box_corners(points: Floats, triangles: Ints) -> Floats:
-    """Find the corners of a box with little surface area around all points, the corners of the triangles among them."""
+    """Find the corners of a box with little surface area around all points; the triangles determine its axes."""
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = turn.T @ points.T

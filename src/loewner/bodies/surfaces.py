@@ -146,7 +146,7 @@ def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 
 
 def _open_edges(count: int, triangles: Ints) -> Ints:
-    """Find the edges, as rows of two of `count` vertices, traversed more often in one direction than in the other.
+    """Find the edges, as rows of two vertices, that triangles traverse more often in one direction than in the other.
 
     Without such an edge the winding number is an integer at every point off the surface. Adjacent triangles must share
     vertices.

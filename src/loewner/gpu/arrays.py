@@ -43,7 +43,7 @@ class View(NamedTuple):
 
 
 def is_on_gpu(x: Any) -> bool:
-    """Whether an object is an array on a GPU."""
+    """Return whether an object is an array on a GPU."""
     if isinstance(x, np.ndarray):
         return False
     if hasattr(x, "__cuda_array_interface__"):

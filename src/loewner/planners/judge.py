@@ -57,7 +57,7 @@ class Judge:
         return cls(checker, prepared_of(checker), resolution, 1)
 
     def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
-        """Explain, for messages, how surfaces may prevent proofs of motions; "" if sampling, or without surfaces.
+        """Explain, for messages, how surfaces may prevent proofs of motions; "" if there are no surfaces or no proofs.
 
         Parameters
         ----------

@@ -171,7 +171,7 @@ class _Neighbours:
         return self._nearest(values, many)
 
     def pairs(self, neighbours: int) -> Ints:
-        """List, in order, each pair of nodes once if one node is among the nearest of the other, shape (m, 2)."""
+        """List, in order and once, each pair of nodes in which one is among the other's nearest, shape (m, 2)."""
         each = min(neighbours, self.count - 1)
         if each == 0:
             return np.empty((0, 2), dtype=np.int64)

@@ -625,7 +625,7 @@ class CollisionChecker:
         return found
 
     def _learn(self, ready: Problem, count: int) -> None:
-        """From time to time, reorder the pairs by how often they collided, most often first."""
+        """Reorder the pairs from time to time, so that pairs that collided most often come first."""
         self._seen += count
         if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen

@@ -114,7 +114,7 @@ class Found(NamedTuple):
 
 
 def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
-    """Have the kernel settle motions along courses.
+    """Let the kernel settle motions along courses.
 
     Parameters
     ----------
