@@ -43,8 +43,8 @@ def pairs_by_sampling(
     -------
     dict
         Maps sorted pairs of links to a reason: "adjacent" if a joint connects them; "default" if they collide at
-        `known_free`; "always" if they collide at the fraction `always` of the samples; "never" if they collide at no
-        sample. Rigidly joined links are never checked and are not listed.
+        `known_free`; "always" if they collide at no less than the fraction `always` of the samples; "never" if they
+        collide at no sample. Rigidly joined links are never checked and are not listed.
 
     Raises
     ------

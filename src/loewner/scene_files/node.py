@@ -79,7 +79,7 @@ class Node(ABC):
             raise self.error(str(error)) from None
 
     def mapping(self, known: tuple[str, ...] | None, required: tuple[str, ...] = ()) -> dict[str, Self]:
-        """Return places by key; missing, duplicate and unknown keys are errors, except that None allows all keys."""
+        """Return places by key; missing and duplicate keys are errors, and unknown ones unless `known` is None."""
         found: dict[str, Self] = {}
         for raw_key, raw in self.expect("mapping", "a mapping"):
             at_key = type(self)(self.file, self.key, raw_key)
