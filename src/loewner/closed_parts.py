@@ -1,4 +1,4 @@
-"""Split a mesh into closed parts: separated at shared edges, oriented outward, each with its cavities."""
+"""Split a mesh into closed parts that are separated at shared edges and oriented outward, each with its cavities."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class ClosedPart:
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Counter-clockwise seen from outside the solid, which for a cavity is from within the cavity.
+        Counter-clockwise when seen from outside the solid; for the surface of a cavity, that is from within the cavity.
     volume : float
-        Volume minus the cavities, in cubic metres.
+        Enclosed volume without the cavities, in cubic metres.
     """
 
     triangles: Ints
@@ -33,7 +33,7 @@ class ClosedPart:
 
 
 def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
-    """Split a mesh into closed parts; None if its surface has a border, or changes its orientation.
+    """Split a mesh into closed parts; None if its surface has a border, or is inconsistently oriented.
 
     Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part in which
     it lies; if it lies in no part, it was inside out and is reversed.
@@ -74,14 +74,14 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
 
 
 def volume(vertices: Floats, triangles: Ints) -> float:
-    """Signed volume of a closed mesh, by the divergence theorem about its centre (less cancellation there)."""
+    """Compute a closed mesh's signed volume, by the divergence theorem about its centre to reduce cancellation."""
     corners = vertices[triangles]
     a, b, c = (corners - corners.mean(axis=(0, 1))).transpose(1, 0, 2)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def _neighbours(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
-    """Pairs of triangles that bound the same solid at an edge; None if an edge has only one triangle."""
+    """Pair the triangles that bound the same solid at an edge; None if an edge has only one triangle."""
     count, span = len(triangles), int(triangles.max()) + 1
     start, end = triangles.T.reshape(-1), np.roll(triangles, -1, axis=1).T.reshape(-1)
     forth = start < end
@@ -102,7 +102,7 @@ def _neighbours(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
 
 
 def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np.ndarray) -> tuple[Ints, Ints]:
-    """Pair the triangles about an edge so that the solid lies between the two of each pair."""
+    """Pair the triangles around an edge so that the solid lies between the two of each pair."""
     start, end = triangles[of[0], corner[0]], triangles[of[0], (corner[0] + 1) % 3]
     low, high = sorted((int(start), int(end)))
     axis = vertices[high] - vertices[low]
@@ -125,7 +125,7 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
 
 
 def _lies_in(vertices: Floats, inner: Ints, outer: Ints) -> bool:
-    """Whether a closed surface lies in another one, by some of its corners."""
+    """Decide, from some of its corners, whether a closed surface lies inside a second one."""
     corners, around = np.unique(inner), vertices[outer]
     points = vertices[corners[:: max(1, len(corners) // WITNESSES)]]
     lower, upper = around.min(axis=(0, 1)), around.max(axis=(0, 1))

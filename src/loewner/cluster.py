@@ -1,8 +1,8 @@
-"""Fit mesh corpora and run checkers on large arrays, on several processes or machines, with Dask.
+"""Fit corpora of meshes and run checkers on large arrays, in several processes or on several machines, with Dask.
 
 Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
 
-A task uses one thread. Dask starts as many tasks at a time as a worker has threads, so calls that use all processors,
+Each task uses one thread. Dask runs as many tasks at a time as a worker has threads, so calls that used all processors,
 as they do elsewhere, would compete with one another.
 """
 
@@ -59,18 +59,19 @@ HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker A
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The outcome for each mesh of a corpus, in the order in which they were given.
+    """The outcome for each mesh of a corpus; each dict is in the order in which the meshes were given.
 
     Attributes
     ----------
     done : dict of Path to Path
-        Meshes whose bodies this call made, with the files of the bodies.
+        Maps each mesh whose body this call made to the file of the body.
     skipped : dict of Path to Path
-        Likewise for files that already existed for the same mesh and options.
+        Maps each mesh whose body already existed, for the same mesh and options, to the file of the body.
     failed : dict of Path to str
-        The reason of failure for each remaining mesh.
+        Maps each remaining mesh to the reason why it failed.
     warned : dict of Path to tuple of str
-        Warnings of `Body.from_mesh` for meshes that were fitted or skipped: holes, for instance, or an unusual size.
+        Warnings of `Body.from_mesh` for meshes that were fitted or skipped, for instance about holes or an unusual
+        size.
 
     Examples
     --------
@@ -110,16 +111,16 @@ def fit(
     Parameters
     ----------
     paths : iterable of path
-        Mesh files. The workers read them and write the bodies under the same paths, so several machines need shared
-        folders. A path that is given twice counts once.
+        Mesh files. The workers read the meshes and write the bodies under the same paths as the caller, so several
+        machines need shared folders. A path that is given twice counts once.
     client : distributed.Client or str
         Client of the cluster, or the address of its scheduler.
     out : path
         Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``. Beside it,
         ``part.fit.json`` records its mesh and options.
     root : path, optional
-        A folder that contains all meshes; bodies then go to the same subfolders of `out` as their meshes have in
-        `root`. Default: all bodies go to `out` itself.
+        A folder that contains all meshes; bodies are then written to the same subfolders of `out` as their meshes have
+        in `root`. Default: all bodies are written to `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
         As for `Body.from_mesh`; `tolerance` is in metres.
     progress : callable, optional
@@ -128,19 +129,19 @@ def fit(
     Returns
     -------
     Fitted
-        Files that could not be fitted are listed and raise no error.
+        The outcomes; files that could not be fitted are listed and raise no error.
 
     Raises
     ------
     InputError
-        If an option has a wrong type or value; if two meshes would have the same body file, or one is not in `root`; or
-        if `client` is not a Dask client, is closed, or is an address where no scheduler answers.
+        If an option has the wrong type or value; if two meshes would have the same body file, or a mesh is not in
+        `root`; or if `client` is not a Dask client, is closed, or is an address at which no scheduler answers.
     FileError
         If the folder cannot be created.
     MissingExtraError
         If Dask is not installed.
     LoewnerError
-        If the scheduler goes away, or the work is cancelled again and again. A later call skips finished files.
+        If the scheduler goes away, or the work is cancelled repeatedly. A later call skips finished files.
 
     See Also
     --------
@@ -148,17 +149,18 @@ def fit(
 
     Notes
     -----
-    Each body equals the body of the serial call. It is written under a temporary name and then renamed.
+    Each body equals the body that `Body.from_mesh` makes. It is written under a temporary name and then renamed.
 
-    A mesh is skipped if its body and record exist, the body is unchanged since it was written, and the record has the
-    checksum of the mesh file, the same options and the same version of loewner. So if a call was interrupted, or its
-    workers died, repeating it continues where it stopped. A glTF file that names other files is always fitted again.
+    A mesh is skipped if its body and record exist, the body has not changed since it was written, and the record has
+    the checksum of the mesh file, the same options and the same version of loewner. If a call was interrupted, or its
+    workers died, repeating the call therefore continues where it stopped. A glTF file that refers to further files is
+    always fitted again.
 
-    If a worker dies, Dask gives its files to other workers, including files whose outcome was lost with it. Tasks that
-    are cancelled while the scheduler runs, because its connection breaks or it is restarted for instance, are requested
-    again, four times in all. A file at which four workers died counts as failed: it may take more memory than they
-    have. While there is no worker at all, the call waits for one. After an interrupt no worker starts another file;
-    files in progress are finished.
+    If a worker dies, Dask gives its files to the remaining workers, including files whose outcome was lost with it.
+    Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it is restarted; they
+    are then requested again, four times in all. A file counts as failed if four workers died while fitting it, since it
+    may need more memory than they have. While there is no worker at all, the call waits for one. After an interrupt,
+    files in progress are finished and no further file is started.
 
     Examples
     --------
@@ -189,13 +191,13 @@ def fit(
 def _checked_options(
     decompose: Any, tol: Any, scale: Any, cover: Any, tolerance: Any, threshold: Any, max_pieces: Any, seed: Any
 ) -> dict[str, Any]:
-    """Options of `Body.from_mesh` as plain numbers, which a record can hold.
+    """Check options of `Body.from_mesh`, and convert them to plain numbers for a record.
 
     Raises
     ------
     InputError
-        If `Body.from_mesh` would refuse them. They are tried once on a tiny body, so that a bad option is reported once
-        and not for each file.
+        If `Body.from_mesh` would refuse an option. The options are tried once on a tiny body, so that a bad option is
+        reported once and not for each file.
     """
     options = {
         "decompose": decompose, "tol": tol, "scale": scale, "cover": cover, "tolerance": tolerance,
@@ -216,12 +218,12 @@ def _checked_options(
 
 
 def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
-    """The file of the body of each mesh.
+    """Find the file for the body of each mesh.
 
     Raises
     ------
     InputError
-        If two meshes would go to the same file, or one is not below the root.
+        If two bodies would have the same file, or a mesh is not below the root.
     """
     meshes = [_validate.path(path, "paths") for path in _validate.listed(paths, "paths", wanted="paths of files")]
     base = None if root is None else _absolute(_validate.path(root, "root", wanted="a folder"))
@@ -238,7 +240,7 @@ def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
 
 
 def _below(mesh: Path, root: Path | None) -> Path:
-    """Path of a mesh relative to the root."""
+    """Return the path of a mesh relative to the root."""
     if not mesh.name:
         raise InputError(f"paths: expected paths of files, found {shown(mesh)!r}")
     if root is None:
@@ -250,7 +252,7 @@ def _below(mesh: Path, root: Path | None) -> Path:
 
 
 def _absolute(path: Path) -> Path:
-    """Absolute path, valid for a process in another folder."""
+    """Make a path absolute, so that it is valid for a process with a different working directory."""
     return Path(os.path.abspath(path))
 
 
@@ -265,7 +267,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> Outcome:
-    """Make the body of a mesh unless it exists: the task of a worker, which returns a file's errors as its result."""
+    """Make the body of a mesh unless it exists, as the task of a worker; errors about the file are returned."""
     with at_most(1):
         return outcome_of(Path(mesh), lambda: _body_of(Path(mesh), Path(target), options, run))
 
@@ -295,7 +297,7 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
 
 
 def _record(target: Path) -> dict[str, Any] | None:
-    """The record beside a body; None if it does not exist or belongs to another body."""
+    """Read the record next to a body; None if it does not exist or belongs to a different body."""
     try:
         record = json.loads(read_regular(_record_path(target), "a record", LARGEST_RECORD))
         if isinstance(record, dict) and record.get("body_sha256") == _checksum_of_body(target):
@@ -323,12 +325,12 @@ def _checksum(data: bytes) -> str:
 def _outcomes(
     client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
 ) -> dict[Path, Outcome]:
-    """Have the workers make all bodies, and wait for them; cancelled work is requested again.
+    """Let the workers make all bodies, and wait for them; cancelled work is requested again.
 
     Raises
     ------
     LoewnerError
-        If the scheduler has gone, or the work was cancelled as often as it was requested.
+        If the scheduler has gone, or the work was cancelled every time it was requested.
     """
     found: dict[Path, Outcome] = {}
     run = os.urandom(8).hex()
@@ -358,7 +360,7 @@ def _request(
     run: str,
     report: Callable[[Path, Outcome], None],
 ) -> None:
-    """Report the outcomes of meshes, except for cancelled ones; if the wait ends early, so does the work."""
+    """Request meshes and report their outcomes, except cancelled ones; if the wait ends early, so does the work."""
     futures = client.map(
         _fit_one,
         [str(_absolute(mesh)) for mesh in targets],
@@ -385,7 +387,7 @@ def _request(
 
 
 def _outcome(future: Any, mesh: Path) -> Outcome | None:
-    """Result of a worker, or its error; None if it was cancelled or the scheduler cannot be reached."""
+    """Return a worker's result or error; None if the work was cancelled or the scheduler cannot be reached."""
     try:
         outcome: Outcome = future.result()  # the outcome of a worker that has died is computed again, and waited for
     except _distributed().KilledWorker:
@@ -402,20 +404,20 @@ def _outcome(future: Any, mesh: Path) -> Outcome | None:
 
 
 def _reconnected(client: Any) -> bool:
-    """Whether the scheduler is available, after a client that lost it has reconnected or given up."""
+    """Return whether the scheduler is available, once a client that lost it has reconnected or given up."""
     while client.status == "connecting":
         time.sleep(0.05)
     return bool(client.status == "running")
 
 
 def _as_called(text: str, mesh: Path) -> str:
-    """A worker's message about a file, with the caller's name for the file."""
+    """Put the caller's name for a file into a worker's message about it."""
     there = f"{shown(_absolute(mesh))}: "
     return f"{shown(mesh)}: {text.removeprefix(there)}" if text.startswith(there) else text
 
 
 def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, Outcome]) -> Fitted:
-    """All outcomes, in the order of the meshes."""
+    """Collect all outcomes, in the order of the meshes."""
 
     def those(status: str) -> dict[Path, Path]:
         return {mesh: target for mesh, target in targets.items() if outcomes[mesh].status == status}
@@ -430,12 +432,12 @@ def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, Outcome]) -> Fit
 
 @contextmanager
 def _connected(client: Any) -> Iterator[Any]:
-    """A usable client; a client made for an address is closed at the end.
+    """Provide a usable client; a client made for an address is closed at the end.
 
     Raises
     ------
     InputError
-        If it is neither an open client nor the address of a scheduler.
+        If the argument is neither an open client nor the address of a scheduler.
     """
     distributed = _distributed()
     if isinstance(client, str):
@@ -471,14 +473,14 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
     Parameters
     ----------
     checker : CollisionChecker
-        Robot and scene in their current state; later changes have no effect.
+        A checker whose robot and scene are used in their current state; later changes have no effect.
     Q : dask.array.Array, shape (..., dof)
-        In chunks of any shape; about ten thousand configurations per chunk are suitable.
+        Configurations, in chunks of any shape; about ten thousand per chunk are suitable.
 
     Returns
     -------
     dask.array.Array of bool, shape (...)
-        The array is lazy. It has the chunks of `Q`, one task each.
+        A lazy array with the chunks of `Q`; each chunk is one task.
 
     Raises
     ------
@@ -508,7 +510,7 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
 
 
 def distance(checker: CollisionChecker, Q: Any) -> Any:
-    """Find exact distances of the configurations of a Dask array, as `CollisionChecker.distance` does.
+    """Compute exact distances at the configurations of a Dask array, as `CollisionChecker.distance` does.
 
     Parameters
     ----------
@@ -543,20 +545,20 @@ def distance(checker: CollisionChecker, Q: Any) -> Any:
 
 
 def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
-    """Prove motions free, such as the edges of a roadmap, as `CollisionChecker.certify_edges` does.
+    """Prove which motions, such as the edges of a roadmap, are free, as `CollisionChecker.certify_edges` does.
 
     Parameters
     ----------
     checker : CollisionChecker
     Q0, Q1 : dask.array.Array, shape (..., dof)
-        Ends of the motions, of equal shapes; `Q1` is cut into the chunks of `Q0`.
+        Ends of the motions, two arrays of equal shape; `Q1` is cut into the chunks of `Q0`.
     tolerance : float
         In metres; see `CollisionChecker.certify_edges`.
 
     Returns
     -------
     dask.array.Array of int8, shape (...)
-        A `Verdict` for each motion, lazily computed: FREE is proven.
+        A lazily computed `Verdict` for each motion; FREE is proven.
 
     Raises
     ------
@@ -566,8 +568,8 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
     Notes
     -----
     As for `collide`. A motion takes tens of times as long as a configuration, so about a thousand motions per chunk are
-    suitable. Values change linearly, but a roadmap moves joints that turn without limits the shorter way around: add
-    whole turns to `Q1` for these joints.
+    suitable. Here values change linearly, whereas a roadmap moves joints that turn without limits the shorter way
+    around. For such joints, add the necessary whole turns to `Q1`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Compile kernels ahead of first use, on all cores; otherwise a query compiles its kernels when it is first called."""
+"""Compile kernels in advance, on all cores; otherwise each query compiles its kernels on its first call."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ POLL = 0.1  # seconds between polls of the processes
 
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Compile kernels for this machine now, in as many processes as are useful.
+    """Compile the kernels for this machine now, in as many processes as are useful.
 
     Kernels that have been compiled before are only looked up, which takes a few seconds. If the native library is in
     use, there is nothing to compile.
@@ -49,14 +49,14 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     Returns
     -------
     Path
-        The folder that holds the compiled code, or the native library.
+        The folder of the compiled code, or the native library.
 
     Raises
     ------
     InputError, UnknownNameError
         If there is no such part.
     MissingExtraError
-        If there is neither a library nor Numba.
+        If neither the native library nor Numba is available.
     FileError
         If a part cannot be compiled, or the folder cannot be written; the message includes the output of the process.
     """
@@ -94,7 +94,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
 
 
 class _Group:
-    """Some parts in a process of their own: Numba compiles one function at a time in each."""
+    """Parts that are compiled in a process of their own, since Numba compiles one function at a time per process."""
 
     def __init__(self, names: list[str], folder: Path) -> None:
         self.names = names
@@ -133,7 +133,7 @@ sys.exit(_jit.unwritten())
 
 
 def compile_part(name: str) -> None:
-    """Compile the entries of a part in this process, for the types that the table of entries states."""
+    """Compile the entries of a part in this process, for the types in the table of entries."""
     for entry in entries.ENTRIES.values():
         if entry.module.startswith(_MODULES[name]):
             for signature in entries.signatures(entry):

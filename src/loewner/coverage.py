@@ -1,7 +1,7 @@
-"""Measure, with a proven bound, the parts of a mesh's surface that convex pieces leave uncovered, and cover them.
+"""Find the parts of a mesh's surface that convex pieces leave uncovered, bound their distance, and cover them.
 
-A decomposition cuts corners, and the missing corners would be free. Its pieces are therefore grown until they contain
-the whole surface.
+A decomposition cuts off corners of the mesh, and the missing corners would be free. Its pieces are therefore grown
+until they contain the whole surface.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ class Covering:
         ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
         ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh.
     exact : bool
-        Whether the union of the pieces contains the whole surface of the mesh, up to `max_uncovered`, which is then
-        rounding. FREE then also applies to the mesh.
+        Whether the union of the pieces contains the whole surface of the mesh, up to rounding, which `max_uncovered`
+        then bounds. If so, FREE also applies to the mesh.
     max_uncovered : float
         Proven upper bound on the distance from any point of the mesh's surface to the union of the pieces, in metres.
-        With ``margin`` at least the sum of both bodies' bounds, FREE applies to both surfaces, even if `exact` is
+        If ``margin`` is at least the sum of both bodies' bounds, FREE applies to both surfaces, even if `exact` is
         false.
     excess_volume : float
-        Sum of the pieces' volumes divided by the mesh's volume, minus 1: how much the pieces stick out (overlaps count
-        twice, including overlaps of the mesh's closed parts). NaN if the mesh is not closed, since it then has no
-        volume.
+        Sum of the pieces' volumes divided by the mesh's volume, minus 1. It measures how much the pieces stick out;
+        overlaps count twice, including overlaps of the mesh's closed parts. NaN if the mesh is not closed and therefore
+        has no volume.
     samples : int
-        Number of points of the surface that were tested, including all mesh vertices.
+        Number of surface points that were tested, including all vertices of the mesh.
     max_protrusion : float
         Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres. For a
-        closed mesh it is the distance to the enclosed solid (all points with a winding number other than 0), for other
-        meshes the distance to the surface. It is within 1 % of the true value, or 1e-4 of the diagonal of the mesh's
-        box, unless the mesh is so large that the search was stopped. NaN in files of bodies that were written before
-        this value existed.
+        closed mesh this is the distance to the enclosed solid (all points with a nonzero winding number), for any other
+        mesh the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the diagonal of
+        the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body was loaded
+        from a file written before this value existed.
 
     Examples
     --------
@@ -79,15 +79,15 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
         Corners of the surface's triangles.
     hulls : list of Polytope
     size : float
-        Diagonal of the mesh's box.
+        Diagonal of the mesh's bounding box.
     grow : bool
-        Add to each piece the parts that stick out of it and lie in no other piece.
+        Add each part of the surface that lies in no piece to the piece closest to it.
 
     Returns
     -------
     hulls : list of Polytope
     covering : Covering
-        Without the excess volume and `max_protrusion`.
+        The covering, still without the excess volume and `max_protrusion`.
     """
     cells, owner, samples = _outside(triangles, hulls, GROWTH * size, CELL_SIZE * size)
     if grow and len(cells):
@@ -101,10 +101,11 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
 
 
 def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float) -> tuple[Floats, Ints, int]:
-    """Cells of the surface that lie in no single piece.
+    """Find the cells of the surface that lie in no single piece.
 
     A triangle lies in a convex piece if its corners do. A triangle that lies in no piece is halved across its longest
-    edge until its parts do, stick out by no more than `growth`, or have no edge longer than `cell_size`.
+    edge until each part lies in a piece, sticks out of one by no more than `growth`, or has no edge longer than
+    `cell_size`.
 
     Returns
     -------
@@ -130,7 +131,7 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
 
 
 def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Floats, Ints]:
-    """For each cell the closest piece, and a lower bound on how far it sticks out of it (<= 0: it is inside)."""
+    """Find the piece closest to each cell, and a lower bound on how far the cell sticks out (<= 0: it is inside)."""
     worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
     for j, hull in enumerate(hulls):
         box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)
@@ -145,14 +146,14 @@ def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Float
 
 
 def _excess(points: Floats, hull: Polytope) -> Floats:
-    """Largest of n·x - b over the faces: a lower bound on the distance, and negative inside."""
+    """Compute the largest n·x - b over the faces, which is a lower bound on the distance, and negative inside."""
     chunk = max(1, 2_000_000 // len(hull.normals))
     parts = [(points[k : k + chunk] @ hull.normals.T - hull.offsets).max(axis=1) for k in range(0, len(points), chunk)]
     return np.concatenate([np.empty(0), *parts])
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Maximum over the cells of the minimum over the pieces of the distance of the cell's farthest corner."""
+    """Bound the distance of the cells from the pieces: each cell by its farthest corner from its nearest piece."""
     points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
     corner = index.reshape(-1, 3)
     corner = corner[_coverage(points, corner, hulls)[0] > 0]
@@ -170,7 +171,7 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
 
 
 def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
-    """Distance of points to a convex piece, 0 inside.
+    """Compute the distance of points to a convex piece, 0 inside.
 
     The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.
     """

@@ -1,4 +1,4 @@
-"""Pairs of many bodies that meet, and their depths: a broad phase over boxes, then verdicts for the remaining pairs."""
+"""Find which pairs of many bodies meet, and their depths: a broad phase over boxes, then a verdict for each pair."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
-    """Pairs of a crowd that meet and their depths, one entry per pair.
+    """The pairs of bodies that meet, and their depths, one entry per pair.
 
-    Distances, witnesses and normals are computed as by `distance` with ``exact=True``.
+    Distances, witnesses and normals are as computed by `distance` with ``exact=True``.
 
     Attributes
     ----------
     pairs : ndarray of int64, shape (m, 2)
-        Numbers i < j of the bodies, in lexicographic order.
+        Indices i < j of the bodies, in lexicographic order.
     distance : ndarray, shape (m,)
-        In metres; a negative value is a depth. It is positive for pairs within the margin, and may round to slightly
-        above zero where bodies just touch. For bodies of several pieces, it is the depth of the deepest two, see
-        `Distance`.
+        In metres; a negative value is a depth. It is positive for separate bodies within the margin, and may round to
+        slightly above zero for bodies that just touch. For bodies of several pieces, it is the depth of the deepest two
+        pieces, see `Distance`.
     witness_a, witness_b : ndarray, shape (m, 3)
         Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (m, 3)
-        Unit vectors from i to j; moving j along them separates the two pieces fastest.
+        Unit vectors from i to j; moving j along its vector separates the two pieces fastest.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def overlapping_pairs(
 ) -> Ints | Overlaps:
     """Find all pairs of bodies that touch, overlap, or come within `margin` of each other.
 
-    Time and memory grow with the number of bodies and of pairs found, not with the number of all pairs.
+    Time and memory grow with the number of bodies and the number of pairs found, not with the number of all pairs.
 
     Parameters
     ----------
@@ -119,15 +119,15 @@ def overlapping_pairs(
         In metres; bodies at this distance or less count as colliding.
     method : {"exact", "certified"}
         "exact": the pairs for which `collide` is true. "certified": the pairs that neither boxes nor ellipsoids prove
-        free: all colliding pairs, and some ambiguous ones. `classify` distinguishes them.
+        free, that is, all colliding pairs and some ambiguous ones, which `classify` distinguishes.
     depth : bool
-        Also measure the pairs: their distances or depths, normals and witnesses.
+        Also compute the distance or depth, normal and witnesses of each pair.
 
     Returns
     -------
     ndarray of int64, shape (m, 2), or Overlaps
-        Numbers i < j of the bodies, each pair once, in lexicographic order. Pairs that are not listed are proven free.
-        With ``depth=True`` an `Overlaps` with these as its `pairs`.
+        Indices i < j of the bodies, each pair once, in lexicographic order. Pairs that are not listed are proven free.
+        With ``depth=True``, an `Overlaps` whose `pairs` are this array.
 
     Raises
     ------
@@ -140,8 +140,8 @@ def overlapping_pairs(
         If `method` is not one of the names above.
     ConvergenceError
         If the exact search could not settle a pair. It never returns "free" instead. With ``depth=True`` also if a
-        distance could not be computed, as in `distance`: the error's `indices` are rows of the list, and its `partial`
-        has all other results.
+        distance could not be computed, as in `distance`; the error's `indices` are then rows of the list of pairs, and
+        its `partial` has all other results.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def overlapping_pairs(
 
 
 def _met(mode: int, margin: float, n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Ints:
-    """Pairs of n bodies that are not proven free, in lexicographic order."""
+    """Find the pairs of n bodies that are not proven free, in lexicographic order."""
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
     threads = min(get_num_threads(), -(-n // CHUNK))
@@ -180,7 +180,7 @@ def _met(mode: int, margin: float, n: int, steps: tuple[int, int], operands: tup
 
 
 def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Overlaps:
-    """Distances of pairs whose poses have been found to be rigid motions."""
+    """Measure the distances of pairs whose poses have been checked to be rigid motions."""
     count = len(pairs)
     _validate.fits_memory(DEPTH_BYTES * count, f"distances of {count} pairs")
     found = measure(True, count, _asked(count, np.ascontiguousarray(pairs.T), steps, operands))
@@ -198,14 +198,14 @@ def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Float
 
 
 def _asked(count: int, rows: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Operands:
-    """Operands of queries about listed pairs: the same bodies twice, with one row for each body or one row for all."""
+    """Make the operands of a query about listed pairs: the same bodies twice, with one row per body or one for all."""
     plan = np.array([[count], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
     packed, T = operands
     return plan, rows, packed.handle, T, packed.handle, T
 
 
 def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Packed, Floats]]:
-    """Number of bodies, whether each has its own pieces and its own pose (1) or not (0), pieces and poses."""
+    """Return the number of bodies, flags 1 if each has its own pieces and its own pose, the pieces and the poses."""
     if not isinstance(bodies, (Body, Bodies)):
         raise InputError(f"bodies: expected loewner.Bodies or loewner.Body, found {type(bodies).__name__}")
     T = _validate.poses(T_world, "T_world")
@@ -222,7 +222,7 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tup
 
 
 def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tuple[Floats, Ints, Ints]:
-    """Groups of boxes, the start of each level of groups, and the order of the bodies in the lowest level."""
+    """Group boxes in a tree: the groups, the start of each level, and the order of the bodies in the lowest level."""
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
 
     def box(first: int, last: int) -> None:
@@ -243,9 +243,9 @@ def _settled(
     operands: tuple[Packed, Floats],
     counts: list[int],
 ) -> Ints:
-    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, encoded as i n + j.
+    """Find pairs i, j not proven free, encoded as i n + j, with the earlier body in the leaf groups first to last.
 
-    Their number is added to `counts`, which all threads share.
+    The number of pairs found is added to `counts`, which all threads share.
     """
     n = len(tree[2])
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
@@ -272,7 +272,7 @@ def _settled(
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
-    """Raise an exception for answers that arithmetic could not settle, never a guess."""
+    """Raise an exception for answers that arithmetic could not settle, instead of returning a guess."""
     unsettled = np.flatnonzero(out == codes.AMBIGUOUS)
     if len(unsettled):
         pair = int(a[unsettled[0]]), int(b[unsettled[0]])

@@ -1,7 +1,8 @@
-"""Overlap, contact function and near points of two ellipsoids.
+"""Compute overlap, contact function and near points of two ellipsoids.
 
-Every function takes two `Ellipsoids`, single or batches, whose batch shapes broadcast. Only the difference of the
-centers is used, so a far-away world frame costs no digits, and all quantities are relative to the ellipsoids' own size.
+Every function takes two `Ellipsoids`, single or batches, and broadcasts their batch shapes. Only the difference of the
+centers is used, so that a distant world origin costs no digits, and all quantities are scaled to the size of the
+ellipsoids.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ NEAR_POINT_METHODS = {"rimon-boyd": codes.RIMON_BOYD, "lin-han": codes.LIN_HAN, 
 
 @dataclass(frozen=True)
 class NearPoints:
-    """Near points of ellipsoid pairs.
+    """The near points of pairs of ellipsoids.
 
     Attributes
     ----------
     point_1, point_2 : ndarray, shape (..., 3)
-        Points on the first and on the second ellipsoid, in metres. If an overlap was found, both are one point that
-        lies in both ellipsoids.
+        Points on the first and on the second ellipsoid, in metres. If an overlap was found, the two are the same point,
+        which lies in both ellipsoids.
     distance : ndarray, shape (...)
-        ``|point_2 - point_1|``, in metres; 0 where an overlap was found.
+        ``|point_2 - point_1|``, in metres; 0 if an overlap was found.
     iterations : ndarray of int, shape (...)
         Number of steps; 1 for the closed-form methods.
 
@@ -66,7 +67,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape (...)
-        Decided in plain float64 arithmetic; for proven answers see `loewner.classify`.
+        The answers, computed in plain float64 arithmetic; for proven answers see `loewner.classify`.
 
     Raises
     ------
@@ -75,8 +76,8 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
     Notes
     -----
-    Compares the contact function with 1. The paper's eigenproblem is `paper.overlap_by_eigenvalue`, after
-    ``from loewner import paper``.
+    The contact function is compared with 1. The paper's method, an eigenproblem, is `paper.overlap_by_eigenvalue`,
+    after ``from loewner import paper``.
 
     References
     ----------
@@ -94,7 +95,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
 @guarded
 def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
-    """Perram and Wertheim's contact function, maximised: ellipsoids overlap if and only if it is at most 1.
+    """Maximise Perram and Wertheim's contact function; two ellipsoids overlap if and only if it is at most 1.
 
     F = max over s in [0, 1] of s(1-s) rᵀ[(1-s)Q1 + sQ2]⁻¹ r. Scaling both ellipsoids about their
     centers by sqrt(F) makes them touch.
@@ -130,22 +131,22 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
 
 @guarded
 def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: float = 0.01) -> NearPoints:
-    """Near points of ellipsoids.
+    """Find near points of ellipsoids.
 
     Parameters
     ----------
     E1, E2 : Ellipsoids
         In 3-D; batches broadcast.
     method : {"lin-han", "rimon-boyd", "center-line"}
-        "lin-han": the true nearest points, to within `angle`. "rimon-boyd": on each ellipsoid the point that the
-        other's level surfaces touch first. "center-line": the points where the segment between the centers crosses the
-        surfaces. The last two are closed forms whose distance is never below the true one; "center-line" detects an
-        overlap only on this segment.
+        "lin-han": the true nearest points, to within `angle`. "rimon-boyd": the point on each ellipsoid that growing
+        level surfaces of the other ellipsoid touch first. "center-line": the points where the segment between the
+        centers crosses the surfaces. The last two are closed forms, and their distance is never below the true one;
+        "center-line" detects an overlap only on this segment.
     angle : float
-        For "lin-han": at both points the outward normal and the direction to the other point differ by at most this
-        many radians. The paper uses 0.01; 1e-8 gives the distance to about 1e-16 of its size or the rounding of
-        float64, if that is larger. An overlap so shallow that the angle is reached first is returned as a small
-        distance.
+        For "lin-han", in radians: at both points, the outward normal and the direction to the other point differ by at
+        most this angle. The paper uses 0.01; with 1e-8 the distance is accurate to about 1e-16 of its size, or to the
+        rounding of float64 if that is larger. If an overlap is so shallow that the angle is reached first, a small
+        distance is returned.
 
     Returns
     -------
@@ -158,7 +159,7 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     UnknownNameError
         If the method is not one of the three.
     ConvergenceError
-        If a pair did not reach `angle`; no results are then returned for any pair.
+        If a pair did not reach `angle`; no results are then returned, not even for the remaining pairs.
 
     References
     ----------
@@ -195,15 +196,15 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
 
 
 class PairArrays:
-    """Two checked ellipsoids as a flat batch in kernel form.
+    """Checked pairs of ellipsoids, as a flat batch in the form that kernels take.
 
-    Lengths are divided by a power of two near the pair's size, which rounds nothing and keeps their squares and cubes
-    in the range of float64.
+    Lengths are divided by a power of two near the pair's size. The division is exact, and keeps squares and cubes of
+    lengths in the range of float64.
 
     Attributes
     ----------
     batch : tuple of int
-        Broadcast batch shape; the arrays below have it flattened to n.
+        Broadcast batch shape; in the arrays below it is flattened to n.
     c1 : ndarray, shape (n, dim)
         First centers, in metres.
     scale : ndarray, shape (n,)
@@ -243,7 +244,7 @@ class PairArrays:
 
 
 def _expect_numbers(x: Floats, caller: str) -> None:
-    """Refuse results that left the range of float64."""
+    """Raise an error if results left the range of float64."""
     if not np.isfinite(x).all():
         raise ConvergenceError(
             f"{caller}: expected sizes and distances whose ratios float64 can square, found a pair beyond that "

@@ -1,4 +1,4 @@
-"""Ellipsoids in any dimension, single or in batches: E = {c + F u : |u| <= 1}, Q = F Fᵀ."""
+"""Define ellipsoids in any dimension, single or in batches: E = {c + F u : |u| <= 1}, Q = F Fᵀ."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loewner.errors import BodyIndexError, GeometryError, InputError
 @guarded
 @dataclass(frozen=True, eq=False)
 class Ellipsoids:
-    """One ellipsoid or a batch, stored as center and factor.
+    """One ellipsoid or a batch of ellipsoids, stored as center and factor.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ class Ellipsoids:
     Notes
     -----
     The `inner` ellipsoids of bodies include points: a surface without a radius has no inside, so its factor is zero.
-    Their semi-axes and volumes are 0, they contain only their center, which is also their support point in every
-    direction, and they remain points when they are moved. Functions of two ellipsoids refuse points.
+    The semi-axes and the volume of a point are 0. It contains only its center, which is its support point in every
+    direction, and it remains a point when it is moved. Functions of two ellipsoids refuse points.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class Ellipsoids:
 
     @classmethod
     def from_shape_matrix(cls, center: ArrayLike, shape_matrix: ArrayLike) -> Ellipsoids:
-        """Build from a shape matrix Q: E = {x : (x-c)ᵀ Q⁻¹ (x-c) <= 1}.
+        """Make ellipsoids E = {x : (x-c)ᵀ Q⁻¹ (x-c) <= 1} from shape matrices Q.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class Ellipsoids:
 
     @classmethod
     def from_semi_axes(cls, center: ArrayLike, semi_axes: ArrayLike, rotation: ArrayLike | None = None) -> Ellipsoids:
-        """Build from semi-axis lengths and an orthogonal matrix whose columns are the axes.
+        """Make ellipsoids from semi-axis lengths and an orthogonal matrix whose columns are the axes.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Ellipsoids:
     @property
     @guarded
     def shape_matrix(self) -> Floats:
-        """Q = F Fᵀ, shape (..., n, n), in square metres; infinite or 0 where a float cannot hold the square."""
+        """Q = F Fᵀ, shape (..., n, n), in square metres; entries may overflow to infinity or underflow to 0."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.factor @ np.swapaxes(self.factor, -1, -2)
 
@@ -214,14 +214,14 @@ class Ellipsoids:
     @property
     @guarded
     def volume(self) -> Floats:
-        """Volume (area for n = 2), shape (...), in m^n; infinite or 0 on overflow or underflow (see `log_volume`)."""
+        """Volume (area if n = 2), shape (...), in m^n; infinite on overflow, 0 on underflow (see `log_volume`)."""
         with np.errstate(over="ignore"):
             return np.exp(self.log_volume)
 
     # -- queries ------------------------------------------------------------------------------
 
     def support(self, direction: ArrayLike) -> Floats:
-        """Point of each ellipsoid farthest along a direction.
+        """Find the point of each ellipsoid that is farthest along a direction.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class Ellipsoids:
         return np.asarray(self.center + np.einsum("...ij,...j->...i", self.factor, w / length))
 
     def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Whether points lie inside or on the ellipsoid, in plain float64 arithmetic.
+        """Decide whether points lie inside or on the ellipsoid, in plain float64 arithmetic.
 
         Parameters
         ----------
@@ -276,7 +276,7 @@ class Ellipsoids:
             return np.asarray(np.where(point, ~x.any(axis=-1), (u * u).sum(axis=-1) <= 1.0))
 
     def bounding_box(self) -> tuple[Floats, Floats]:
-        """Lower and upper corners of the axis-aligned bounding box, each of shape (..., n).
+        """Compute the lower and upper corners, each of shape (..., n), of the axis-aligned bounding box.
 
         Returns
         -------
@@ -295,7 +295,7 @@ class Ellipsoids:
     # -- motions ------------------------------------------------------------------------------
 
     def transformed(self, T: ArrayLike | None) -> Ellipsoids:
-        """Move by rigid motions of 3-space.
+        """Move the ellipsoids by rigid motions of 3-space.
 
         Parameters
         ----------
@@ -328,7 +328,7 @@ class Ellipsoids:
         return self._mapped(P[..., :3, :3], P[..., :3, 3])
 
     def affine(self, A: ArrayLike, b: ArrayLike) -> Ellipsoids:
-        """Image under x -> A x + b.
+        """Compute the image of the ellipsoids under x -> A x + b.
 
         Parameters
         ----------
@@ -372,13 +372,13 @@ class Ellipsoids:
 
 
 def trusted(center: Floats, factor: Floats) -> Ellipsoids:
-    """Wrap arrays that a fit or a rigid motion made, without checking them again."""
+    """Wrap arrays that come from a fit or a rigid motion, without checking them again."""
     made = object.__new__(Ellipsoids)
     made._freeze(center, factor)
     return made
 
 
 def _near_one(x: Floats, axes: tuple[int, ...]) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.int_]]]:
-    """`x` divided by a power of two near its largest entry along `axes`, without rounding, and the power's exponent."""
+    """Divide x exactly by a power of two near its largest entry along `axes`; return also the exponent."""
     exponent = np.frexp(np.abs(x).max(axis=axes, keepdims=True, initial=0.0))[1]
     return np.ldexp(x, -exponent), exponent

@@ -1,6 +1,6 @@
-"""Every error that `loewner` raises on purpose, each a subclass of `LoewnerError`.
+"""Define every error that `loewner` raises on purpose, each as a subclass of `LoewnerError`.
 
-Each also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
+Each error also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
 """
 
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class LoewnerError(Exception):
-    """Base of all errors raised by `loewner`.
+    """The base class of all errors that `loewner` raises on purpose.
 
     Examples
     --------
@@ -36,7 +36,7 @@ class InputError(LoewnerError, ValueError):
 
 
 class GeometryError(InputError):
-    """The geometry is empty, flat, unbounded or too small to carry an ellipsoid.
+    """The geometry is empty, flat, unbounded or too small for an ellipsoid.
 
     Examples
     --------
@@ -63,15 +63,15 @@ class PoseError(InputError):
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate; an error is raised instead of returning a guess.
+    """An iteration did not reach its certificate; the error is raised instead of returning a guess.
 
     Attributes
     ----------
     indices : ndarray of int
         For a batch of pairs: the flat indices of the pairs that could not be settled.
     partial : object or None
-        The query's result with the answers to all other pairs. For the unsettled pairs `collide` returns True, and
-        exact distances, witnesses and normals are NaN.
+        The query's result, with the answers for all remaining pairs. For the unsettled pairs, the result of `collide`
+        is True, and exact distances, witnesses and normals are NaN.
 
     Examples
     --------
@@ -95,10 +95,11 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 
 
 class MemoryLimitError(InputError, MemoryError):
-    """A call would take more memory than is available or than the process may use; split the call.
+    """A call would need more memory than is available or than the process may use; split the call.
 
-    The limits of the machine, of the process (``ulimit -v``, that is RLIMIT_AS) and of its container (control groups)
-    count. Results that are too large are refused before anything is computed, and the message states their size.
+    The limits are those set by the machine, by the process (``ulimit -v``, that is, RLIMIT_AS) and by its container
+    (control groups). Results that are too large are refused before anything is computed, and the message states their
+    size.
 
     Examples
     --------
@@ -128,12 +129,12 @@ class PlanningError(LoewnerError, RuntimeError):
 
 
 class GpuError(LoewnerError, RuntimeError):
-    """A GPU cannot do the work: there is none, its driver is too old, its memory is too small, or its work was lost.
+    """A GPU cannot do the work: it is missing, its driver is too old, its memory is too small, or its work was lost.
 
     Attributes
     ----------
     code : int or None
-        The driver's number of the error, if it returned one.
+        The driver's error code, if it returned one.
 
     Examples
     --------
@@ -168,7 +169,7 @@ class FileError(LoewnerError, OSError):
 
 
 class UnknownNameError(LoewnerError, KeyError):
-    """A name (link, joint, body, method) is not known; the message lists the valid ones.
+    """A name, for instance of a link, joint, body or method, is unknown; the message lists the valid names.
 
     Examples
     --------
@@ -185,7 +186,7 @@ class UnknownNameError(LoewnerError, KeyError):
 
 
 class BodyIndexError(LoewnerError, IndexError):
-    """There is no body with this number.
+    """There is no body with this index.
 
     Examples
     --------
@@ -198,7 +199,7 @@ class BodyIndexError(LoewnerError, IndexError):
 
 
 class MissingExtraError(LoewnerError, ImportError):
-    """An optional package is needed; the message names the extra to install.
+    """An optional package is needed but not installed; the message names the extra to install.
 
     Examples
     --------
@@ -212,5 +213,5 @@ class MissingExtraError(LoewnerError, ImportError):
 
 
 def installing(extra: str) -> str:
-    """The command that installs an optional part, for messages: by name, or in a clone of the sources."""
+    """Return the command that installs an optional part, for messages: by name, or in a clone of the sources."""
     return f'pip install "loewner[{extra}]", or pip install ".[{extra}]" in a clone'

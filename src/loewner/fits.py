@@ -1,7 +1,7 @@
-"""Löwner–John ellipsoids: the largest inside a polytope (`mvie`) and the smallest around points (`mvce`).
+"""Compute Löwner–John ellipsoids: the largest inside a polytope (`mvie`) and the smallest around points (`mvce`).
 
-Every fit has a `gap`, a computed bound on log(volume / optimal volume) of the returned ellipsoid itself, after it was
-scaled so that containment holds in spite of rounding. A fit that misses its tolerance is an error.
+Every fit has a `gap`, a computed bound on log(volume / optimal volume). The bound holds for the ellipsoid as returned,
+which has been scaled so that containment holds in spite of rounding. A fit that misses its tolerance raises an error.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An ellipsoid and a bound on its distance from the optimum.
+    """A fitted ellipsoid, with a bound on how far its volume is from the optimum.
 
     Attributes
     ----------
@@ -60,11 +60,11 @@ class Fit:
     gap : float
         Certified bound on ``|log(volume / optimal volume)|``, at most the requested tolerance.
     iterations : int
-        Number of steps of the interior point and, in high dimension, of the preceding ascent.
+        Number of steps of the interior-point method and, in high dimension, of the coordinate ascent before it.
     weights : ndarray, shape (m,), or None
-        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller; weights
-        are >= 0 with sum 1. The points' weighted mean and covariance nearly equal the ellipsoid's center and its shape
-        matrix divided by the dimension.
+        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller. The
+        weights are nonnegative and sum to 1. The weighted mean of the points nearly equals the ellipsoid's center, and
+        their weighted covariance nearly equals the ellipsoid's shape matrix divided by the dimension.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def mvce(
     weights: bool = False,
     progress: Progress | None = None,
 ) -> Fit:
-    """Smallest ellipsoid around points (minimum-volume circumscribed ellipsoid).
+    """Find the smallest ellipsoid around points (minimum-volume circumscribed ellipsoid).
 
     Parameters
     ----------
@@ -100,24 +100,24 @@ def mvce(
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number
-        A prescribed center, such as ``center=0`` for the origin; n points that span the space with it then suffice. By
-        default the center is chosen to make the ellipsoid smallest.
+        A prescribed center, such as ``center=0`` for the origin; n points then suffice if they span the space together
+        with the center. By default, the center that makes the ellipsoid smallest is found.
     weights : bool
-        Also return the points' weights, an optimal design for experiments at these points.
+        Also return the weights of the points, which form an optimal design for experiments at these points.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
 
     Returns
     -------
     Fit
-        The ellipsoid as stored contains every point exactly, in spite of rounding.
+        The fit; its ellipsoid as stored contains every point exactly, in spite of rounding.
 
     Raises
     ------
     InputError
         If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        If there are fewer than n + 1 points, or all lie in a hyperplane; a given center counts as one more point.
+        If there are fewer than n + 1 points, or all lie in a hyperplane; a given center counts as an additional point.
     ConvergenceError
         If the requested gap was not reached.
 
@@ -125,12 +125,12 @@ def mvce(
     -----
     The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
     with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. This
-    needs memory for a few numbers for every eighth point, and up to 0.8 GB for the interior point. The paper's
+    needs memory for a few numbers per eight points, and up to 0.8 GB for the interior-point method. The paper's
     reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
-    The weights form a D-optimal design, with the points as experiments, for a linear model with a constant term: they
-    maximise the determinant of the information matrix (Titterington), to within twice the gap in its logarithm. With
-    ``center=0`` the model has no constant term.
+    The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
+    (Titterington). That is, they maximise the determinant of the information matrix, to within twice the gap in its
+    logarithm. With ``center=0`` the model has no constant term.
 
     References
     ----------
@@ -186,26 +186,26 @@ def mvie(
     center: ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Largest ellipsoid inside a polytope (maximum-volume inscribed ellipsoid).
+    """Find the largest ellipsoid inside a polytope (maximum-volume inscribed ellipsoid).
 
     Parameters
     ----------
     A : array_like, shape (m, n)
-        Rows of the half-spaces {x : A x <= b}; without `b`, points whose convex hull is the polytope.
+        With `b`, the rows of the half-spaces {x : A x <= b}; without `b`, points whose convex hull is the polytope.
     b : array_like, shape (m,), optional
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number, optional
-        A prescribed center, such as ``center=0`` for the origin; with half-spaces only. The half-spaces need not be
-        bounded, as long as no line through the center is inside all of them.
+        A prescribed center, such as ``center=0`` for the origin; only with half-spaces. The intersection of the
+        half-spaces need not be bounded, as long as it contains no line through the center.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
 
     Returns
     -------
     Fit
-        The ellipsoid as stored lies exactly inside every given half-space, or inside the hull of the points, in spite
-        of rounding.
+        The fit; its ellipsoid as stored lies exactly inside every given half-space, or inside the hull of the points,
+        in spite of rounding.
 
     Raises
     ------
@@ -219,8 +219,8 @@ def mvie(
     Notes
     -----
     The method is due to Zhang and Gao. In high dimension, or with very many half-spaces, it works on a subset:
-    half-spaces that turn out to cut the ellipsoid are added, and distant ones are removed. With a given center the
-    ellipsoid is the polar of the smallest one around the polar points, which `mvce` finds.
+    half-spaces that turn out to cut the ellipsoid are added, and distant ones are removed. With a given center, the
+    ellipsoid is the polar of the smallest ellipsoid around the polar points, which `mvce` finds.
 
     References
     ----------
@@ -286,7 +286,7 @@ def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, report
 
 
 def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
-    """Largest ellipsoid about `center`: the polar of the smallest one about the origin around the polar points."""
+    """Find the largest ellipsoid about `center`, the polar of the smallest origin-centered one around polar points."""
     slack = b - A @ center
     if not (slack > 0).all():
         i = int(slack.argmin())
@@ -318,12 +318,12 @@ def fit_pieces(
     Parameters
     ----------
     vert_start, face_start : ndarray of int, shape (P + 1,)
-        Piece i has the vertices ``vert_start[i]:vert_start[i+1]`` and likewise the faces.
+        Piece i has the vertices ``vert_start[i]:vert_start[i+1]``; its faces are given likewise by `face_start`.
     vertices : ndarray, shape (total vertices, 3)
         In metres.
     normals : ndarray, shape (total faces, 3)
-        Outward, from `polytopes.hulls`: each face passes through its own vertices to rounding. Slacks are measured from
-        the vertices, which are exact, so no offsets are needed.
+        Outward normals from `polytopes.hulls`; up to rounding, each face passes through its own vertices. Slacks are
+        measured from the vertices, which are exact, so no offsets are needed.
     tol : float
         Largest certified gap of every fit, in log-volume.
     progress : callable, optional
@@ -338,7 +338,7 @@ def fit_pieces(
     Raises
     ------
     GeometryError, ConvergenceError
-        The error names the index of the piece.
+        The message gives the index of the piece.
     """
     tolerance, progress = checked_tolerance(tol), _validate.callback(progress, "progress")
     V = _validate.finite_array(vertices, "vertices", (None, 3))
@@ -365,7 +365,7 @@ def _fit_all(
     tol: float,
     progress: Progress | None,
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats], Floats]:
-    """Run the kernel over blocks of pieces, on as many threads as are set."""
+    """Run the kernel over blocks of pieces, on the number of threads that is set."""
     total, n = len(vert_start) - 1, vertices.shape[1]
     vertices, normals = writeable(vertices), writeable(normals)
     inner = np.empty((total, n)), np.empty((total, n, n))

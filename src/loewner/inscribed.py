@@ -1,4 +1,4 @@
-"""Ellipsoids inside the solid that a closed triangle mesh bounds, each proven to lie in it."""
+"""Find ellipsoids that are proven to lie inside the solid bounded by a closed triangle mesh."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
     vertices : array_like, shape (v, 3)
         In metres.
     triangles : array_like of int, shape (t, 3)
-        Vertices of each triangle, at least four triangles. The mesh is assumed to be closed, with triangles that are
-        consistent at their common edges; this is not checked. It may intersect itself, have several parts, cavities and
+        Vertices of each of at least four triangles. The mesh is assumed to be closed, with triangles consistently
+        oriented at common edges; this is not checked. It may intersect itself, have several parts, cavities and
         triangles without area, and be inside out as a whole.
     count : int
         The largest number of ellipsoids.
@@ -35,8 +35,8 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
     -------
     centers : ndarray, shape (k, 3)
     factors : ndarray, shape (k, 3, 3)
-        Lower triangular: the ellipsoid is {c + F z : |z| <= 1}. The largest is first; ``k <= count``, and 0 if
-        none of a sensible size was found.
+        Lower triangular factors F of the ellipsoids {c + F z : |z| <= 1}, the largest ellipsoid first. ``k <= count``,
+        and k is 0 if no ellipsoid of a sensible size was found.
 
     Raises
     ------
@@ -45,9 +45,9 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
 
     Notes
     -----
-    Points are inside if the surface winds around them, in either direction. In spite of rounding, no triangle meets a
-    stored ellipsoid, and one of its points is inside, so all of it is inside. The size of the ellipsoids is not proven
-    to be optimal; in a convex solid the first is close to the largest one.
+    A point is inside if the surface winds around it, in either direction. In spite of rounding, no triangle meets a
+    stored ellipsoid, and one point of the ellipsoid is inside the solid, so the whole ellipsoid is inside. The
+    ellipsoids are not proven to be the largest possible; in a convex solid the first is close to the largest.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Clearances and distances of a checker as functions that JAX differentiates, compiles and vectorises.
+"""Make functions of a checker's clearances and distances that JAX can differentiate, compile and vectorise.
 
 JAX is imported only when a function here is called: ``pip install "loewner[jax]"``. Import this module by its full
 name, ``import loewner.jax``: ``from loewner import jax`` would hide JAX's own name.
@@ -25,19 +25,19 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls; each call uses the current state, in compiled functions too.
+        Its scene may change between calls; each call, also of a compiled function, uses the scene's current state.
     softness : float
         In metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        A function from configurations, a JAX or NumPy array of shape (..., dof), to clearances, shape (...), in metres.
+        It maps configurations, a JAX or NumPy array of shape (..., dof), to clearances, shape (...), in metres.
 
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The function raises it if
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises it if
         configurations are not an array of float32 or float64, their width is not dof, an entry is not finite, there is
         no pair to check, or a second derivative is requested.
     MissingExtraError
@@ -45,19 +45,19 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
     Notes
     -----
-    It works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by ``pure_callback``: a
-    batch is one call of the kernel, under ``vmap`` too, and a value with its gradient is also one call. The kernel runs
-    on the CPU; from other devices JAX copies configurations there and results back. There are no second derivatives:
-    ``hessian`` raises.
+    The function works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by means of
+    ``pure_callback``. A batch is one call of the kernel, also under ``vmap``, and so is a value with its gradient. The
+    kernel runs on the CPU; JAX copies configurations on any other device to the CPU, and the results back. There are no
+    second derivatives: ``hessian`` raises.
 
     Results have the type of the configurations. In float32 the bound belongs to exactly these float32 numbers and is
-    rounded down, so that it remains a lower bound. If JAX's 64-bit numbers are off, which is its default, it converts
-    float64 arrays to float32. The function refuses such arrays where it can, since the answer would belong to other
-    configurations. It cannot detect arrays that ``jit`` or ``grad`` has already converted: the answer then belongs to
-    the float32 configuration.
+    rounded down, so that it remains a lower bound. If 64-bit numbers are off in JAX, which is the default, JAX converts
+    float64 arrays to float32. The function refuses such arrays where it can, since the answer would belong to slightly
+    different configurations. It cannot detect arrays that ``jit`` or ``grad`` has already converted; the answer then
+    belongs to the float32 configuration.
 
-    Inside ``jit`` and ``vmap``, errors about values (an entry that is not finite) appear as errors of JAX, a ValueError
-    or a RuntimeError, whose text contains the message.
+    Inside ``jit`` and ``vmap``, errors about values, such as an entry that is not finite, appear as errors of JAX: a
+    ValueError or a RuntimeError that contains the message.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a JAX function of the exact distance of `CollisionChecker.distance`, which has kinks.
+    """Make a JAX function of the exact distance of `CollisionChecker.distance`, a function with kinks.
 
     Parameters
     ----------
@@ -86,19 +86,19 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        A function from configurations, a JAX or NumPy array of shape (..., dof), to distances, shape (...), in metres;
-        a negative value is a depth.
+        It maps configurations, a JAX or NumPy array of shape (..., dof), to distances, shape (...), in metres; a
+        negative value is a depth.
 
     Raises
     ------
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        Raised by the function, as for `loewner.distance`.
+        Raised by the returned function, as for `loewner.distance`.
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down too. The gradient equals the one of
+    As for `clearance`; float32 distances are rounded down as well. The gradient is the gradient of
     `CollisionChecker.distance`.
 
     Examples
@@ -116,7 +116,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
-    """A measure as a function for JAX: one callback returns the values, or the values with their gradients."""
+    """Make a JAX function of a measure; one callback returns the values, or the values with their gradients."""
     jax = _jax()
 
     @jax.custom_jvp
@@ -145,7 +145,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
 
 
 def _checked(Q: Any, measure: Measure) -> Any:
-    """Configurations as a JAX array with exactly the given numbers."""
+    """Convert configurations to a JAX array with exactly the given numbers."""
     jax = _jax()
     if not isinstance(Q, (jax.Array, np.ndarray)):
         raise InputError(f"Q: expected an array of JAX or NumPy, found {_validate.short(Q)}")
@@ -164,7 +164,7 @@ def _checked(Q: Any, measure: Measure) -> Any:
 
 
 def _called(measure: Measure, Q: Any, gradient: bool) -> Any:
-    """Values, with gradients on request: computed now if Q has concrete values, otherwise later in a callback."""
+    """Compute values and, on request, gradients: now if Q has concrete values, otherwise later, in a callback."""
     jax = _jax()
 
     def call(Q: Any) -> Any:

@@ -35,26 +35,26 @@ T = TypeVar("T")
 
 
 class Surface(Protocol):
-    """The part of a `trimesh.Trimesh` that this module uses: vertices, and triangles as indices of them."""
+    """The part of a `trimesh.Trimesh` that this module uses: vertices, and triangles as indices of vertices."""
 
     @property
     def vertices(self) -> ArrayLike:
-        """Shape (v, 3), in metres, or in `units` if they are given."""
+        """Vertices, shape (v, 3), in metres, or in `units` if they are given."""
 
     @property
     def faces(self) -> ArrayLike:
-        """Shape (t, 3)."""
+        """Triangles, shape (t, 3), as indices of vertices."""
 
 
 class Surfaces(Protocol):
-    """The part of a `trimesh.Scene` that this module uses: it can be joined."""
+    """The part of a `trimesh.Scene` that this module uses: its meshes can be joined."""
 
     def to_mesh(self) -> Surface:
-        """All meshes of the scene as one."""
+        """Join all meshes of the scene into one."""
 
 
 class Loaded(Protocol):
-    """The declared result of `trimesh.load`; only reading it shows whether it is a surface."""
+    """The declared result type of `trimesh.load`; whether it is a surface shows only when the file is read."""
 
     @property
     def bounds(self) -> ArrayLike | None:
@@ -81,19 +81,19 @@ LARGEST_NUMBER = 2**31 - 1
 
 
 def load(source: Source) -> tuple[Floats, Triangles]:
-    """Read a mesh, as triangles in metres.
+    """Read a mesh as triangles, in metres.
 
     Parameters
     ----------
     source : path, trimesh.Trimesh or trimesh.Scene, or a pair of arrays
         A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are placed by their
-        transforms and joined. If a file states its unit of length, it is converted; all others are assumed to be in
-        metres. Arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
+        transforms and joined. A file that states its unit of length is converted to metres; all other files are assumed
+        to be in metres. Or a pair of arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
 
     Returns
     -------
     vertices : ndarray, shape (v, 3)
-        In metres, as stored (equal vertices are not merged).
+        In metres, as stored; equal vertices are not merged.
     triangles : ndarray of int, shape (t, 3)
 
     Raises
@@ -101,7 +101,7 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     FileError
         If the file is missing, empty, cut short, larger than 2 GiB, not a regular file or not a mesh, or if its
         contents do not match its declarations; the message names the line or element. (An OBJ file does not declare its
-        length: a file that was cut between two lines cannot be distinguished from a whole one.)
+        length, so a file that was cut off between two lines cannot be distinguished from a whole file.)
     GeometryError
         If a vertex is not finite, or there is no triangle.
 
@@ -133,7 +133,7 @@ def load(source: Source) -> tuple[Floats, Triangles]:
 
 
 def _in_memory(source: Any) -> tuple[Floats, Triangles]:
-    """Vertices in metres and triangles of a trimesh.Trimesh or trimesh.Scene, or of both as arrays."""
+    """Return the vertices in metres and the triangles of a trimesh.Trimesh, a trimesh.Scene or a pair of arrays."""
     if isinstance(source, tuple) and len(source) == 2:
         source = SimpleNamespace(vertices=source[0], faces=source[1])
     try:
@@ -158,7 +158,7 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
 
 
 def _ask_about_units(vertices: Floats, name: str) -> None:
-    """Warn of a size that suggests another unit of length; `vertices` are already scaled."""
+    """Warn of a size that suggests a unit of length other than metres; `vertices` are already scaled."""
     size = float(np.ptp(vertices, axis=0).max())
     if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
         unit, factor = ("in millimetres", 0.001) if size > 1 else ("scaled to metres twice", 1000)
@@ -195,24 +195,24 @@ def convex_pieces(
     scale : float, or array_like of shape (3,)
         Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
     decompose : bool
-        False makes the convex hull of everything the only piece; it contains the mesh.
+        False: make the convex hull of the whole mesh, which contains it, the only piece.
     cover : bool
         Grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
-        The largest distance by which the pieces may stick out of the mesh, in metres. Planes instead of CoACD then cut
-        the mesh, until no piece sticks out farther or `max_pieces` is reached; if a piece still does, a warning states
-        by how much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as
-        closely as a limited amount of work allows.
+        The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is cut
+        along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece still
+        sticks out farther, a warning states by how much. A mesh with holes is always cut along planes; its default
+        tolerance is 2 % of the diagonal of its bounding box, or more if a limited amount of work does not suffice.
     threshold : float
-        CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. Only for meshes without
-        holes.
+        CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies only
+        to meshes without holes.
     max_pieces : int, optional
         Limit on the number of pieces of a decomposition.
     seed : int
         Seed of CoACD's search.
     progress : callable, optional
-        Called as ``progress(done, total)`` after each step, with a share that never decreases; if planes cut the mesh,
-        a step is a hundredth of its surface.
+        Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is cut
+        along planes, each step is a hundredth of its surface.
 
     Returns
     -------
@@ -228,19 +228,20 @@ def convex_pieces(
     Warns
     -----
     UserWarning
-        If a mesh to decompose has holes: its inside is then not solid. If the scaled mesh is more than 1000 m or less
-        than 0.1 mm across: it may not be in metres. If the pieces stick out by more than `tolerance`.
+        If a mesh to be decomposed has holes, since its inside is then not solid; if the scaled mesh is more than 1000 m
+        or less than 0.1 mm across, since it may not be in metres; or if the pieces stick out by more than `tolerance`.
 
     Notes
     -----
-    The closed parts of a mesh are decomposed one by one, even where they overlap, or share edges or corners. The only
-    piece of a convex part (its volume equals its hull's, to 1e-3) is its hull. A part of negative volume is a cavity of
-    the part in which it lies.
+    The closed parts of a mesh are decomposed one by one, even where they overlap, or share edges or corners. A part
+    counts as convex if its volume equals the volume of its hull, to 1e-3; it then has one piece, its hull. A part of
+    negative volume is a cavity of the part in which it lies.
 
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
-    piece is halved until its parts do, or nearly do, or are smaller than 0.25 % of the mesh's diagonal. With `cover`,
-    the remaining parts are added to the nearest piece. Without it, their distance is measured at their corners, where
-    it is greatest, since the distance to a convex piece is a convex function.
+    piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's
+    diagonal. With `cover`, the remaining parts are added to the nearest piece. Without it, their distance from the
+    pieces is measured at their corners, where it is greatest, since the distance to a convex piece is a convex
+    function.
 
     References
     ----------
@@ -270,7 +271,7 @@ def convex_pieces(
 
 
 def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
-    """Read a mesh as `load` does, in the unit that a factor converts to metres; warn about doubtful sizes."""
+    """Read a mesh as `load` does, and scale it by a factor to metres; warn about doubtful sizes."""
     factors = _validate.float_array(scale, "scale")
     factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
@@ -285,12 +286,12 @@ def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
 
 
 def name_of(source: Source) -> str:
-    """The name of a mesh in messages."""
+    """Return the name of a mesh for messages."""
     return shown(_path(source)) if isinstance(source, str | PathLike) else "mesh"
 
 
 def _path(source: str | PathLike[str]) -> Path:
-    """The path of a source; the reader of the file reports an invalid name."""
+    """Return the path of a source; an invalid name is reported when the file is read."""
     return Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
 
 
@@ -379,7 +380,7 @@ def convex_polytopes(
 def _told(
     name: str, pieces: list[Polytope], covering: Covering, tolerance: float | None
 ) -> tuple[list[Polytope], Covering]:
-    """Pieces and covering, with a warning if they stick out by more than a tolerance."""
+    """Return pieces and covering, with a warning if the pieces stick out by more than a tolerance."""
     if tolerance is not None and covering.max_protrusion > tolerance:
         warn(
             f"{name}: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "
@@ -390,17 +391,17 @@ def _told(
 
 
 def _protrusion(pieces: list[Polytope], solid: Solid) -> float:
-    """Proven bound on how far pieces stick out."""
+    """Return a proven bound on how far pieces stick out."""
     return float(protrusions(pieces, solid, together=True).bounds.max())
 
 
 def _excess_volume(hulls: list[Polytope], whole: float) -> float:
-    """Excess of the pieces' volume as a share of the mesh's volume; NaN if the mesh has none."""
+    """Compute the excess of the pieces' volume as a share of the mesh's volume; NaN if the mesh has no volume."""
     return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
 
 
 def trimesh_scene(meshes: Mapping[str, tuple[Floats, Triangles]]) -> Any:
-    """A `trimesh.Scene` of vertices and triangles by name."""
+    """Make a `trimesh.Scene` from vertices and triangles, keyed by name."""
     trimesh = _import("trimesh", "making a scene of trimesh")
     scene = trimesh.Scene()
     for name, (vertices, triangles) in meshes.items():
@@ -424,7 +425,7 @@ def _install_hint(package: str, purpose: str = "") -> str:
 
 
 def _metres(mesh: Any) -> float:
-    """Metres per unit of length, for a mesh that states its unit (Collada does)."""
+    """Return the metres per unit of length of a mesh that states its unit, as Collada does."""
     units = getattr(mesh, "units", None)
     if units is None or units == "meters":
         return 1.0
@@ -443,7 +444,7 @@ def _size(vertices: Floats) -> float:
 
 
 def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
-    """Merge equal vertices; drop unused ones and triangles that lost a corner."""
+    """Merge equal vertices; drop unused vertices, and triangles that have thereby lost a corner."""
     vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles]
     a, b, c = triangles.T
@@ -457,7 +458,7 @@ def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
 
 
 def _has_holes(triangles: Triangles) -> bool:
-    """Whether a surface has a border: closed parts may share edges, and triangles may be reversed."""
+    """Return whether a surface has a border; closed parts may share edges, and triangles may be reversed."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     return bool((counts % 2).any())
@@ -472,7 +473,7 @@ def _is_hull_of(part: ClosedPart, hull: Polytope) -> bool:
 
 
 def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -> list[Polytope]:
-    """Hull of each closed part, `hull` if there is only one part; no hulls if a part is flat."""
+    """Compute the hull of each closed part (`hull` if there is only one part); return none if a part is flat."""
     if len(parts) == 1:
         return [hull]
     try:
@@ -482,9 +483,9 @@ def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -
 
 
 def _interruptible(work: Callable[[], T]) -> T:
-    """Run foreign code that may take minutes, and raise an interrupt at once.
+    """Run foreign code that may take minutes, but let an interrupt take effect at once.
 
-    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and the result is
+    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and its result is
     discarded.
     """
     done: list[T] = []
@@ -515,7 +516,7 @@ def _coacd_by_parts(
     seed: int,
     progress: Progress | None,
 ) -> list[Polytope]:
-    """Decompose each closed part that is not convex; a mesh without known parts, or with too many, as a whole."""
+    """Decompose each nonconvex closed part, or the whole mesh if its parts are unknown or too many."""
     if not hulls or (most is not None and len(parts) > most):
         return _at_most(most, _coacd(vertices, triangles, threshold, most, seed))
     curved = [not _is_hull_of(part, hull) for part, hull in zip(parts, hulls, strict=True)]
@@ -533,9 +534,9 @@ def _coacd_by_parts(
 
 
 def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
-    """Join pieces, beginning with the smallest common box, until their number is within a limit.
+    """Join pairs of pieces, beginning with the smallest common box, until the number of pieces is within a limit.
 
-    CoACD keeps unconnected parts apart regardless of the limit.
+    CoACD keeps unconnected parts separate regardless of the limit.
     """
     pieces = list(pieces)
     while most is not None and len(pieces) > most:

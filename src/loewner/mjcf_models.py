@@ -1,7 +1,7 @@
-"""Bodies, joints and contacts of an MJCF file, compiled by MuJoCo and then read from its model.
+"""Read bodies, joints and contacts of an MJCF file from the model that MuJoCo compiles.
 
-MuJoCo handles the format best (defaults, includes, frames, replicas, composites), so it reads the file, and this module
-reads MuJoCo's model. Robots and scenes are made from the result.
+MuJoCo handles the format best (defaults, includes, frames, replicas, composites), so MuJoCo reads the file, and this
+module reads MuJoCo's model. Robots and scenes are made from the result.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MOST_PAIRS = 2**22
 
 @dataclass(frozen=True, eq=False)
 class MjcfJoint:
-    """A joint; a body may have several, which move it one after another.
+    """A joint of a body; a body may have several joints, which move it one after another.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class MjcfJoint:
     anchor, axis : ndarray, shape (3,)
         In the frame of the joint's body; the axis has unit length.
     lower, upper : float
-        Limits of a hinge [rad] or slide [m]; infinite where there are none, and for other joints.
+        Limits of a hinge [rad] or slide [m]; infinite for joints without limits, and for balls and free joints.
     reference : float
         The value at which the body is at its pose: `ref` in the file.
     """
@@ -58,7 +58,7 @@ class MjcfJoint:
 
 @dataclass(frozen=True, eq=False)
 class MjcfPart:
-    """Geoms of one body that collide with the same other geoms."""
+    """The geoms of one body that collide with the same geoms of other bodies."""
 
     name: str
     body: Body
@@ -66,7 +66,7 @@ class MjcfPart:
 
 @dataclass(frozen=True, eq=False)
 class MjcfBody:
-    """A body, in the frame of its parent; the world is the first body, and its own parent.
+    """A body, in the frame of its parent; the world is the first body and its own parent.
 
     Attributes
     ----------
@@ -76,7 +76,8 @@ class MjcfBody:
         Pose with the body's joints at their references.
     joints : tuple of MjcfJoint
     parts : tuple of MjcfPart
-        In the frame of the body. The first has the name of the body; in the world, each has the name of its only geom.
+        In the frame of the body. The first part has the name of the body; in the world, each part has the name of its
+        only geom.
     T_world_body : ndarray, shape (4, 4)
         Pose with all joints at their references.
     """
@@ -91,7 +92,7 @@ class MjcfBody:
 
 @dataclass(frozen=True, eq=False)
 class MjcfModel:
-    """A whole file.
+    """The contents of a whole file.
 
     Attributes
     ----------
@@ -102,9 +103,9 @@ class MjcfModel:
     related_pairs : frozenset
         Sorted pairs of names of parts that MuJoCo skips because they are rigidly joined, or are parent and child.
     excluded_pairs : frozenset
-        Pairs that MuJoCo skips because of the file: <exclude>, contype and conaffinity.
+        Pairs that MuJoCo skips because of <exclude>, contype and conaffinity in the file.
     keyframes : dict
-        Name to qpos.
+        Maps the name of a keyframe to its qpos.
     """
 
     name: str
@@ -176,7 +177,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
 
 
 def _compiled(file: Path) -> tuple[Any, Any]:
-    """MuJoCo, and its compiled model of the file."""
+    """Return the MuJoCo module, and its compiled model of the file."""
     try:
         import mujoco
     except ImportError:
@@ -190,7 +191,7 @@ def _compiled(file: Path) -> tuple[Any, Any]:
 
 
 class _Names:
-    """Names of bodies, joints and geoms, unique within their kind; unnamed ones are named by kind and number."""
+    """Names of bodies, joints and geoms, unique within their kind; an unnamed one is named by its kind and index."""
 
     def __init__(self, mujoco: Any, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
@@ -199,7 +200,7 @@ class _Names:
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
-        """Name of a part: the body's for its first part, otherwise, and in the world, the name of its first geom."""
+        """Return a part's name: the body's for its first part; for further parts and in the world, its first geom's."""
         if body and not number:
             return self.bodies[body]
         name = self.geoms[geoms[0]] if not body else f"{self.bodies[body]}/{self.geoms[geoms[0]]}"
@@ -210,7 +211,7 @@ class _Names:
 
 
 def _named(names: list[str], kind: str) -> list[str]:
-    """The names, with new names for unnamed entries."""
+    """Return the names, with new names for unnamed entries."""
     taken, found = set(names), []
     for number, name in enumerate(names):
         made = name or f"{kind}{number}"
@@ -221,7 +222,7 @@ def _named(names: list[str], kind: str) -> list[str]:
 
 
 def _placed(mujoco: Any, model: Any) -> list[Floats]:
-    """Poses of all bodies in the world, with joints at their references."""
+    """Compute the world poses of all bodies, with joints at their references."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return [_pose(data.xpos[body], data.xquat[body]) for body in range(model.nbody)]
@@ -234,7 +235,7 @@ def _pose(position: Floats, wxyz: Floats) -> Floats:
 
 
 def _joints(model: Any, names: _Names, body: int) -> tuple[MjcfJoint, ...]:
-    """Joints of a body, in the order in which they move it."""
+    """Read the joints of a body, in the order in which they move it."""
     first = int(model.body_jntadr[body])
     return tuple(_joint(model, names, first + k) for k in range(int(model.body_jntnum[body])))
 
@@ -258,9 +259,10 @@ def _joint(model: Any, names: _Names, joint: int) -> MjcfJoint:
 
 
 def _classes(model: Any) -> dict[int, tuple[int, ...]]:
-    """For each geom that can collide, the class that determines with which others.
+    """Return the class of each geom that can collide, which determines the geoms with which it can.
 
-    Geoms of one body and one class form one part. A geom of the world, or one that a <pair> names, forms a part alone.
+    Geoms of the same body and class form one part. A geom of the world, or a geom that a <pair> names, forms a part
+    alone.
     """
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     classes: dict[int, tuple[int, ...]] = {}
@@ -273,7 +275,7 @@ def _classes(model: Any) -> dict[int, tuple[int, ...]]:
 
 
 def _members(classes: dict[int, tuple[int, ...]], body: int) -> list[tuple[int, ...]]:
-    """Geoms of each part of a body, in the order of the file."""
+    """List the geoms of each part of a body, in the order of the file."""
     parts: dict[tuple[int, ...], list[int]] = {}
     for geom, found in classes.items():
         if found[0] == body:
@@ -286,7 +288,7 @@ def _union(bodies: list[Body]) -> Body:
 
 
 def _geom_body(mujoco: Any, model: Any, names: _Names, geom: int, file: Path, tol: float) -> Body:
-    """Body of a geom, in the frame of its MuJoCo body."""
+    """Make the body of a geom, in the frame of its MuJoCo body."""
     try:
         shape = _shape(mujoco.mjtGeom, model, geom, tol)
         T_body_geom = _pose(model.geom_pos[geom], model.geom_quat[geom])
@@ -296,7 +298,7 @@ def _geom_body(mujoco: Any, model: Any, names: _Names, geom: int, file: Path, to
 
 
 def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
-    """Body of a geom, in its own frame; MuJoCo gives radii, half lengths and semi-axes."""
+    """Make the body of a geom, in its own frame; MuJoCo gives radii, half lengths and semi-axes."""
     kind, (x, y, z) = int(model.geom_type[geom]), model.geom_size[geom].tolist()
     if kind == kinds.mjGEOM_SPHERE:
         return Body.sphere(x)
@@ -324,7 +326,7 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
 
 
 def _terrain(model: Any, field: int) -> Body:
-    """A height field, about the middle of its grid: rows run along y, columns along x, and heights are from 0 to 1."""
+    """Make a height field about the middle of its grid: rows run along y, columns along x, heights from 0 to 1."""
     rows, columns, first = (int(a[field]) for a in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr))
     half_x, half_y, highest, below = model.hfield_size[field].tolist()
     shares = np.array(model.hfield_data[first : first + rows * columns], dtype=np.float64).reshape(rows, columns)
@@ -335,7 +337,7 @@ def _terrain(model: Any, field: int) -> Body:
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:
-    """Vertices of a mesh with which MuJoCo collides: its convex hull's, or the ones left by `maxhullvert`."""
+    """Return the vertices that MuJoCo uses for a mesh: of its convex hull, or those left by `maxhullvert`."""
     first, count, graph = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr))
     vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
     if graph < 0:
@@ -352,7 +354,7 @@ def _hull_points(model: Any, mesh: int) -> Floats:
 def _left_out(
     mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
 ) -> tuple[frozenset[Pair], frozenset[Pair]]:
-    """Pairs of parts that MuJoCo skips, by kinship and by the file (see "Collision" in its documentation)."""
+    """Find the pairs of parts that MuJoCo skips, by kinship or by the file (see "Collision" in its documentation)."""
     parts = list(part_names)
     if len(parts) * (len(parts) - 1) // 2 > MOST_PAIRS:
         raise InputError(f"{file}: expected at most {MOST_PAIRS} pairs of parts that collide, found {len(parts)} parts")
@@ -374,7 +376,7 @@ def _left_out(
 
 
 def _related(model: Any, a: int, b: int, parents_meet: bool) -> bool:
-    """Whether two bodies are rigidly joined, or parent and child; the world does not count as a parent."""
+    """Return whether two bodies are rigidly joined, or parent and child; the world does not count as a parent."""
     a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
     if a == b:
         return True

@@ -1,7 +1,7 @@
-"""Cut a mesh with planes into convex pieces that stick out of it by no more than a tolerance.
+"""Cut a mesh along planes into convex pieces that stick out of it by no more than a tolerance.
 
 The hull of the surface on one side of a plane contains the solid on that side, since the extreme points of a solid's
-section lie on its surface. So the pieces contain the mesh without being grown; their triangles prove it.
+section lie on its surface. The pieces therefore contain the mesh without being grown.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ PASSES = 20
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """The part of the surface in one convex cell, its hull, and a proven bound on the hull's protrusion.
+    """The part of the surface in one convex cell, the hull of that part, and a proven bound on the hull's protrusion.
 
     Attributes
     ----------
@@ -63,9 +63,9 @@ class Cell:
     bound : float
         In metres; infinite before it is measured.
     deepest : ndarray, shape (3,)
-        The point of the hull that was found to stick out most.
+        The point of the hull that sticks out most, among the points examined.
     whole : bool
-        Whether nothing was found to stick out, or no plane makes progress.
+        Whether no point was found that sticks out, or no plane makes progress.
     """
 
     triangles: Floats
@@ -83,7 +83,7 @@ def pieces_within(
     parts: list[Floats], solid: Solid, tolerance: float, most: int | None, progress: Progress | None,
     work: float = np.inf,
 ) -> list[Cell]:  # fmt: skip
-    """Cut parts of a mesh until no hull sticks out of the mesh by more than a tolerance, as far as possible.
+    """Cut parts of a mesh until, as far as possible, no hull sticks out of the mesh by more than a tolerance.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ def pieces_within(
     most : int, optional
         Limit on the number of cells; the cells that stick out most are cut first.
     progress : callable, optional
-        Called as ``progress(done, total)`` with the share of the surface in pieces that need no more cuts.
+        Called as ``progress(done, total)``; the ratio is the share of the surface in pieces that need no more cuts.
     work : float
-        Limit on the work for cuts; see `WORK`.
+        Limit on the work spent on cuts; see `WORK`.
     """
     limit = MOST if most is None else most
     if len(parts) > limit:
@@ -119,7 +119,7 @@ def pieces_within(
 
 @dataclass
 class _Progress:
-    """Report the finished share of the surface in hundredths, never decreasing."""
+    """Report the finished share of the surface in hundredths; the share never decreases."""
 
     tell: Progress | None
     told: int = 0
@@ -143,7 +143,7 @@ def _cut_up(
     cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: _Progress,
     rng: np.random.Generator, work: float,
 ) -> tuple[list[Cell], float]:  # fmt: skip
-    """Cut cells that stick out too far until none does, or a limit is reached; also return the remaining work."""
+    """Cut cells until none sticks out too far, or a limit is reached; also return the remaining work."""
     while True:
         cells = _measured(cells, solid, tolerance)
         progress.look(cells, tolerance)
@@ -171,7 +171,7 @@ def _work(cell: Cell) -> int:
 
 
 def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
-    """Cells with bounds on how far they stick out, and the deepest points."""
+    """Make cells, with bounds on how far they stick out, and the points that stick out most."""
     new = [k for k, cell in enumerate(cells) if not np.isfinite(cell.bound)]
     if new:
         found = protrusions([cells[k].hull for k in new], solid, floor=tolerance, relative=ACCURACY)
@@ -184,7 +184,7 @@ def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
 
 
 def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
-    """Two parts of a cell, cut by the plane that leaves them sticking out least; None if no plane makes progress."""
+    """Cut a cell in two, by the plane after which the parts stick out least; None if no plane makes progress."""
     some = cell
     if len(cell.triangles) > MANY:
         with suppress(GeometryError):
@@ -212,7 +212,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
 
 
 def _halves(triangles: Floats, plane: tuple[Floats, float], solid: Solid, plate: float) -> list[Cell] | None:
-    """The parts on both sides of a plane; None if one is empty or a line."""
+    """Return the parts on the two sides of a plane; None if one is empty or a line."""
     ones = np.ones(len(triangles))
     below, _, above, _ = cut(triangles, ones[:, None] * plane[0], ones * plane[1], solid.rounding)
     try:
@@ -230,7 +230,7 @@ def _cell(triangles: Floats, plate: float) -> Cell:
 
 
 def _hull(points: Floats, plate: float) -> Polytope:
-    """Hull of points; for flat points, a plate with its sides at this distance from them."""
+    """Compute the hull of points; for flat points, a plate whose sides are at a given distance from them."""
     try:
         return Polytope.from_points(points)
     except GeometryError:
@@ -241,7 +241,7 @@ def _hull(points: Floats, plate: float) -> Polytope:
 
 
 def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]]:
-    """Planes that may cut off the protruding part, as unit normals and offsets."""
+    """List planes that may cut off the protruding part, as unit normals and offsets."""
     deepest = cell.deepest
     _, nearest = solid.signed_distances(deepest[None])
     out = deepest - _foot(deepest, solid.triangles[nearest[0]])
@@ -271,7 +271,7 @@ def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]
 
 
 def _foot(point: Floats, triangle: Floats) -> Floats:
-    """The point of a triangle that is nearest to a point."""
+    """Find the point of a triangle that is nearest to a given point."""
     normal = unit_normals(triangle[None])[0]
     edges = np.roll(triangle, -1, axis=0) - triangle
     foot: Floats = point - ((point - triangle[0]) @ normal) * normal
@@ -286,14 +286,14 @@ def _foot(point: Floats, triangle: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The common hull of two cells, and by how much its volume exceeds theirs."""
+    """The common hull of two cells, and the excess of its volume over the volumes of their own hulls."""
 
     hull: Polytope
     gain: float
 
 
 def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Generator) -> list[Cell]:
-    """Join cells as long as their common hull sticks out by no more than the tolerance."""
+    """Join pairs of cells whose common hull sticks out by no more than the tolerance, until no such pair remains."""
     cells, alive, new = list(cells), list[int](), list(range(len(cells)))
     possible = dict[tuple[int, int], Joined]()
     while True:
@@ -321,7 +321,7 @@ def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Ge
 def _joinable(
     cells: list[Cell], old: list[int], new: list[int], solid: Solid, tolerance: float, rng: np.random.Generator
 ) -> dict[tuple[int, int], Joined]:
-    """Pairs with a new cell whose common hull was not found to stick out too far."""
+    """List the pairs with a new cell whose common hull was not found to stick out too far."""
     found = dict[tuple[int, int], Joined]()
     within = np.array([k for k in (*old, *new) if cells[k].bound <= tolerance], dtype=np.int64)
     if len(within) == 0:
@@ -345,7 +345,7 @@ def _joinable(
 
 
 def _samples(hulls: list[Polytope], rng: np.random.Generator) -> Floats:
-    """Random points of the hulls' surfaces, equally many for each."""
+    """Draw random points of the hulls' surfaces, the same number for each hull."""
     chosen = np.empty((len(hulls), SAMPLES, 3, 3))
     for k, hull in enumerate(hulls):
         corners, normals = _faces(hull)
@@ -361,12 +361,12 @@ def _volume(hull: Polytope) -> float:
 
 
 def _faces(hull: Polytope) -> tuple[Floats, Floats]:
-    """Corners of a hull's triangles, and their normals."""
+    """Return the corners of a hull's triangles, and the normals of the triangles."""
     corners = hull.vertices[hull.simplices]
     return corners, _normals(corners)
 
 
 def _normals(triangles: Floats) -> Floats:
-    """Normals of triangles, with length twice the area; np.cross takes ten times as long for a few."""
+    """Compute triangle normals of twice the area's length; for a few triangles, np.cross takes ten times as long."""
     (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -1,4 +1,4 @@
-"""Draw bodies, pairs, robots in scenes, and counts or measurements about them, with matplotlib.
+"""Draw bodies, pairs of bodies, robots in scenes, and statistics of queries, with matplotlib.
 
 matplotlib is imported only when a function here is called: ``pip install "loewner[plots]"``.
 """
@@ -50,19 +50,19 @@ def body(
     colour: str = COLOURS[0],
     ellipsoids: bool = True,
 ) -> Any:
-    """Draw a body: its pieces, and the inner and outer ellipsoid of each as wire frames.
+    """Draw a body: its pieces and, as wire frames, the inner and outer ellipsoid of each piece.
 
     Parameters
     ----------
     body : Body
-        Curved pieces (cylinder, cone, capsule ...) are shown by their ellipsoids.
+        Curved pieces, such as cylinders and cones, are represented by their ellipsoids.
     T_world_body : array_like, shape (4, 4), optional
         Pose; translation in metres. None is the identity.
     ax : matplotlib 3-D axes, optional
         Axes to draw into; a new figure by default.
     colour : str
     ellipsoids : bool
-        Draw the ellipsoids too.
+        Also draw the ellipsoids.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def pair(
     ellipsoids: bool = True,
     near: bool = True,
 ) -> Any:
-    """Draw two bodies with their ellipsoids; the title is the certified verdict, and the exact one if ambiguous.
+    """Draw two bodies with their ellipsoids, titled with the certified verdict and, if ambiguous, the exact one.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def pair(
     ax : matplotlib 3-D axes, optional
     ellipsoids : bool
     near : bool
-        Draw the near points as well, or the ends of the depth, and the line between them.
+        Also draw the near points, or the ends of the penetration depth, and the line between them.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def pair(
 
 
 def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) -> Any:
-    """Draw a robot in its scene, with colliding parts in red and the number of colliding pairs in the title.
+    """Draw a robot in its scene, with colliding bodies in red and the number of colliding pairs in the title.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        If `checker` is not a checker, and as for `CollisionChecker.collide`.
+        If `checker` is not a checker; for `q`, as for `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -212,20 +212,20 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 
 
 def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) -> Any:
-    """Draw the share of each test: one bar per group, with its parts ordered from the cheapest test to the costliest.
+    """Draw each test's share of the answers: one bar per group, with parts from the cheapest test to the costliest.
 
     Parameters
     ----------
     counts : mapping of str to Settled, or to mapping of str to int
-        For each group the result of `CollisionChecker.tiers`, or your own counts (of pairs, for instance) under names
-        of the fields of `Settled`; omitted names count as 0.
+        For each group, the result of `CollisionChecker.tiers`, or your own counts, for instance of pairs, keyed by the
+        field names of `Settled`; omitted fields count as 0.
     ax : matplotlib axes, optional
         Axes to draw into; a new figure by default.
 
     Returns
     -------
     matplotlib axes
-        Shares are in percent of each group.
+        The axes; shares are in percent of each group.
 
     Raises
     ------
@@ -274,15 +274,15 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
 def costs(
     sizes: ArrayLike, seconds: Mapping[str, ArrayLike], *, size: str = "vertices", item: str = "pair", ax: Any = None
 ) -> Any:
-    """Draw the cost of one item against a size, such as vertices per hull or pairs per call; both axes are logarithmic.
+    """Draw the cost per item against a size, such as vertices per hull or pairs per call, on logarithmic axes.
 
     Parameters
     ----------
     sizes : array_like, shape (k,)
-        Positive numbers, in the order in which the points are joined.
+        Positive numbers, in the order in which lines join the points.
     seconds : mapping of str to array_like, shape (k,) or ()
-        Time per item in seconds, under its name in the legend; NaN where nothing was measured. A single number does not
-        depend on the size and becomes a dashed horizontal line.
+        Times per item in seconds, keyed by their name in the legend; NaN if a time was not measured. A single number is
+        a time independent of size and is drawn as a dashed horizontal line.
     size, item : str
         Labels of the axes.
     ax : matplotlib axes, optional
@@ -295,7 +295,7 @@ def costs(
     Raises
     ------
     InputError
-        If there are no sizes or no times, their numbers differ, or one is not above zero.
+        If there are no sizes or no times, they differ in number, or one is not above zero.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -332,19 +332,19 @@ def costs(
 
 
 def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = None) -> Any:
-    """Draw how often rules were right, by family of shapes, each share with its 95 % interval (Wilson's score).
+    """Draw how often rules were right, by family of shapes, with 95 % confidence intervals (Wilson's score).
 
     Parameters
     ----------
     counts : mapping of str to mapping of str to (int, int)
-        For each rule and each family, the number of right answers and the number of all answers.
+        For each rule and each family, the number of right answers and the total number of answers.
     ax : matplotlib axes, optional
         Axes to draw into; a new figure by default.
 
     Returns
     -------
     matplotlib axes
-        Families from top to bottom, each with a line and a dot for every rule that has answers.
+        The axes, with families from top to bottom, each with a line and a dot for every rule that has answers.
 
     Raises
     ------
@@ -400,18 +400,18 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
 
 
 def save(figure: Any, path: str | os.PathLike[str]) -> Path:
-    """Write a matplotlib figure (or the figure of axes) atomically; the same figure always gives the same bytes.
+    """Write a figure, or the figure of given axes, atomically; the same figure always gives the same bytes.
 
     Parameters
     ----------
     figure : matplotlib figure or axes
     path : str or path
-        Its suffix, such as .png, .svg or .pdf, gives the format.
+        The extension, such as .png, .svg or .pdf, determines the format.
 
     Returns
     -------
     pathlib.Path
-        Path of the written file.
+        The path of the written file.
 
     Raises
     ------
@@ -443,7 +443,7 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
 
 
 def _axes(given: Any) -> Any:
-    """3-D axes: the given ones or new ones."""
+    """Return the given 3-D axes, or new ones."""
     if given is None:
         return _figure(6, 6).add_subplot(projection="3d")
     if getattr(given, "name", None) != "3d" or not hasattr(given, "add_collection3d"):
@@ -452,7 +452,7 @@ def _axes(given: Any) -> Any:
 
 
 def _flat_axes(given: Any) -> Any:
-    """2-D axes: the given ones or new ones."""
+    """Return the given 2-D axes, or new ones."""
     if given is None:
         return _figure(6, 4).add_subplot()
     if getattr(given, "name", None) != "rectilinear" or not hasattr(given, "barh"):
@@ -496,7 +496,7 @@ def _named(x: Any, name: str) -> Mapping[Any, Any]:
 
 
 def _tiers_of(group: Any, name: Any) -> dict[str, int]:
-    """Counts of one group by tier."""
+    """Return the counts of one group, by tier."""
     found = asdict(group) if isinstance(group, Settled) else dict(_named(group, f"counts[{name!r}]"))
     for tier, count in found.items():
         if tier not in TIERS:
@@ -508,7 +508,7 @@ def _tiers_of(group: Any, name: Any) -> dict[str, int]:
 
 
 def _times(x: Any, name: str, count: int) -> Floats:
-    """One time, or one for each size; NaN where nothing was measured."""
+    """Check one time, or one time per size; NaN if a time was not measured."""
     times = _validate.float_array(x, f"seconds[{name!r}]")
     if times.shape not in ((), (count,)):
         found = _validate.shape_text(times.shape)
@@ -522,7 +522,7 @@ def _times(x: Any, name: str, count: int) -> Floats:
 
 
 def _counted(x: Any, name: str) -> tuple[int, int]:
-    """Number of right answers, and number of all answers."""
+    """Check the number of right answers and the total number of answers."""
     try:
         right, total = (_validate.whole_number(n, name, 0) for n in x)
     except Exception:  # not two numbers, or an error from the caller's object
@@ -556,7 +556,7 @@ def _legend(ax: Any, entries: list[tuple[str, str]]) -> None:
 
 
 def _wires() -> Floats:
-    """Six meridians and five parallels of the unit sphere, shape (11, 49, 3)."""
+    """Return six meridians and five parallels of the unit sphere, shape (11, 49, 3)."""
     turn = np.linspace(0, 2 * np.pi, 49)
     lines = []
     for angle in np.arange(6) * np.pi / 6:
@@ -575,7 +575,7 @@ def _corners(body: Body, T: Floats) -> Floats:
 
 
 def _frame(ax: Any, corners: Floats) -> None:
-    """Show all corners, at one scale along all axes."""
+    """Fit the axes to all corners, with the same scale along all axes."""
     middle, half = (corners.max(axis=0) + corners.min(axis=0)) / 2, np.ptp(corners, axis=0).max() / 2
     ax.set(
         xlim=(middle[0] - half, middle[0] + half),

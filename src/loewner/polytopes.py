@@ -1,4 +1,4 @@
-"""Convex polytopes in any dimension: vertices and faces, from points or from half-spaces."""
+"""Make convex polytopes in any dimension, with vertices and faces, from points or from half-spaces."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ SMALLEST, LARGEST = 1e-140, 1e140
 class Polytope:
     """A bounded convex polytope with an interior.
 
-    Build it with `from_points` or `from_halfspaces`. Its shape is the convex hull of the stored `vertices`; the faces
-    are derived, and rounded.
+    Build it with `from_points` or `from_halfspaces`. Its shape is exactly the convex hull of the stored `vertices`; the
+    faces are derived from them and rounded.
 
     Attributes
     ----------
@@ -55,9 +55,9 @@ class Polytope:
     normals : ndarray, shape (f, n)
         Unit outward normals of the faces; coplanar facets are merged.
     offsets : ndarray, shape (f,)
-        The polytope is {x : normals x <= offsets}, up to rounding: each offset is the largest normal·vertex.
+        Each offset is the largest normal·vertex, so up to rounding the polytope is {x : normals x <= offsets}.
     simplices : ndarray of int, shape (s, n)
-        The boundary cut into simplices (triangles for n = 3), as indices of vertices; for n = 3 counter-clockwise
+        The boundary, cut into simplices, as indices of vertices. For n = 3 these are triangles, counter-clockwise when
         seen from outside.
     face_of_simplex : ndarray of int, shape (s,)
         The face in which each simplex lies.
@@ -86,9 +86,9 @@ class Polytope:
 
     @classmethod
     def from_points(cls, points: ArrayLike) -> Polytope:
-        """Convex hull of points.
+        """Make the convex hull of points.
 
-        Duplicates, interior points and points within rounding of a face (about 1e-14 of the width) are dropped.
+        Duplicate points, interior points, and points within rounding of a face (about 1e-14 of the width) are dropped.
 
         Parameters
         ----------
@@ -117,12 +117,12 @@ class Polytope:
 
     @classmethod
     def from_halfspaces(cls, A: ArrayLike, b: ArrayLike) -> Polytope:
-        """Bounded intersection of half-spaces {x : A x <= b}.
+        """Make the intersection of half-spaces {x : A x <= b}, which must be bounded.
 
         Parameters
         ----------
         A : array_like, shape (m, n)
-            n >= 2; rows of any length, redundant ones allowed.
+            n >= 2. Rows may have any length, and redundant rows are allowed.
         b : array_like, shape (m,)
 
         Raises
@@ -162,7 +162,7 @@ class Polytope:
 
 
 def check_enough(points: Floats, name: str, least_dim: int = 1, given: Floats | None = None) -> None:
-    """Raise unless there are n + 1 points, or n and a given center, in a space of a sensible dimension."""
+    """Check that there are n + 1 points, or n points and a given center, in a space of a sensible dimension."""
     m, n = points.shape
     if n < least_dim:
         raise InputError(f"{name}: expected points in dimension n >= {least_dim}, found shape {points.shape}")
@@ -173,21 +173,22 @@ def check_enough(points: Floats, name: str, least_dim: int = 1, given: Floats | 
 
 
 def check_size(size: float, name: str) -> None:
-    """Raise if squares of lengths would over- or underflow."""
+    """Check that squares of lengths neither overflow nor underflow."""
     if not (size == 0 or SMALLEST <= size <= LARGEST):
         raise InputError(f"{name}: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {size:g}; rescale")
 
 
 def writeable(array: NDArray[Any]) -> NDArray[Any]:
-    """Return `array`, or a copy if it is read-only, which for Numba is another type that needs another compilation."""
+    """Return `array`, or a copy if it is read-only, since Numba would compile again for read-only arrays."""
     return array if array.flags.writeable else array.copy()
 
 
 def flat_error(name: str, points: Floats) -> GeometryError:
     """Describe how flat the points are, and in how many directions they extend.
 
-    The kernels stop at the first direction without a width, although others may follow: a sheet perpendicular to the
-    first direction has no width there. So the directions are found anew, the widest first.
+    The kernels stop at the first direction without a width, although there may be wider directions after it: a sheet
+    that is perpendicular to the first direction tried has no width there. The directions are therefore found again
+    here, widest first.
     """
     n = points.shape[1]
     offsets = points - points[0]
@@ -207,7 +208,7 @@ def flat_error(name: str, points: Floats) -> GeometryError:
 
 
 def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
-    """Half-spaces without empty rows, scaled exactly, by powers of two, to rows of length about 1."""
+    """Check half-spaces, drop empty rows, and scale rows exactly, by powers of two, to lengths of about 1."""
     rows = _validate.finite_array(A, "A", ("m", "n"))
     bounds = _validate.finite_array(b, "b", (len(rows),))
     if rows.shape[1] < 1 or len(rows) < 1:
@@ -231,16 +232,16 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
-    """Point that certainly satisfies A x < b: the origin, or the point with the largest minimum slack.
+    """Find a point that certainly satisfies A x < b: the origin, or the point with the largest minimum slack.
 
-    The latter is a linear program. A solver's tolerance is absolute, about 1e-7 of the data, so the program is
-    magnified about its solution and solved again until the slack clearly exceeds rounding (Gleixner, Steffy and Wolter
-    2016).
+    The point with the largest minimum slack is found by a linear program. A solver's tolerance is absolute, about 1e-7
+    of the data. The program is therefore magnified about its solution and solved again, until the slack clearly exceeds
+    rounding (Gleixner, Steffy and Wolter 2016).
 
     Raises
     ------
     GeometryError
-        If the polytope is empty or flat, with the slack that was reached.
+        If the polytope is empty or flat; the message gives the slack that was reached.
     """
     m, n = A.shape
     x = np.zeros(n)
@@ -294,7 +295,7 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
 
 
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
-    """Vertices, normals, offsets, simplices and the face of each simplex."""
+    """Compute vertices, normals, offsets, simplices and the face of each simplex."""
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     from scipy.spatial import QhullError
 
@@ -321,7 +322,7 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
 
 
 def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
-    """Simplices, their neighbors and equations, as Qhull finds them."""
+    """Run Qhull for the simplices, their neighbors and their equations."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -334,14 +335,15 @@ def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
 
 
 def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
-    """Points in 3-D that may be vertices of the hull of all; the others are certainly inside the hull of these.
+    """Select points in 3-D that may be vertices of the hull of all; the hull of these certainly contains the rest.
 
-    Those are inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left out if a·(y - c) is less
-    than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1, so no vertex is left out,
-    and by the lemma of docs/containment.md the hull of the vertices contains the point in these coordinates. The
-    coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c) by at most 5 u B |y| /
-    s, where s is the least distance of a face from c. Both the point and the vertices move: this takes 10 of the 128 in
-    `shrink`. Its first term is far above the rounding of the products, which is less than 20 u |y| / s.
+    The points that are left out lie inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left
+    out if a·(y - c) is less than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1,
+    so no vertex is left out, and by the lemma of docs/containment.md the hull of the vertices contains the point in
+    these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c)
+    by at most 5 u B |y| / s, where s is the least distance of a face from c. Both the point and the vertices move: this
+    takes 10 of the 128 in `shrink`. Its first term is far above the rounding of the products, which is less than 20 u
+    |y| / s.
     """
     found = _hull_of_sample(coordinates)
     if found is None:
@@ -364,11 +366,12 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
 
 
 def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Mean of the vertices of a sample's hull, and face normals with distances from the mean; None if it is useless.
+    """Return the mean of the vertices of a sample's hull, and its face normals and distances; None if it is useless.
 
     The sample includes the extreme points along the axes, so that its hull is not much smaller than the hull of all
-    points. A point is as likely to be outside the hull of a random sample as a point of the sample is to be its vertex
-    (Efron 1965, doi:10.1093/biomet/52.3-4.331), so the sample shows whether testing all points is worthwhile.
+    points. A point is as likely to lie outside the hull of a random sample as a point of the sample is to be a vertex
+    of that hull (Efron 1965, doi:10.1093/biomet/52.3-4.331). The sample therefore shows whether testing all points is
+    worthwhile.
     """
     from scipy.spatial import QhullError
 
@@ -400,7 +403,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of the arrays that belong to a `start` array.
+    """Many packed 3-D hulls: with each `start` array, hull i has the rows start[i]:start[i+1] of its data arrays.
 
     Attributes
     ----------
@@ -409,7 +412,7 @@ class Hulls:
     normals : ndarray, shape (total faces, 3)
     offsets : ndarray, shape (total faces,)
     triangles : ndarray of int, shape (total triangles, 3)
-        Indices within the hull's own vertices, counter-clockwise from outside.
+        Indices within the hull's own vertices, counter-clockwise when seen from outside.
     """
 
     vert_start: Ints
@@ -453,7 +456,7 @@ class Hulls:
 
 @guarded
 def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names: Sequence[str] | None = None) -> Hulls:
-    """Convex hulls of many sets of points in 3-D, packed into flat arrays.
+    """Compute convex hulls of many sets of points in 3-D, packed into flat arrays.
 
     Parameters
     ----------
@@ -462,7 +465,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     progress : callable, optional
         Called as ``progress(done, total)`` from time to time.
     names : sequence of str, optional
-        The caller's name for each set, for messages; otherwise ``point_sets[i]``.
+        The caller's name for each set, for messages. Default: ``point_sets[i]``.
 
     Raises
     ------
@@ -493,19 +496,19 @@ _BOX_TRIANGLES = np.array(
 
 
 def box_hull(half: Floats, name: str) -> Hulls:
-    """Hull of the corners of an axis-aligned box about the origin, as `hulls` finds it, without Qhull.
+    """Make the hull of an axis-aligned box about the origin, equal to the result of `hulls`, but without Qhull.
 
     Parameters
     ----------
     half : ndarray, shape (3,)
-        Half the edge lengths, in metres.
+        Half of each edge length, in metres.
     name : str
         The caller's name for the edges, for messages.
 
     Raises
     ------
     InputError, GeometryError
-        As for `Polytope.from_points` with the corners.
+        As for `Polytope.from_points` with the corners of the box.
     """
     check_size(float(half.max()), name)
     corners = _CORNERS * half

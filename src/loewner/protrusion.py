@@ -1,4 +1,4 @@
-"""Bound how far convex pieces stick out of a mesh, with proof, by branch and bound over the pieces' surfaces."""
+"""Prove bounds on how far convex pieces stick out of a mesh, by branch and bound over the pieces' surfaces."""
 
 from __future__ import annotations
 
@@ -47,21 +47,22 @@ CHUNK = 16_384
 
 
 class Solid:
-    """A triangle mesh that measures distances of points: from the solid if it is closed, otherwise from the surface.
+    """A triangle mesh from which distances of points are measured: from the solid if it is closed, else the surface.
 
     Parameters
     ----------
     triangles : ndarray, shape (t, 3, 3)
-        Corners, for a closed mesh counter-clockwise seen from outside.
+        Corners of the triangles; in a closed mesh, counter-clockwise when seen from outside.
     closed : bool
-        Whether the mesh has an inside: all points with a winding number other than 0.
+        Whether the mesh has an inside, which consists of all points with a nonzero winding number.
     size : float, optional
-        Reference length in metres; by default the diagonal of the mesh's box.
+        Reference length in metres; by default the diagonal of the mesh's bounding box.
 
     Notes
     -----
-    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its center, scaled by a power of two
-    to a size near 1, so that rounding is relative to its size and single precision suffices for its boxes.
+    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its center and scaled by a power of
+    two to a size near 1. Rounding is then relative to the size of the mesh, and single precision suffices for the boxes
+    of its tree.
     """
 
     def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
@@ -82,16 +83,16 @@ class Solid:
         self._normals = self.normals[self._numbers]
 
     def _framed(self, points: Floats) -> Floats:
-        """Points in the coordinates of kernels."""
+        """Convert points to the coordinates of the kernels."""
         framed: Floats = (points - self._middle) * self._scale
         return np.ascontiguousarray(framed)
 
     def _asked(self, framed: Floats) -> tuple[int, float]:
-        """The tree, and a sum of lengths that bounds all coordinates."""
+        """Return the tree, and a sum of lengths that bounds all coordinates."""
         return self._tree.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
-        """Distances of points to the surface, negative inside, and the triangle nearest to each point."""
+        """Compute the distances of points to the surface, negative inside, and the triangle nearest to each point."""
         distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
@@ -105,10 +106,10 @@ class Solid:
         return distances, self._numbers[places]
 
     def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
-        """Whether all triangles within reach of a point face one half-space.
+        """Return whether all triangles within reach of a point face one half-space.
 
-        A surface that is not closed has two outer sides, unless the point and its surroundings are known to be
-        `outside`: then only the point's own side counts.
+        A surface that is not closed has two outer sides. If the point and its surroundings are known to be `outside`,
+        only the side of the point counts.
         """
         answers = np.zeros(len(points), dtype=bool)
         if self.closed and not self._turned_alike:
@@ -128,7 +129,7 @@ class Solid:
 
     @kept
     def _turned_alike(self) -> bool:
-        """Whether each triangle has the solid on its inner side, judged by four of its points.
+        """Return whether each triangle has the solid on its inner side, judged by four of its points.
 
         Where a cavity extends beyond its part, a triangle may have the solid on its outer side.
         """
@@ -139,7 +140,7 @@ class Solid:
         return bool(((outer >= 0) & (inner >= 1)).all())
 
     def winding_numbers(self, points: Floats) -> Ints:
-        """The winding number around each point; for a closed mesh only."""
+        """Compute the winding number of a closed mesh around each point."""
         numbers = np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
@@ -150,7 +151,7 @@ class Solid:
         return numbers
 
     def _turns(self, point: Floats) -> int:
-        """Winding number by the sum of the triangles' solid angles."""
+        """Compute winding numbers as the sum of the triangles' solid angles."""
         arms = self.triangles - point
         length = np.linalg.norm(arms, axis=2)
         a, b, c = arms.transpose(1, 0, 2)
@@ -170,9 +171,9 @@ class Protrusions:
     bounds : ndarray, shape (k,)
         Proven upper bound for each piece, in metres.
     found : ndarray, shape (k,)
-        The distance of the farthest point that was found, a lower bound.
+        The distance of the farthest point that was found, which is a lower bound.
     points : ndarray, shape (k, 3)
-        This point; NaN if nothing sticks out.
+        The farthest point that was found; NaN if nothing sticks out.
     """
 
     bounds: Floats
@@ -192,23 +193,24 @@ def protrusions(
     floor : float
         A piece is not examined further once its bound is below this length.
     relative : float
-        How near the bound has to be to the distance found.
+        How near the bound has to be to the distance found, as a ratio.
     together : bool
-        Whether only the piece that sticks out most matters.
+        Whether only the piece that sticks out most matters, so that the search may end earlier.
 
     Notes
     -----
-    The distances of two points to the solid differ by at most the distance between the points. A triangle of a piece's
-    boundary therefore has a bound: the distance of its center, negative inside, plus the radius about it. The distance
-    to a single triangle of the mesh is convex, so it is greatest at a corner, which gives another bound; the smaller
-    one counts. A triangle whose bound is above the required one is halved, or cut along the edges of the mesh's
-    triangle in which it nearly lies, which settles that part.
+    The distances of two points to the solid differ by at most the distance between the points. One bound for a triangle
+    of a piece's boundary is therefore the distance of its center, negative inside, plus its radius about the center.
+    The distance to a single triangle of the mesh is a convex function, so its value at the farthest corner is a second
+    bound; the smaller bound counts. A triangle whose bound is above the required one is halved, or cut along the edges
+    of the mesh's triangle in which it nearly lies, which settles that part.
 
-    Inside a piece, in a cavity or a groove that it fills, the distance may have a greater local maximum. There the
-    directions from the nearest points of the surface surround the point, and each is a combination of outward normals
-    of triangles at its nearest point. So a cube has no local maximum if all triangles within reach face one half-space.
-    Other cubes have the bound above, or are divided; so are all cubes if some triangles of the mesh have the solid on
-    their outer side, for instance where a cavity extends beyond its part.
+    Inside a piece, in a cavity or a groove that it fills, the distance may have a greater local maximum. At such a
+    maximum, the directions from the nearest points of the surface surround the point, and each direction is a
+    combination of outward normals of triangles at its nearest point. A cube therefore has no local maximum if all
+    triangles within reach face one half-space. Any other cube has the first bound above, or is divided. This applies to
+    all cubes if some triangles of the mesh have the solid on their outer side, for instance where a cavity extends
+    beyond its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
@@ -237,7 +239,7 @@ def protrusions(
 def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
     """Bound how far the hulls of closed parts stick out, each measured against its own part.
 
-    Other parts, which may touch this part or lie in it, would interfere, so each is placed far from the others.
+    Parts that touch or contain one another would interfere, so each part is placed far from the others.
     """
     size = max(float(np.linalg.norm(np.ptp(hull.vertices, axis=0))) for hull in hulls)
     edge = round(np.ceil(len(parts) ** (1 / 3)))
@@ -253,7 +255,7 @@ def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
 
 @dataclass
 class _Search:
-    """Branch and bound over two kinds of cells of the pieces, with the values found and the bounds proven."""
+    """Branch and bound over the pieces' cells, of two kinds, with the values found and the bounds proven."""
 
     hulls: list[Polytope]
     solid: Solid
@@ -263,7 +265,7 @@ class _Search:
     targets: Callable[[int], Floats]
 
     def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
-        """Examine cells, beginning with the greatest bounds, and then the parts of the unsettled ones.
+        """Examine cells, beginning with the greatest bounds, and then the parts of unsettled cells.
 
         `limit` is the known bound of each cell. `look` takes cells, owners, limits and the work so far, and returns the
         parts of unsettled cells, the index of each part's cell, and the bounds of all cells.
@@ -293,7 +295,7 @@ class _Search:
             self.found[k], self.points[k] = signed[at], points[at]
 
     def boundary(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
-        """Triangles of the pieces' boundaries."""
+        """Examine the triangles of the pieces' boundaries."""
         solid = self.solid
         centers = cells.mean(axis=1)
         signed, nearest = solid.signed_distances(centers)
@@ -310,7 +312,7 @@ class _Search:
         return parts, rest[origin], bound
 
     def inside(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
-        """Cubes, given by centers and half edges, that may contain local maxima of distance in the pieces."""
+        """Examine cubes, given by centers and half edges, that may contain local maxima of distance inside pieces."""
         middles, half = cells[:, :3], cells[:, 3]
         radius = np.sqrt(3.0) * half
         height = np.empty(len(cells))
@@ -337,7 +339,7 @@ class _Search:
 
 
 def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tuple[Floats, Ints, Floats]:
-    """Parts of cells, the cell from which each comes, and a bound for the settled part of each cell."""
+    """Return parts of cells, the cell from which each part comes, and a bound for the settled part of each cell."""
     length, edge = longest_edges(cells)
     mesh, normals = solid.triangles[nearest], solid.normals[nearest]
     height = np.abs(np.einsum("ijk,ik->ij", cells - mesh[:, :1], normals)).max(axis=1) + solid.rounding
@@ -368,7 +370,7 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
 
 
 def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
-    """Whether points lie above the interiors of triangles."""
+    """Return whether points lie above the interiors of triangles."""
     above = np.ones(len(points), dtype=bool)
     for k in range(3):
         edge = triangles[:, (k + 1) % 3] - triangles[:, k]

@@ -1,4 +1,4 @@
-"""Verdicts, collisions and distances of bodies, for one pair or a million."""
+"""Compute verdicts, collisions and distances of bodies, for one pair or millions of pairs."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ METHODS = ("exact", "estimate")
 
 
 class Verdict(IntEnum):
-    """Certified answer about a pair of bodies.
+    """The certified answer to a query, such as whether two bodies collide.
 
     Examples
     --------
@@ -75,26 +75,26 @@ VerdictOrVerdicts = Verdict | Verdicts
 
 @dataclass(frozen=True, eq=False)
 class Distance(Generic[Number, Exact, Vector]):
-    """Distances in metres, each of the batch's shape; negative values are penetration depths.
+    """Signed distances of bodies, in metres, each of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
-    pieces a negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
-    other, and separating them can take more, since another pair may then be in the way. For a surface it is a strict
-    lower bound; for two convex pieces it is as accurate as an exact distance.
+    pieces a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
+    deep, but separating them can take a longer translation, since another pair of pieces may then be in the way. For a
+    surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance.
 
     Attributes
     ----------
     lower, upper : float or ndarray
         Certified bounds from the ellipsoids: lower <= distance <= upper.
     estimate : float or ndarray
-        The O(1) guess from the product of the two contact functions, clamped to the bounds.
+        A guess, computed in O(1) from the product of the two contact functions and clamped to the bounds.
     distance : float or ndarray, or None
-        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces, which is the
-        length of the shortest translation that separates those two.
+        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces. This depth is the
+        length of the shortest translation that separates the two pieces.
     witness_a, witness_b : ndarray, shape (..., 3), or None
         Points of a and of b, in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (..., 3), or None
-        Unit vector from a to b; moving b along it separates these two pieces fastest.
+        Unit vector from a to b; moving b along it separates the two pieces fastest.
 
     Examples
     --------
@@ -118,11 +118,11 @@ class Distance(Generic[Number, Exact, Vector]):
     def wrench(self) -> Vector:
         """Derivative of the distance with respect to b's motion, shape (..., 6), or None without ``exact=True``.
 
-        It consists of a unit force along the normal at the witness and its moment about the world's origin [m]. If b
-        moves by a twist (the velocity of its point at the world's origin and its angular velocity), the distance
-        changes by the product of twist and wrench; if a moves, by minus that product. Where the witnesses are not
-        unique (parallel faces or edges) the distance has a kink, and this is the derivative for one choice of
-        witnesses.
+        It consists of a unit force along the normal at the witness, and the moment of that force about the world's
+        origin [m]. Let a twist be the velocity of a body's point at the world's origin, and the body's angular
+        velocity. If b moves by a twist, the distance changes by the product of twist and wrench; if a moves, by minus
+        that product. Where the witnesses are not unique (parallel faces or edges), the distance has a kink, and the
+        wrench is the derivative for one choice of witnesses.
 
         Examples
         --------
@@ -148,7 +148,7 @@ Measured = Distance[Number, Number, Floats]
 
 
 class _Pairs(NamedTuple):
-    """Operands of a query, broadcast, in the form that the kernels take."""
+    """The broadcast operands of a query, in the form that the kernels take."""
 
     shape: tuple[int, ...]
     total: int
@@ -159,13 +159,13 @@ class _Pairs(NamedTuple):
 
     @property
     def operands(self) -> Operands:
-        """Plan, rows, pack and poses of a, pack and poses of b, in the order that the kernels take."""
+        """Return the plan, the rows, and the packs and poses of a and of b, in the order that the kernels take."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
 
 def _of_mesh(source: Any) -> str:
-    """Advice about a mesh where a body is expected, for the message."""
+    """Make the advice, for a message, about a mesh given in place of a body."""
     return "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(source, "faces") else ""
 
 
@@ -179,10 +179,10 @@ def _prepare(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> _Pairs:
-    """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`.
+    """Check the operands and work out how they broadcast; unless `check` is true, the kernel checks the poses.
 
-    `each` is the number of bytes of results per pair: a call that does not fit into memory is refused. `chosen` are
-    rows of pairs, instead of broadcasting.
+    `each` is the number of bytes of results per pair, by which a call that does not fit into memory is refused.
+    `chosen` lists rows of pairs, instead of broadcasting.
     """
     expect_bodies(a, b)
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
@@ -203,7 +203,7 @@ def expect_bodies(a: Any, b: Any) -> None:
 
 
 class Plan(NamedTuple):
-    """The bodies and poses that make up the pairs of a batch.
+    """Which bodies and poses make up the pairs of a batch.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ class Plan(NamedTuple):
     steps : ndarray of int64, shape (5, d)
         See `settle_range` of the kernels: the merged shape of the batch, and strides of a, Ta, b and Tb in rows.
     rows : ndarray of int64, shape (2, total) or (2, 0)
-        Rows of a and b, if the pairs are listed by number.
+        Rows of a and of b if the pairs are listed by row number; otherwise empty.
     """
 
     shape: tuple[int, ...]
@@ -230,7 +230,7 @@ def plan_of(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> Plan:
-    """Work out how bodies and poses broadcast by their shapes, or the shape of listed pairs; see `_prepare`."""
+    """Work out from shapes how bodies and poses broadcast, or the shape of listed pairs; see `_prepare`."""
     if chosen is not None:
         return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
     of_a = (len(a),) if isinstance(a, Bodies) else ()
@@ -256,7 +256,7 @@ def _listed(
     of_poses_b: tuple[int, ...],
     each: int,
 ) -> Plan:
-    """Pairs that are given by row numbers."""
+    """Check pairs that are given by row numbers."""
     rows = _validate.integer_array(chosen, "pairs")
     if rows.ndim == 0 or rows.shape[-1] != 2:
         found = _validate.shape_text(rows.shape)
@@ -283,7 +283,7 @@ def _listed(
 
 
 def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
-    """Rows to step along each axis of the batch; 0 where the operand repeats."""
+    """Compute an operand's step in rows along each axis of the batch; 0 along axes where it repeats."""
     strides = [0] * ndim
     step = 1
     for axis in range(1, len(part) + 1):
@@ -294,9 +294,9 @@ def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
 
 
 def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
-    """Merge neighbouring axes along which every operand has an even stride; usually one axis remains.
+    """Merge neighbouring axes over which the stride of every operand is constant; usually one axis remains.
 
-    Returns the plan: the merged shape, then the strides of each operand, one row each.
+    Return the plan: the merged shape in the first row, then the strides of each operand in a row of its own.
     """
     axes: list[list[int]] = []
     for d, length in enumerate(shape):
@@ -310,9 +310,9 @@ def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
 
 
 def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> tuple[NDArray[np.int8], Ints]:
-    """Verdict of every pair, and how many piece pairs each tier settled.
+    """Compute the verdict of every pair, and the number of pairs of pieces that each tier settled.
 
-    With `estimate` the product of the contact functions decides the pairs that would be AMBIGUOUS.
+    With `estimate`, the product of the contact functions decides pairs that would otherwise be AMBIGUOUS.
     """
     out = np.empty(pairs.total, dtype=np.int8)
 
@@ -361,7 +361,7 @@ def classify(
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
 ) -> VerdictOrVerdicts:
-    """Certified verdict from the ellipsoids alone.
+    """Compute the certified verdict of two bodies from their ellipsoids alone.
 
     Parameters
     ----------
@@ -370,18 +370,18 @@ def classify(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies must keep: FREE then means farther apart than `margin`, and COLLIDING means
-        within it.
+        Distance in metres that the bodies have to keep: FREE then means that they are farther apart than `margin`, and
+        COLLIDING that they are not.
     pairs : array_like of int, shape (..., 2), optional
-        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i (a single body or pose
-        serves all rows). Nothing is copied. To compare all of n with all of m, pass ``np.indices((n, m)).T``; the
-        result has shape (m, n).
+        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, where a single body or
+        pose serves all rows. Nothing is copied. To compare each of n bodies with each of m, pass ``np.indices((n,
+        m)).T``; the result has shape (m, n).
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...)
-        FREE and COLLIDING are proven, in floating point too (docs/certified.md). A union of pieces is FREE only if
-        every pair of pieces is, and COLLIDING if any pair is.
+        FREE and COLLIDING are proven, including all rounding (docs/certified.md). Two unions of pieces are FREE only if
+        every pair of pieces is FREE, and COLLIDING if any pair is COLLIDING.
 
     Raises
     ------
@@ -461,9 +461,9 @@ def collide(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
-        "exact": the certificate, then a search on the pieces themselves. "estimate": the
-        certificate, then an O(1) guess from the product of the contact functions of the inner and
-        of the outer ellipsoids, which errs on some ambiguous pairs (docs/theory/estimate.md).
+        "exact": the certificate, then, for ambiguous pairs, a search on the pieces themselves. "estimate": the
+        certificate, then, for ambiguous pairs, a guess in O(1) from the product of two contact functions, of the inner
+        and of the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
     margin : float
         In metres; pairs at this distance or less count as colliding.
     pairs : array_like of int, shape (..., 2), optional
@@ -472,9 +472,9 @@ def collide(
     Returns
     -------
     bool, or ndarray of bool, shape (...)
-        Touching counts as colliding. False from "exact" is proven; True is proven up to rounding: pairs apart by less
-        than about 1e-12 of the lengths involved may count as touching, and this may depend on the order of the two
-        bodies (docs/certified.md).
+        Touching counts as colliding. False from "exact" is proven; True is proven up to rounding: bodies that are apart
+        by less than about 1e-12 of the lengths involved may count as touching, and whether they do may depend on their
+        order (docs/certified.md).
 
     Raises
     ------
@@ -505,7 +505,7 @@ def collide(
 
 @guarded
 def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
-    """Whether bodies collide, exactly or by the estimate."""
+    """Decide whether bodies collide, exactly or by the estimate."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
     unsettled = out == Verdict.AMBIGUOUS
@@ -578,7 +578,7 @@ def distance(
     exact: bool = False,
     pairs: ArrayLike | None = None,
 ) -> Distance:
-    """Certified bounds on the signed distance of two bodies, and on request its exact value.
+    """Bound the signed distance of two bodies with proof and, on request, compute it exactly.
 
     Parameters
     ----------
@@ -593,16 +593,16 @@ def distance(
     Returns
     -------
     Distance
-        Separation is positive, penetration negative, touching zero. The signed distance of two bodies is the least over
-        their pairs of pieces; see `Distance` for the meaning of depths.
+        Distances are positive for separate bodies, negative for penetration, and zero for touching bodies. The signed
+        distance of two bodies is the least over their pairs of pieces; `Distance` explains the meaning of depths.
 
     Raises
     ------
     PoseError, InputError
         As for `classify`, and if `exact` is neither True nor False.
     ConvergenceError
-        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth of cylinders,
-        cones and capsules is never less than the true one, and is proven to 1e-3 where many directions tie.)
+        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth computed for
+        cylinders, cones and capsules is never less than the true depth; if many directions tie, it is proven to 1e-3.)
 
     Examples
     --------
@@ -618,7 +618,7 @@ def distance(
 
 @guarded
 def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen: Any) -> Distance:
-    """Bounds on distances, and the distances themselves."""
+    """Compute bounds on distances, and the distances themselves."""
     exact = _validate.flag(exact, "exact")
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     shape = asked.shape

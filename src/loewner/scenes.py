@@ -1,8 +1,8 @@
-"""Scenes: named bodies in the world, bodies attached to a robot's links, allowed contacts, and margins.
+"""Scenes: named bodies in the world or attached to a robot's links, allowed contacts, and margins.
 
 A `Scene` changes between two queries: bodies are added, moved, grasped and put down by name. The bodies themselves
-never change, so each change costs a few dictionary entries and no new fit. A scene has no robot: names of links are
-checked by `CollisionChecker`, which pairs the scene with a robot.
+never change, so a change of the scene costs a few dictionary entries and no new fit. A scene has no robot;
+`CollisionChecker` pairs a scene with a robot, and checks names of links.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Contact:
         Names of bodies of a scene, or of links of a robot.
     distance : float
         In metres; a negative value is the depth of the deepest two pieces. It is positive only for two bodies within
-        their margin (or apart by rounding alone: touching counts as colliding).
+        their margin, or for touching bodies that rounding moves apart, since touching counts as colliding.
     witness_a, witness_b : ndarray, shape (3,)
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
@@ -98,7 +98,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """How a body is attached to a robot.
+    """How a body is attached to a link of a robot.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Attachment:
     T_link_body : ndarray, shape (4, 4)
         Pose of the body in the frame of the link; translation in metres.
     touch_links : tuple of str
-        Links that it may touch while it is attached: the given ones and the link that carries it, sorted.
+        Links that the body may touch while it is attached: the given links and the link that carries it, sorted.
 
     Examples
     --------
@@ -130,16 +130,16 @@ class Scene:
     Parameters
     ----------
     margin : float
-        Distance in metres that all pairs with a body of the scene keep (see `margin_of`).
+        Distance in metres that every pair with a body of the scene has to keep (see `margin_of`).
 
     Notes
     -----
-    Iterating over a scene yields names, in the order in which the bodies were added. Its own queries (`pairs`,
-    `collide`, `distance`) are about the static bodies in the world; the pose of a body that is attached to a link
-    depends on a robot's configuration.
+    Iterating over a scene yields the names of its bodies, in the order in which they were added. The scene's own
+    queries (`pairs`, `collide`, `distance`) cover only the static bodies in the world, since the pose of an attached
+    body depends on a robot's configuration.
 
     Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
-    state. A body that is probably not in metres causes a warning when it is added, once per scene.
+    state. Adding a body that is probably not in metres causes a warning, once per scene.
 
     Examples
     --------
@@ -197,13 +197,13 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the static bodies in the world, in the same order: all bodies except the attached ones."""
+        """Names of the static bodies, that is, of all bodies except attached ones, in the order of `names`."""
         with _CHANGING:
             return tuple(name for name in self._bodies if name not in self._attachments)
 
     @property
     def static_bodies(self) -> Bodies:
-        """The bodies of `static_names`, packed; the same object until `structure_version` increases."""
+        """The bodies in `static_names`, packed; the same object until `structure_version` increases."""
         with _CHANGING:
             packed, version = self._packed, self._structure_version
             standing = [self._bodies[name] for name in self.static_names]
@@ -213,29 +213,29 @@ class Scene:
 
     @property
     def static_poses(self) -> Floats:
-        """World poses of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
+        """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
             return np.array([self._poses[name] for name in self.static_names]).reshape(-1, 4, 4)
 
     @property
     def attachments(self) -> dict[str, Attachment]:
-        """How each attached body is fixed to the robot, by name of the body."""
+        """How each attached body is fixed to the robot, keyed by the name of the body."""
         with _CHANGING:
             held = {name: self._attachments[name] for name in self._bodies if name in self._attachments}
         return _validate.Named("attached body", held)
 
     @property
     def version(self) -> int:
-        """A number that grows with every change, which reveals that data prepared from the scene is stale."""
+        """A number that grows with every change, so that stale data prepared from the scene can be recognised."""
         return self._version
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except `move`, after which all other prepared data stays valid."""
+        """A number that grows with every change except `move`, which leaves all prepared data except poses valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
-        """Pose of a body in the world, shape (4, 4), as a new array.
+        """Return the pose of a body in the world, shape (4, 4), as a new array.
 
         Parameters
         ----------
@@ -255,12 +255,12 @@ class Scene:
             return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return another scene with the same bodies; later changes of one do not affect the other.
+        """Return a copy of the scene; later changes of the scene do not affect the copy, or the reverse.
 
         Returns
         -------
         Scene
-            With the same bodies, margins and rules; the bodies themselves are shared, since they never change.
+            A scene with the same bodies, margins and rules; the bodies themselves are shared, since they never change.
         """
         other = self.snapshot()
         other._version = other._structure_version = 0
@@ -268,12 +268,12 @@ class Scene:
         return other
 
     def snapshot(self) -> Scene:
-        """A consistent copy with the versions, which queries use while other threads change this scene.
+        """Copy the scene and its versions consistently, so that a query is unaffected when another thread changes it.
 
         Returns
         -------
         Scene
-            It shares the arrays that are already packed.
+            A copy that shares the arrays that are already packed.
         """
         other = Scene()
         with _CHANGING:
@@ -300,7 +300,7 @@ class Scene:
         T_world_body : array_like, shape (4, 4), or None
             Translation in metres. None is the identity.
         margin : float, optional
-            Distance in metres that this body keeps if no larger margin applies (see `margin_of`).
+            Distance in metres that this body has to keep if no larger margin applies (see `margin_of`).
 
         Raises
         ------
@@ -342,7 +342,7 @@ class Scene:
             warn(f"body {name!r}: expected {doubt} (told once a scene)")
 
     def remove(self, name: str) -> None:
-        """Remove a body, and with it all margins and allowed pairs that name it.
+        """Remove a body, with all margins and allowed pairs that name it.
 
         Parameters
         ----------
@@ -365,12 +365,12 @@ class Scene:
             self._changed()
 
     def replace(self, name: str, body: Body) -> None:
-        """Replace one body by another, such as the next image of a camera; everything else stays.
+        """Replace a body by a new one, for instance by the next image of a camera; everything else stays the same.
 
         Parameters
         ----------
         name : str
-            Its pose or attachment, its margins and its allowed pairs hold for the new body.
+            Name of the body to replace. Its pose or attachment, margins and allowed pairs apply to the new body.
         body : Body
 
         Raises
@@ -403,14 +403,15 @@ class Scene:
         Parameters
         ----------
         name : str, or mapping from names to poses
-            If any name or pose of a mapping is wrong, nothing is moved.
+            The body, or a mapping from several bodies to their poses. If any name or pose of a mapping is wrong, no
+            body is moved.
         T_world_body : array_like, shape (4, 4), or None
             The new pose; translation in metres. None is the identity.
 
         Raises
         ------
         InputError
-            If a body is attached to a link: it moves with the link until it is detached.
+            If a body is attached to a link, since it moves with the link until it is detached.
         """
         if isinstance(name, Mapping):
             if T_world_body is not None:
@@ -433,32 +434,33 @@ class Scene:
         leave: Iterable[str] = (),
         reach: Iterable[str] = (),
     ) -> None:
-        """Attach a body, such as a grasped object, to a link, with which it moves from now on.
+        """Attach a body, such as a grasped object, to a link, so that it moves with the link from now on.
 
         Parameters
         ----------
         name : str
-            A body of the scene. A body that is already attached is handed over.
+            A body of the scene. A body that is already attached to a link is handed over to the new one.
         link : str
             Name of a link. It is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
             Pose of the body in the frame of the link; translation in metres. None is the identity.
         touch_links : iterable of str
-            Links that the body may touch as long as it is attached; it may always touch `link` itself.
+            Links that the body may touch as long as it is attached, in addition to `link` itself.
         leave : iterable of str
-            Bodies or links that it touches now and must leave, such as the table below it: see `leave`.
+            Bodies or links that the body touches now and must leave, such as the table below it: see `leave`.
         reach : iterable of str
-            Bodies or links that it may touch at the end of a motion, such as the shelf on which it is placed: see
+            Bodies or links that the body may touch at the end of a motion, such as the shelf on which it is placed: see
             `reach`.
 
         Warns
         -----
         UserWarning
-            If a pair with this body stays allowed by `allow`: motions are then proven without that pair.
+            If `allow` still permits contact between this body and another; proofs of motions then ignore that pair.
 
         Notes
         -----
-        Rules of `leave` and `reach` that already name the body end here, and again at `detach`.
+        Earlier rules of `leave` and `reach` that name the body end when it is attached, and the new ones when it is
+        detached.
 
         Examples
         --------
@@ -499,8 +501,8 @@ class Scene:
         ----------
         name : str
         T_world_body : array_like, shape (4, 4), or None
-            The new pose in the world: the link's pose times `T_link_body` if the body was released in place.
-            Translation in metres; None is the identity.
+            The new pose in the world, with translation in metres; None is the identity. If the body was released in
+            place, it is the link's pose times `T_link_body`.
 
         Raises
         ------
@@ -525,7 +527,7 @@ class Scene:
             return frozenset(self._allowed)
 
     def allow(self, a: str, b: str) -> None:
-        """Allow two bodies or links to touch: queries ignore their contact from now on.
+        """Allow two bodies or links to touch; from now on queries ignore contact between them.
 
         Parameters
         ----------
@@ -572,7 +574,7 @@ class Scene:
             return frozenset(self._reaching)
 
     def leave(self, a: str, b: str) -> None:
-        """Let two bodies in contact at the start of a motion separate; the contact may not get deeper or return.
+        """Let two bodies that touch at the start of a motion separate; the contact may not deepen or return.
 
         Parameters
         ----------
@@ -582,15 +584,14 @@ class Scene:
 
         See Also
         --------
-        reach : The mirror image, at the end of a motion.
-        allow : Contact at any time, however deep.
+        reach : The corresponding rule for the end of a motion. allow : Allows contact at any time, however deep.
 
         Notes
         -----
         The rule applies to motions (see `CollisionChecker.certify_edges`). A motion that starts with the two in contact
-        is FREE if it is proven that, on a first stretch, no two of their pieces penetrate each other deeper than at the
-        start or, while they are within their margin, come nearer, and that the two keep their margin on the rest. It
-        takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
+        is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper than at
+        the start or, while within their margin, come nearer. On the rest of the motion, the two keep their margin. The
+        rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -606,7 +607,8 @@ class Scene:
     def reach(self, a: str, b: str) -> None:
         """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
 
-        At the end they may touch, or be within their margin, and overlap by no more than the tolerance of the proof.
+        At the end the two may touch or be within their margin, and may overlap by no more than the tolerance of the
+        proof.
 
         Parameters
         ----------
@@ -615,7 +617,7 @@ class Scene:
 
         See Also
         --------
-        leave : The mirror image, at the start of a motion.
+        leave : The corresponding rule for the start of a motion.
 
         Examples
         --------
@@ -632,19 +634,22 @@ class Scene:
             self._changed()
 
     def _end_contacts(self, name: str) -> None:
-        """Drop the rules of `leave` and `reach` about a body: its contacts are no longer the same."""
+        """Drop the rules of `leave` and `reach` for a body whose contacts have changed."""
         for rules in (self._leaving, self._reaching):
             rules.difference_update([pair for pair in rules if name in pair])
 
     @property
     def margin(self) -> float:
-        """Distance in metres that all pairs with a body of the scene keep."""
+        """Distance in metres that every pair with a body of the scene has to keep."""
         return self._margin
 
     @property
     def margins(self) -> dict[MarginKey, float]:
-        """All other margins: of a body or link under ``(name,)``, of a pair under sorted ``(a, b)``, of a body or link
-        against any link under ``(name, None)``, and between links under ``(None, None)``."""
+        """All margins except the scene's own, keyed by names.
+
+        The margin of a body or link has the key ``(name,)``, or ``(name, None)`` if it applies only against links. The
+        margin of a pair has the sorted names ``(a, b)`` as its key, and the margin between links ``(None, None)``.
+        """
         with _CHANGING:
             return dict(self._margins)
 
@@ -663,20 +668,21 @@ class Scene:
         against: Literal["links"] | None = None,
         lower: bool = False,
     ) -> None:
-        """Set the margin of a pair, of one body or link, of the whole scene, or between links.
+        """Set the margin of a pair, of one body or link, of the whole scene, or of all pairs of links.
 
-        It replaces an earlier margin for the same names. It never reduces a larger margin that applies to a pair,
-        unless `lower` is set (see `margin_of`).
+        The new margin replaces an earlier margin for the same names. It never reduces a larger margin that applies to a
+        pair for other reasons, unless `lower` is set (see `margin_of`).
 
         Parameters
         ----------
         margin : float or None
             In metres. None removes the margin of the pair, body or link.
         a, b : str, optional
-            Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
+            Names of bodies or links. Give both for the margin of a pair, only `a` for one body or link, and neither for
+            the scene's margin.
         against : "links", optional
-            The margin applies against links only: the margin of `a`, or without `a` the margin between all links, which
-            the scene's margin does not cover.
+            Apply the margin only against links. With `a`, it is the margin between `a` and links; without `a`, it is
+            the margin between all links, to which the scene's margin does not apply.
         lower : bool
             Whether this margin overrides more general ones, so that two bodies may come closer together.
 
@@ -714,12 +720,12 @@ class Scene:
             self._changed()
 
     def widen(self, least: float) -> None:
-        """Raise smaller margins of pairs with a body of this scene to `least`; margins between links do not change.
+        """Raise margins of pairs with a body of this scene to at least `least`; margins between links do not change.
 
         Parameters
         ----------
         least : float
-            In metres. Larger margins do not change. The scene's own margin is raised, too.
+            In metres. Margins above it do not change. The scene's own margin is raised, too.
 
         Raises
         ------
@@ -749,7 +755,7 @@ class Scene:
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
-        """The margin of two bodies or links, in metres: the largest one that applies to them.
+        """Return the margin of two bodies or links, in metres, which is the largest that applies to them.
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
         to two links. In addition, the margin of each body or link and the margin of the pair apply. Only a margin set
@@ -790,12 +796,12 @@ class Scene:
     # -- queries ------------------------------------------------------------------------------
 
     def pairs(self) -> tuple[Contact, ...]:
-        """All pairs of bodies in the world that touch, overlap or come within their margin, except for allowed ones.
+        """List all pairs of bodies in the world that touch, overlap or come within their margin, except allowed pairs.
 
         Returns
         -------
         tuple of Contact
-            In the order in which the bodies were added, each pair once. Pairs that are not listed are allowed or proven
+            Each pair once, in the order in which the bodies were added. Pairs that are not listed are allowed or proven
             free.
 
         Raises
@@ -810,7 +816,7 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self) -> bool:
-        """Whether any pair of bodies in the world collides that may not; `pairs` gives the details.
+        """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` gives the details.
 
         Returns
         -------
@@ -826,7 +832,7 @@ class Scene:
     @overload
     def distance(self, a: str, b: str, *, exact: bool) -> Distance: ...
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
-        """Signed distance of two bodies in the world, by name; margins and allowed pairs are ignored.
+        """Compute the signed distance of two named bodies in the world; margins and allowed pairs are ignored.
 
         See `loewner.distance`.
 
@@ -855,14 +861,14 @@ class Scene:
         return queries.distance(one, T_one, other, T_other, exact=exact)
 
     def _standing_now(self) -> Scene:
-        """A snapshot whose bodies are packed; the packing is kept for the next snapshot."""
+        """Return a snapshot with packed bodies, and keep the packing for the next snapshot."""
         now = self.snapshot()
         _ = now.static_bodies
         self._packed = now._packed  # a snapshot has its own version
         return now
 
     def _meeting(self) -> Ints:
-        """Pairs of bodies in the world that count as colliding, as indices into `static_names`, shape (m, 2)."""
+        """Find the colliding pairs of bodies in the world, as indices into `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
         # The broad phase has one margin for all pairs: the largest misses none, and surplus pairs are dropped below.
         widest = max([self._margin, *self._margins.values()])
@@ -921,7 +927,7 @@ def _pair_as_given(pair: Any) -> Pair:
 
 
 def _pair(a: Any, b: Any) -> Pair:
-    """Two different names, sorted."""
+    """Check two names, which must differ, and sort them."""
     _check_name(a, "a")
     _check_name(b, "b")
     if a == b:
@@ -930,7 +936,7 @@ def _pair(a: Any, b: Any) -> Pair:
 
 
 def _margin_key(a: Any, b: Any, against: Any) -> MarginKey:
-    """Key of a margin; () is the key of the whole scene's."""
+    """Make the key of a margin; the key () belongs to the margin of the whole scene."""
     if a is None and b is not None:
         raise InputError(f"a: expected a name with b = {b!r}, found None")
     if against is not None:

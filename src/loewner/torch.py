@@ -1,4 +1,4 @@
-"""Clearances and distances of a checker as functions that PyTorch differentiates.
+"""Make functions of a checker's clearances and distances that PyTorch can differentiate.
 
 PyTorch is imported only when a function here is called: ``pip install "loewner[torch]"``. Import this module by its
 full name, ``import loewner.torch``: ``from loewner import torch`` would hide PyTorch's own name.
@@ -26,19 +26,19 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls; each call uses the current state.
+        Its scene may change between calls; each call uses the scene's current state.
     softness : float
         In metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        A function from configurations, a tensor of shape (..., dof), to clearances, shape (...), in metres.
+        It maps configurations, a tensor of shape (..., dof), to clearances, shape (...), in metres.
 
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The function raises it if
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises it if
         configurations are not a dense tensor of float32 or float64 on the CPU, their width is not dof, an entry is not
         finite, there is no pair to check, or a second derivative is requested.
     MissingExtraError
@@ -46,9 +46,10 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
     Notes
     -----
-    It is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp`` and
-    ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, under ``vmap`` too; gradients are computed together
-    with the values if they may be needed. There are no second derivatives: differentiating twice raises.
+    The function is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp``
+    and ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, also under ``vmap``. Gradients are computed
+    together with the values if they may be needed. There are no second derivatives: differentiating twice raises an
+    error.
 
     Results have the type of the configurations. In float32 the bound belongs to exactly these float32 numbers and is
     rounded down, so that it remains a lower bound.
@@ -71,7 +72,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a PyTorch function of the exact distance of `CollisionChecker.distance`, which has kinks.
+    """Make a PyTorch function of the exact distance of `CollisionChecker.distance`, a function with kinks.
 
     Parameters
     ----------
@@ -80,19 +81,19 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        A function from configurations, a tensor of shape (..., dof), to distances, shape (...), in metres; a negative
-        value is a depth.
+        It maps configurations, a tensor of shape (..., dof), to distances, shape (...), in metres; a negative value is
+        a depth.
 
     Raises
     ------
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        Raised by the function, as for `loewner.distance`.
+        Raised by the returned function, as for `loewner.distance`.
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down too. The gradient equals the one of
+    As for `clearance`; float32 distances are rounded down as well. The gradient is the gradient of
     `CollisionChecker.distance`.
 
     Examples
@@ -110,7 +111,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
-    """A measure as a function for PyTorch."""
+    """Make a PyTorch function of a measure."""
     asked, _ = _functions()
 
     def function(Q: Any) -> Any:
@@ -136,7 +137,7 @@ def _expect_configurations(Q: Any, measure: Measure) -> None:
 
 
 def _is_differentiated(Q: Any) -> bool:
-    """Whether derivatives with respect to these configurations are likely to be requested."""
+    """Return whether derivatives with respect to these configurations are likely to be requested."""
     torch = _torch()
     if torch.is_grad_enabled() and Q.requires_grad:
         return True
@@ -148,12 +149,12 @@ def _is_differentiated(Q: Any) -> bool:
 
 @cache
 def _functions() -> tuple[Any, Any]:
-    """The two functions that PyTorch differentiates; made once PyTorch is imported."""
+    """Make the two functions that PyTorch differentiates, once PyTorch is imported."""
     torch = _torch()
     Function: Any = torch.autograd.Function
 
     class Asked(Function):  # type: ignore[misc]
-        """Values of a measure, and its gradients, which have no columns if they are not needed."""
+        """Compute the values of a measure, and its gradients, which have no columns if they are not needed."""
 
         @staticmethod
         def forward(Q: Any, measure: Measure, gradient: bool) -> Any:
@@ -182,14 +183,14 @@ def _functions() -> tuple[Any, Any]:
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
     def kept(ctx: Any) -> tuple[Any, Any]:
-        """Configurations and gradients, which are computed now if they were not expected to be needed."""
+        """Return configurations and gradients; the latter are computed now if they were not expected to be needed."""
         Q, gradients = ctx.saved_tensors
         if gradients.shape != Q.shape:
             _, gradients = Asked.apply(Q, ctx.measure, True)
         return Q, gradients
 
     class Times(Function):  # type: ignore[misc]
-        """A factor times the gradients; these depend on Q, so differentiating again raises instead of giving zeros."""
+        """Multiply a factor by the gradients, which depend on Q: a second derivative raises instead of being zero."""
 
         generate_vmap_rule = True
 

@@ -1,4 +1,4 @@
-"""Operations on many triangles in space: halving, cutting by planes, and distances from points."""
+"""Halve many triangles in space, cut them by planes, and compute their distances from points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SLIVER = 1e-12
 
 
 def halved(triangles: Floats, edge: Ints) -> Floats:
-    """Cut each triangle across the edge that starts at the given corner; the second halves follow the first ones."""
+    """Halve each triangle across the edge that starts at a given corner; all first halves precede the second halves."""
     row = np.arange(len(triangles))
     a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
     middle = (a + b) / 2
@@ -21,13 +21,13 @@ def halved(triangles: Floats, edge: Ints) -> Floats:
 
 
 def longest_edges(triangles: Floats) -> tuple[Floats, Ints]:
-    """Length of each triangle's longest edge, and the corner at which the edge starts."""
+    """Find the length of each triangle's longest edge, and the corner at which that edge starts."""
     edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
     return edges.max(axis=1), edges.argmax(axis=1)
 
 
 def unit_normals(triangles: Floats) -> Floats:
-    """Unit normals, right-handed; zero for slivers."""
+    """Compute right-handed unit normals; zero for slivers."""
     a, b, c = triangles.transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -42,16 +42,16 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     ----------
     triangles : ndarray, shape (t, 3, 3)
     normals : ndarray, shape (t, 3)
-        One plane {x : normal x = offset} for each triangle.
+        One plane {x : normal x = offset} per triangle.
     offsets : ndarray, shape (t,)
     rounding : float
-        Corners this near to the plane count as lying in it. A triangle in the plane belongs to the side behind the
-        triangle, which contains the solid that it bounds.
+        Corners this near to the plane count as lying in it. A triangle in the plane belongs to the side behind it,
+        where the solid lies that it bounds.
 
     Returns
     -------
     below, above : ndarray, shapes (k, 3, 3)
-        Each is followed by the indices of the triangles from which the parts come.
+        The parts below and above the planes, each followed by the indices of the triangles from which they come.
     """
     height = np.einsum("tij,tj->ti", triangles, normals) - offsets[:, None]
     height[np.abs(height) <= rounding] = 0.0
@@ -86,7 +86,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
 
 
 def squared_distances(points: Floats, triangles: Floats) -> Floats:
-    """Squared distance of each point to its triangle, shapes (n, 3) and (n, 3, 3), even for thin triangles."""
+    """Compute the squared distance of each point, shape (n, 3), to its triangle, shape (n, 3, 3), which may be thin."""
     squared = np.empty(len(points))
     entries.squared_distances_of(np.ascontiguousarray(points), np.ascontiguousarray(triangles), squared)
     return squared

@@ -1,9 +1,10 @@
 """Bodies: unions of convex pieces, each with its inner and outer ellipsoid.
 
-A `Body` is one such union; `Bodies` is a packed sequence of them for batches. Both are read-only. To move a body, pass
-a pose to a query; the fits are never computed again.
+A `Body` is one such union; `Bodies` packs a sequence of bodies for batched queries. Both are read-only. To move a body,
+pass a pose to a query; its ellipsoids are not fitted again.
 
-`body` defines these two, `pack` and `layout` the arrays behind them, and `files` the ``.npz``.
+`body` defines these two classes, `pack` and `layout` define the arrays behind them, and `files` defines the ``.npz``
+format.
 """
 
 from loewner.bodies.body import Bodies, Body, Piece, bodies_of, packed_of

@@ -35,21 +35,21 @@ class Piece:
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; `Body.from_surface` makes "surface" for
-        triangles alone and "solid" for triangles with the space they enclose.
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; from `Body.from_surface`, "surface" for
+        triangles alone or "solid" for triangles and the space that they enclose.
     vertices : ndarray, shape (v, 3), or None
         Extreme points, or the vertices of a surface; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
-        Faces of a polytope: unit outward normals and offsets, normals @ x <= offsets.
+        Faces of a polytope, as unit outward normals and offsets: the polytope is normals @ x <= offsets.
     triangles : ndarray of int, shape (t, 3), or None
-        Indices into `vertices`: a polytope's surface, counter-clockwise from outside, or the triangles of a surface as
-        the mesh has them.
+        Indices into `vertices`. The triangles of a polytope's surface are counter-clockwise when seen from outside; the
+        triangles of a surface are oriented as in the mesh.
     inner, outer : Ellipsoids
-        The largest ellipsoid inside and the smallest one around. For a surface, `inner` is some ellipsoid inside, not
-        the largest: without a radius it is a point, with semi-axes of zero.
+        The largest ellipsoid inside the piece and the smallest one around it. For a surface, `inner` lies inside but is
+        not the largest; without a radius it is a point, with semi-axes of zero.
     inner_gap, outer_gap : float
-        Certified bounds on the log-volume distance from the optimum; the inner ellipsoid of a surface has no such
-        bound, and `inner_gap` is 0.
+        Certified bounds on how far the log-volume of each ellipsoid is from the optimum. The inner ellipsoid of a
+        surface has no such bound; its `inner_gap` is 0.
 
     Examples
     --------
@@ -72,7 +72,7 @@ class Piece:
 
 
 class _Unmade:
-    """Placeholder for the arrays of a body whose constructor was skipped; unused once the arrays exist."""
+    """Placeholder for the arrays of a body whose constructor was skipped, until the arrays are set."""
 
     def __get__(self, body: Any, kind: type) -> Any:
         if body is None:
@@ -89,7 +89,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece; a surface that is not solid and has no radius has a point instead."""
+        """Inner ellipsoids, one row per piece; a point if the piece is an open surface without a radius."""
         return trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property
@@ -113,12 +113,12 @@ class _Bodies:
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+        """Save to a versioned ``.npz`` file without pickle; the file is written under a temporary name, then renamed.
 
         Parameters
         ----------
         path : path
-            Ends in ``.npz``; a file of that name is replaced.
+            Must end in ``.npz``; an existing file is replaced.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Body(_Bodies):
 
     @property
     def covering(self) -> Covering | None:
-        """How well the pieces cover the mesh from which they were made; None if there was no mesh."""
+        """How well the pieces cover the mesh from which they were made; None if they were not made from a mesh."""
         return self._covering
 
     def __repr__(self) -> str:
@@ -180,12 +180,12 @@ class Body(_Bodies):
 
     @classmethod
     def from_points(cls, points: ArrayLike, *, tol: float = 1e-4) -> Body:
-        """Convex hull of points, as one piece.
+        """Make a body of one piece, the convex hull of points.
 
         Parameters
         ----------
         points : array_like, shape (m, 3)
-            In metres; at least four, not all in a plane.
+            At least four points, in metres, not all in one plane.
         tol : float
             Certified log-volume gap of both fits.
 
@@ -203,7 +203,7 @@ class Body(_Bodies):
 
     @classmethod
     def from_pieces(cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4) -> Body:
-        """Union of the convex hulls of several point sets, each of shape (m_i, 3).
+        """Make the union of the convex hulls of several point sets, each of shape (m_i, 3).
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class Body(_Bodies):
         Raises
         ------
         GeometryError
-            If there is no point set, or one is flat; the message gives its number.
+            If there is no point set, or if one is flat; the message gives the number of the flat set.
 
         Examples
         --------
@@ -243,15 +243,16 @@ class Body(_Bodies):
         seed: int = 0,
         progress: Progress | None = None,
     ) -> Body:
-        """Body of a triangle mesh.
+        """Make a body from a triangle mesh.
 
         Parameters
         ----------
         source : path, trimesh.Trimesh or trimesh.Scene
             STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
         decompose : bool
-            True: split a non-convex mesh into convex pieces (CoACD, or planes); the pieces approximate the mesh, and
-            `body.covering` states how well. False: the convex hull, which contains it.
+            True: split a non-convex mesh into convex pieces, with CoACD or by cutting along planes; the pieces
+            approximate the mesh, and `body.covering` states how well. False: use the convex hull, which contains the
+            mesh.
         tol : float
             Certified log-volume gap of all fits.
         scale : float, or array_like of shape (3,)
@@ -259,20 +260,21 @@ class Body(_Bodies):
         cover : bool
             Grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
-            The largest distance by which the pieces may stick out of the mesh, in metres. Planes instead of CoACD then
-            cut the mesh, until no piece sticks out farther or `max_pieces` is reached; if a piece still does, a warning
-            states by how much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its
-            box, or as closely as a limited amount of work allows.
+            The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is
+            cut along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a
+            piece still sticks out farther, a warning states by how much. A mesh with holes is always cut along planes;
+            its default tolerance is 2 % of the diagonal of its bounding box, or more if a limited amount of work does
+            not suffice.
         threshold : float
-            CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. Only for meshes without
-            holes.
+            CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies
+            only to meshes without holes.
         max_pieces : int, optional
             Limit on the number of pieces of a decomposition.
         seed : int
             Seed of CoACD's search.
         progress : callable, optional
-            Called as ``progress(done, total)`` after each step, with a share that never decreases; if planes cut the
-            mesh, a step is a hundredth of its surface. All fits together are the last step.
+            Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is
+            cut along planes, each step is a hundredth of its surface. The last step is all the fits together.
 
         Raises
         ------
@@ -326,10 +328,11 @@ class Body(_Bodies):
         solid: bool | None = None,
         scale: ArrayLike = 1.0,
     ) -> Body:
-        """Make a body of the triangles of a mesh themselves, immediately and exactly.
+        """Make a body of the triangles of a mesh, without a decomposition or an approximation.
 
-        Every triangle is a convex piece, a flat core with a radius; holes, duplicates, flipped, degenerate and
-        self-intersecting triangles are fine. docs/surfaces.md explains when to use this and when to use `from_mesh`.
+        Every triangle is treated as convex: a flat core with a radius. The mesh may have holes and duplicate, flipped,
+        degenerate or self-intersecting triangles. docs/surfaces.md explains when to use this method and when to use
+        `from_mesh`.
 
         Parameters
         ----------
@@ -338,10 +341,10 @@ class Body(_Bodies):
         radius : float
             Radius of the ball around each point of the triangles, in metres.
         solid : bool, optional
-            Whether the enclosed space, all points around which the mesh winds, belongs to the body. A body inside a
-            solid collides with it; a body in a cavity does not. By default a mesh is solid if it is closed, that is, if
-            its triangles pass each edge equally often in both directions. A mesh that is only nearly closed causes a
-            warning and counts as open.
+            Whether the enclosed space, that is, all points around which the mesh winds, belongs to the body. A body
+            inside a solid collides with it; a body in a cavity does not. By default a mesh is solid if it is closed,
+            that is, if its triangles traverse each edge equally often in both directions. A mesh that is only nearly
+            closed causes a warning and counts as open.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
 
@@ -350,8 +353,8 @@ class Body(_Bodies):
         FileError
             If the file is missing, empty, truncated or not a mesh.
         GeometryError
-            If a vertex is not finite, an index is out of range, there is no triangle, or sizes are outside 1e-12 to
-            1e12 m; with ``solid=True`` also if the mesh is open (the message gives the place).
+            If a vertex is not finite, an index is out of range, there is no triangle, or a size is outside 1e-12 to
+            1e12 m; with ``solid=True`` also if the mesh is open, in which case the message locates an open edge.
         InputError
             If the radius is negative or not finite.
 
@@ -376,7 +379,7 @@ class Body(_Bodies):
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
-        """Axis-aligned box about the origin with full edge lengths `size`, shape (3,), in metres.
+        """Make an axis-aligned box centered at the origin, with full edge lengths `size`, shape (3,), in metres.
 
         Parameters
         ----------
@@ -388,8 +391,8 @@ class Body(_Bodies):
         InputError
             If a length is not positive and finite.
         GeometryError
-            If a length is so small relative to another one (about 1e-12) that rounding loses it, or is outside 1e-30 to
-            1e30 m.
+            If a length is so small relative to another length (about 1e-12) that rounding loses it, or is outside 1e-30
+            to 1e30 m.
 
         Examples
         --------
@@ -413,7 +416,7 @@ class Body(_Bodies):
 
     @classmethod
     def sphere(cls, radius: float) -> Body:
-        """Ball about the origin, radius in metres; it is its own inner and outer ellipsoid.
+        """Make a ball about the origin, with a radius in metres; it is its own inner and outer ellipsoid.
 
         Parameters
         ----------
@@ -435,7 +438,7 @@ class Body(_Bodies):
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
-        """Ellipsoid about the origin along the axes, with semi-axes of shape (3,), in metres.
+        """Make an axis-aligned ellipsoid about the origin, with semi-axes of shape (3,), in metres.
 
         Parameters
         ----------
@@ -457,7 +460,7 @@ class Body(_Bodies):
 
     @classmethod
     def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
-        """Union of balls, each a piece; for many balls of the same radius see `from_cloud`.
+        """Make a union of balls, one piece per ball; for many balls of the same radius see `from_cloud`.
 
         Parameters
         ----------
@@ -484,15 +487,15 @@ class Body(_Bodies):
 
     @classmethod
     def boxes(cls, centers: ArrayLike, edges: ArrayLike) -> Body:
-        """Union of axis-aligned boxes, each a piece.
+        """Make a union of axis-aligned boxes, one piece per box.
 
         Parameters
         ----------
         centers : array_like, shape (n, 3)
             In metres.
         edges : float, or array_like of shape (3,) or (n, 3)
-            Full edge lengths along x, y, z, in metres: one number for cubes, one row for all boxes, or a row for each
-            box.
+            Full edge lengths along x, y, z, in metres: one number if all boxes are equal cubes, one row if all boxes
+            are equal, or one row per box.
 
         Raises
         ------
@@ -512,23 +515,23 @@ class Body(_Bodies):
 
     @classmethod
     def from_cloud(cls, points: ArrayLike, *, radius: float | None = None, voxel: float | None = None) -> Body:
-        """Point cloud: the union of balls around the points, or of the voxels that contain them.
+        """Make a body from a point cloud: the union of balls around the points, or of the voxels that contain them.
 
         Parameters
         ----------
         points : array_like, shape (n, 3)
             In metres.
         radius : float, optional
-            Radius of the ball around each point, in metres. Building the body of 50,000 points takes about 40 ms.
+            Radius of the ball around each point, in metres. Making a body from 50,000 points takes about 40 ms.
         voxel : float, optional
-            Edge length of the cells of a grid through the origin, in metres; the cells that contain a point form the
-            body, as in `from_voxels`. Give either this or the radius.
+            Edge length of the cells of a grid aligned with the origin, in metres. The occupied cells form the body, as
+            in `from_voxels`. Give either `voxel` or `radius`.
 
         Returns
         -------
         Body
-            One piece with a tree over the points; with voxels, boxes as from `from_voxels`. FREE is proven for the
-            exact union. Proofs of motions replace the points by boxes around up to 128 parts of the cloud.
+            With a radius, one piece with a tree over the points; with voxels, boxes as in `from_voxels`. FREE is proven
+            for the exact union. Proofs of motions replace the points by boxes around up to 128 parts of the cloud.
 
         Raises
         ------
@@ -556,16 +559,17 @@ class Body(_Bodies):
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
-        """Occupancy grid: the union of the occupied cells, with each row of cells as one box.
+        """Make a body from an occupancy grid: the union of the occupied cells, with each row of cells as one box.
 
         Parameters
         ----------
         grid : array_like of bool, shape (p, q, r)
-            Which cells are occupied; if you have probabilities, compare them with a threshold first.
+            True for occupied cells; if you have probabilities, compare them with a threshold first.
         size : float
             Edge of a cell, in metres.
         origin : array_like, shape (3,)
-            The lowest corner of cell (0, 0, 0), in metres; cell (i, j, k) begins at origin + size (i, j, k).
+            The lowest corner of cell (0, 0, 0), in metres; the lowest corner of cell (i, j, k) is origin + size (i, j,
+            k).
 
         Raises
         ------
@@ -594,7 +598,7 @@ class Body(_Bodies):
 
     @classmethod
     def from_octree(cls, path: str | os.PathLike[str]) -> Body:
-        """Octree of OctoMap: the union of its occupied leaves, each a box.
+        """Make a body from an OctoMap octree: the union of its occupied leaves, one box per leaf.
 
         Parameters
         ----------
@@ -606,7 +610,7 @@ class Body(_Bodies):
         FileError
             If the file is missing or is not a complete octree.
         GeometryError
-            If no cell in it is occupied.
+            If no cell of the octree is occupied.
 
         Examples
         --------
@@ -621,7 +625,7 @@ class Body(_Bodies):
 
     @classmethod
     def height_field(cls, heights: ArrayLike, spacing: ArrayLike, *, base: float | None = None) -> Body:
-        """Terrain: the solid below heights over a grid, joined by triangles.
+        """Make terrain: the solid below a surface of triangles that joins heights over a grid.
 
         Parameters
         ----------
@@ -631,7 +635,7 @@ class Body(_Bodies):
         spacing : float, or array_like of shape (2,)
             Distance between neighbours along x and y, in metres.
         base : float, optional
-            Height of the flat underside, in metres, below all heights. By default it is the lowest height minus the
+            Height of the flat underside, in metres, below all heights. The default is the lowest height minus the
             longer side of the grid, so that nothing passes through from above undetected.
 
         Raises
@@ -658,18 +662,19 @@ class Body(_Bodies):
 
     @classmethod
     def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 1000.0) -> Body:
-        """Floor, wall or ceiling: the space below a plane, inside a cube with edges of length `extent`.
+        """Make a floor, wall or ceiling: a cube below a plane, with edges of length `extent`.
 
         Parameters
         ----------
         normal : array_like, shape (3,)
-            Points out of the body and may have any length; the body is {x : n · x <= offset} with n scaled to length 1.
+            Points out of the body and may have any nonzero length; the body is {x : n · x <= offset} with n scaled to
+            length 1.
         offset : float
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
-            Edge of the cube, in metres, at most 1e9. One of its sides lies in the plane, centered at the point nearest
-            to the origin. Everything outside the cube is free: choose it larger than the moving bodies' range. Contact
-            is accurate to about 1e-12 times this length.
+            Edge length of the cube, in metres, at most 1e9. One side of the cube lies in the plane, centered at the
+            plane's point nearest to the origin. Everything outside the cube is free, so choose a cube larger than the
+            range of the moving bodies. Contact is accurate to about 1e-12 times this length.
 
         Raises
         ------
@@ -705,7 +710,7 @@ class Body(_Bodies):
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> Body:
-        """Cylinder about the origin along z, in metres.
+        """Make a cylinder centered at the origin, with its axis along z.
 
         Parameters
         ----------
@@ -728,7 +733,7 @@ class Body(_Bodies):
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
-        """Cone along z with its apex at +length/2 and its base at -length/2, in metres.
+        """Make a cone with its axis along z, its apex at z = +length/2 and its base at z = -length/2.
 
         Parameters
         ----------
@@ -751,7 +756,7 @@ class Body(_Bodies):
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
-        """Capsule about the origin along z; `length` is the length of the straight part, in metres.
+        """Make a capsule centered at the origin, with its axis along z; `length` is the length of the straight part.
 
         Parameters
         ----------
@@ -774,7 +779,7 @@ class Body(_Bodies):
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
-        """One body with the pieces of several bodies, in their common frame.
+        """Make one body of the pieces of several bodies, in their common frame.
 
         Parameters
         ----------
@@ -803,7 +808,7 @@ class Body(_Bodies):
         return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps, packed.trees))
 
     def transformed(self, T: ArrayLike) -> Body:
-        """A copy of the body moved by a rigid motion, shape (4, 4); the ellipsoids move along.
+        """Return a copy of the body and its ellipsoids, moved by a rigid motion of shape (4, 4).
 
         The moved vertices are rounded to float64, so the outer ellipsoids grow and the inner ones shrink by the largest
         effect of that rounding on containment.
@@ -822,7 +827,7 @@ class Body(_Bodies):
         PoseError
             If T is not a rigid motion.
         GeometryError
-            If the translation is so large that a thin piece has no digits left.
+            If the translation is so large that rounding would leave a thin piece no digits.
 
         Examples
         --------
@@ -843,7 +848,7 @@ class Body(_Bodies):
         """Write the body as a MuJoCo model: one body without joints, with one geom per piece.
 
         A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh whose
-        vertices are in the text; a cone becomes a polytope around it.
+        vertices are written into the model; a cone is replaced by a circumscribed polytope.
 
         Parameters
         ----------
@@ -863,8 +868,8 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If a piece is a surface, a height field or a cloud, whose convex hull MuJoCo would collide, and no
-            ellipsoids are requested; or if the name is invalid.
+            If no ellipsoids are requested and a piece is a surface, a height field or a cloud, since MuJoCo would use
+            its convex hull; or if the name is invalid.
         FileError
             If the file cannot be written.
 
@@ -894,17 +899,17 @@ class Body(_Bodies):
         ellipsoids: Literal["inner", "outer"] | None = None,
         mesh_prefix: str = "",
     ) -> None:
-        """Write the body as a URDF with one link, with collision shapes only.
+        """Write the body as a URDF of one link that has only collision shapes.
 
         Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
-        a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones become polytopes
-        around them, and inner ellipsoids polytopes inside.
+        a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones are replaced by
+        circumscribed polytopes, inner ellipsoids by inscribed ones.
 
         Parameters
         ----------
         path : path
-            It may have any suffix; its stem is the name of the robot and of its link. The file is written under a
-            temporary name and then renamed, after the files of its meshes.
+            It may have any extension; its stem names both the robot and its link. The mesh files are written first;
+            then the URDF is written under a temporary name and renamed.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str
@@ -913,7 +918,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If a piece is a surface, and no ellipsoids are requested; or if the stem is not a valid name.
+            If no ellipsoids are requested and a piece is a surface; or if the stem is not a valid name.
         FileError
             If a file cannot be written.
 
@@ -931,19 +936,19 @@ class Body(_Bodies):
         exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
 
     def to_trimesh(self, what: Literal["pieces", "inner", "outer"] = "pieces") -> Any:
-        """Pieces or ellipsoids as triangles, for trimesh to display or to write as GLB, STL or any of its formats.
+        """Triangulate the pieces or ellipsoids, for trimesh to display or to write as GLB, STL or another format.
 
         Parameters
         ----------
         what : {"pieces", "inner", "outer"}
-            For curved pieces the triangles' corners lie on the surface, so the triangles are inside: 48 corners per
-            circle, at most 1280 triangles per ellipsoid.
+            The triangles of a curved piece have their corners on its surface and therefore lie inside it. A circle has
+            48 corners, an ellipsoid at most 1280 triangles.
 
         Returns
         -------
         trimesh.Scene
-            With a mesh for each piece, named ``piece_0``, ``piece_1``, ..., which ``.to_mesh()`` joins. An open surface
-            without a radius has no inner ellipsoid.
+            One mesh per piece, named ``piece_0``, ``piece_1``, ...; ``.to_mesh()`` joins them. An open surface without
+            a radius has no inner ellipsoid and is left out of "inner".
 
         Raises
         ------
@@ -974,7 +979,7 @@ class Body(_Bodies):
         Raises
         ------
         FileError
-            If the file is missing, broken, altered, newer, or holds several bodies.
+            If the file is missing, broken, altered, written by a newer version, or holds several bodies.
 
         Examples
         --------
@@ -993,7 +998,7 @@ class Body(_Bodies):
 
 @guarded
 class Bodies(_Bodies):
-    """A packed sequence of n bodies; it broadcasts with the last batch axis of the poses.
+    """A packed sequence of n bodies, broadcast with the last batch axis of the poses.
 
     Parameters
     ----------
@@ -1020,7 +1025,7 @@ class Bodies(_Bodies):
     def from_points(
         cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4, progress: Progress | None = None
     ) -> Bodies:
-        """One convex body per point set; hulls and fits are computed together, on all threads.
+        """Make one convex body per point set; the hulls and fits are computed together, on all threads.
 
         Parameters
         ----------
@@ -1033,7 +1038,7 @@ class Bodies(_Bodies):
         Raises
         ------
         GeometryError
-            If a set is flat or too small; the message gives its number.
+            If a set is flat or too small; the message gives the number of the set.
 
         Examples
         --------
@@ -1046,7 +1051,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def spheres(cls, radii: ArrayLike) -> Bodies:
-        """One ball about the origin per radius, shape (n,), in metres; see `Body.sphere`.
+        """Make one ball about the origin for each radius; see `Body.sphere`.
 
         Parameters
         ----------
@@ -1064,7 +1069,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
-        """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; see `Body.ellipsoid`.
+        """Make one ellipsoid about the origin for each row of semi-axes; see `Body.ellipsoid`.
 
         Parameters
         ----------
@@ -1112,12 +1117,12 @@ class Bodies(_Bodies):
 
     @property
     def piece_start(self) -> Ints:
-        """Body i owns the pieces piece_start[i] .. piece_start[i+1]; shape (n + 1,)."""
+        """Starts of the bodies' ranges of pieces, shape (n + 1,); body i has piece_start[i] : piece_start[i+1]."""
         return self._packed.piece_start
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
-        """Read a file that `Body.save` or `Bodies.save` wrote.
+        """Read a file written by `Body.save` or `Bodies.save`.
 
         Parameters
         ----------
@@ -1126,7 +1131,7 @@ class Bodies(_Bodies):
         Raises
         ------
         FileError
-            If the file is missing, broken, altered or newer.
+            If the file is missing, broken, altered or written by a newer version.
         """
         from loewner.bodies import files
 
@@ -1143,7 +1148,7 @@ def _expect_body(body: Any, name: str) -> Body:
 
 
 def _rows_of_three(x: ArrayLike, name: str) -> Floats:
-    """Check rows of three numbers, at least one."""
+    """Check that an array has at least one row, and three numbers in each row."""
     rows = _validate.finite_array(x, name, ("n", 3))
     if len(rows) == 0:
         raise GeometryError(f"{name}: expected at least one point, found none")
@@ -1158,12 +1163,12 @@ def _from_point_sets(
     names: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Packed:
-    """Hulls, fits, packing; `names` as for `polytopes.hulls`."""
+    """Compute hulls of point sets, fit ellipsoids and pack the bodies; `names` is as for `polytopes.hulls`."""
     return _fitted(hulls(sets, names=names), piece_start, tol, progress)
 
 
 def _fitted(hull: Hulls, piece_start: Ints, tol: float, progress: Progress | None = None) -> Packed:
-    """Fits and packing of hulls."""
+    """Fit ellipsoids to hulls and pack the bodies."""
     if len(hull) == 0:
         return empty()
     inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
@@ -1205,17 +1210,17 @@ def _assemble_polytopes(
 
 
 def packed_of(bodies: Body | Bodies) -> Packed:
-    """The arrays of bodies, for modules that call kernels."""
+    """Return the arrays of bodies, for modules that call kernels."""
     return bodies._packed
 
 
 def bodies_of(packed: Packed) -> Bodies:
-    """Bodies with these arrays."""
+    """Make bodies from packed arrays."""
     return Bodies._wrap(packed)
 
 
 def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:
-    """One curved piece: image of a unit shape, and the radius of the ball added to it."""
+    """Make a body of one curved piece: the image of a unit shape, with a ball of some radius added."""
     return Body(primitives(kind, np.array([rounding]), np.array([frame], dtype=float)))
 
 

@@ -1,4 +1,4 @@
-"""Find the orientation of a box with little surface around points or triangles."""
+"""Find an orientation in which the box around points or triangles has little surface area."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ THICKNESS = 0.01
 
 
 def least_box_axes(triangles: Floats) -> Floats:
-    """Axes of a box around triangles with little surface, as columns: no other orientation tried has less.
+    """Find the axes, as columns, of a box around triangles that has the least area among the orientations tried.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ def least_box_axes(triangles: Floats) -> Floats:
 
 
 def _turns(triangles: Floats) -> Floats:
-    """Axes along which a box may have little surface, shape (k, 3, 3): the frame's, principal ones, along faces.
+    """List candidate box axes, shape (k, 3, 3): the axes of the frame, the principal axes, and axes along faces.
 
-    The last have the normal of the largest triangle as one axis, and as another an edge of the hull of all points
-    projected along it: the smallest rectangle around points in a plane has a side along such an edge (Freeman and
-    Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975).
+    For axes along faces, one axis is the normal of the largest triangle. The second is along an edge of the hull of all
+    points projected along that normal: the smallest rectangle around points in a plane has a side along such an edge
+    (Freeman and Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975).
     """
     points = triangles.reshape(3, -1)
     off = points - points.mean(axis=1, keepdims=True)
@@ -64,7 +64,7 @@ def _turns(triangles: Floats) -> Floats:
 
 
 def _directions(points: Floats) -> Floats:
-    """Unit vectors along the longest edges of an approximate hull of points in a plane, shape (k, 2)."""
+    """Find unit vectors, shape (k, 2), along the longest edges of an approximate hull of points in a plane."""
     rim = points[(points @ _LOOKS).argmax(axis=0)]
     edges = np.roll(rim, -1, axis=0) - rim
     lengths = np.linalg.norm(edges, axis=1)

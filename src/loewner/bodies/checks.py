@@ -1,11 +1,12 @@
-"""Check that arrays from a file are bodies, in everything on which a verdict depends, before a kernel reads them.
+"""Before a kernel reads arrays from a file, check every property of bodies on which a verdict depends.
 
 A file is untrusted data: an attacker can compute its checksum too. A property is therefore checked if its violation
-could let a kernel read past an array, loop forever, or return a wrong FREE. Every law that `save` keeps is tested, with
-tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`): a file written by any version of loewner passes.
+could let a kernel read past an array, loop forever, or return a wrong FREE. Every law that saved files obey is tested,
+with tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`), so that a file written by any version of
+loewner passes.
 
-One property cannot be tested without fitting again: that the ellipsoids are the largest and the smallest, which
-determines the last digits of `gaps`. It affects how tight the bounds are, and no verdict depends on it.
+One property cannot be tested without fitting again: that the inner ellipsoids are the largest and the outer ones the
+smallest. It determines the last digits of `gaps` and how tight the bounds are, but no verdict depends on it.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ assert tuple(EXPECTED) == ARRAYS
 
 
 def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not match; shapes are read before the numbers."""
+    """Refuse arrays whose shapes do not match; this is possible before their numbers are read."""
     P = found["layout"][0] if found["layout"] else -1
     counts = {"P": P, "P + 1": P + 1}
     for name, shape in EXPECTED.items():
@@ -89,7 +90,7 @@ def checked(arrays: dict[str, Any]) -> Packed:
     Raises
     ------
     InputError
-        If they violate a law; the message names array and piece.
+        If the arrays violate a law; the message names the array and the piece.
     """
     with np.errstate(all="ignore"):  # overflowing values are found and refused
         _check_numbers(arrays)
@@ -109,7 +110,7 @@ def _refuse(bad: NDArray[np.bool_], what: str, found: NDArray[Any] | None = None
 
 
 def _check_numbers(arrays: dict[str, Any]) -> None:
-    """All numbers are finite, and small enough that no product of three overflows."""
+    """Check that all numbers are finite, and so small that no product of three of them overflows."""
     for name in ARRAYS:
         array, most = arrays[name], np.inf if name == "gaps" else 10 * LARGEST
         # Both comparisons fail for NaN, which the largest and the smallest number are if any number is.
@@ -122,7 +123,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
 
 
 def _rises(name: str, x: Ints, total: int, least: int) -> None:
-    """Refuse starts of ranges that do not lead from 0 to the total, or a range shorter than `least`."""
+    """Check that the starts of ranges rise from 0 to the total, and that no range is shorter than `least`."""
     # Compared rather than subtracted: the difference of absurd numbers may overflow.
     bad = np.concatenate([[x[0] != 0], (x[1:] < x[:-1]) | (x[1:] > total)])
     _refuse(bad, f"{name}: expected numbers that rise from 0 to {total}", x)
@@ -133,7 +134,7 @@ def _rises(name: str, x: Ints, total: int, least: int) -> None:
 
 
 def _check_ranges(arrays: dict[str, Any]) -> None:
-    """Check that index ranges do not overlap, leave nothing over, and stay inside their arrays."""
+    """Check that index ranges do not overlap, leave no gaps, and stay inside their arrays."""
     layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
     kind = layout[:, columns.KIND]
     _refuse(~np.isin(kind, list(KIND_NAMES)), f"layout: expected kinds among {sorted(KIND_NAMES)}", kind)
@@ -160,7 +161,7 @@ def _check_ranges(arrays: dict[str, Any]) -> None:
 
 
 def _inverses(factors: Floats, name: str, rows: Ints) -> tuple[Floats, Floats]:
-    """Inverses of factors, and the tolerance that their aspects require."""
+    """Invert factors of ellipsoids, and derive the tolerance that their aspect ratios require."""
     try:
         inverse = np.linalg.inv(factors)
     except np.linalg.LinAlgError:
@@ -178,7 +179,7 @@ def _doubt(aspect: Floats) -> Floats:
 
 
 def _check_polytopes(arrays: dict[str, Any]) -> Maps:
-    """Check that the hull contains the inner and lies in the outer ellipsoid, and has these triangles and planes."""
+    """Check that hulls contain their inner and lie in their outer ellipsoids, and match their triangles and planes."""
     layout, points = arrays["layout"], arrays["points"]
     rows = np.flatnonzero(layout[:, columns.KIND] == columns.POLYTOPE)
     _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
@@ -197,7 +198,7 @@ def _check_polytopes(arrays: dict[str, Any]) -> Maps:
 
 
 def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
-    """The part of `_check_polytopes` about the ellipsoids of some successive polytopes; returns its doubts."""
+    """Check the ellipsoids of consecutive polytopes for `_check_polytopes`, and return the tolerances used."""
     layout = arrays["layout"][rows]
     start, stop = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
     points = arrays["points"][start[0] : stop[-1]]
@@ -224,14 +225,14 @@ def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
 
 
 def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floats:
-    """Points in the coordinates of their piece's ellipsoid, shape (3, V): NumPy is fastest in this order."""
+    """Map points to the coordinates of their piece's ellipsoid; NumPy is fastest with the shape (3, V) used here."""
     away = np.ascontiguousarray((points - center[owner]).T)
     rows = np.ascontiguousarray(inverse.transpose(1, 2, 0))
     return np.stack([_dot(rows[k].take(owner, axis=1), away) for k in range(3)])
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Dot products of column vectors."""
+    """Compute dot products of corresponding columns."""
     total = a[0] * b[0]
     total += a[1] * b[1]
     total += a[2] * b[2]
@@ -243,10 +244,10 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
-    """The triangles are a surface of all the points with the inner ellipsoid, here the unit ball, inside.
+    """Check that the triangles form a surface of all points around the inner ellipsoid, here the unit ball.
 
-    A surface that closes up and runs once around the origin meets every ray; if the ball stays behind the plane of each
-    of its triangles, it is in the hull of their corners (the lemma of docs/containment.md).
+    A closed surface that winds once around the origin meets every ray. If the ball lies behind the plane of each
+    triangle, it therefore lies in the hull of their corners (the lemma of docs/containment.md).
     """
     first, last = arrays["triangle_start"][rows], arrays["triangle_start"][rows + 1]
     triangles = arrays["triangles"][first[0] : last[-1]]
@@ -339,7 +340,7 @@ def _check_surfaces(arrays: dict[str, Any]) -> None:
 
 
 def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles: Ints) -> None:
-    """The part of `_check_surfaces` about a single surface."""
+    """Check a single surface for `_check_surfaces`."""
     radius, factor = arrays["frames"][i, 0], arrays["outer_factor"][i]
     used = np.zeros(len(points), dtype=bool)
     used[triangles.ravel()] = True
@@ -365,10 +366,10 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
 
 
 def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
-    """An ellipsoid whose sum with the ball is inside the one with this factor, and the tolerance for rounding.
+    """Find an ellipsoid whose sum with a ball lies inside a given ellipsoid, and the tolerance for rounding.
 
-    This holds for all numbers: for any p the sum is inside the shape (1 + 1/p) Q + (1 + p) r² (see `surfaces`), which
-    is here solved for Q.
+    For any p > 0 the sum lies inside the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² (see `surfaces`).
+    Here this equation is solved for Q.
     """
     _, doubt = _inverses(factor[None], "outer_factor", rows)
     if radius == 0:
@@ -390,7 +391,7 @@ def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
 
 
 def _check_curved(arrays: dict[str, Any]) -> None:
-    """Check that curved pieces match their kind, with ellipsoids that are the closed forms or on their safe side."""
+    """Check that curved pieces match their kind, and their ellipsoids the closed forms, or err on the safe side."""
     kind = arrays["layout"][:, columns.KIND]
     rows = np.flatnonzero(kind > columns.POLYTOPE)
     if len(rows) == 0:

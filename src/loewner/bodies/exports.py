@@ -1,8 +1,8 @@
-"""Bodies for other programs: MJCF and URDF.
+"""Write bodies for other programs, as MJCF and URDF.
 
-Pieces with a matching shape in the format become that shape: spheres, cylinders, capsules, ellipsoids and boxes. Other
-convex pieces become meshes, whose convex hulls they are. Curved pieces without a matching shape become polytopes around
-them; inner ellipsoids become polytopes inside.
+Spheres, cylinders, capsules, ellipsoids and boxes become shapes of that type if the format has it. Any other polytope
+becomes a mesh whose convex hull it is. Curved pieces without a matching type are replaced by circumscribed polytopes,
+inner ellipsoids by inscribed ones.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ class Shape:
     kind : str
         "sphere", "cylinder", "capsule", "ellipsoid", "box" or "mesh".
     sizes : tuple of float
-        Radius; radius and length (of the straight part); semi-axes; edge lengths. In metres.
+        In metres: the radius of a sphere; the radius and length of a cylinder, or of a capsule's straight part; the
+        semi-axes of an ellipsoid; the edge lengths of a box.
     rotation, center : ndarray, shapes (3, 3) and (3,)
-        Pose; for a mesh the identity and 0.
+        Pose of the shape; for a mesh the identity and 0.
     mesh : tuple of ndarray, or None
         Vertices and triangles of a convex mesh.
     """
@@ -65,7 +66,7 @@ class Shape:
 
 
 def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
-    """A model of one body, without joints."""
+    """Write an MJCF model of one body without joints."""
     if name == "world":
         raise InputError("name: expected another one than 'world', which MuJoCo gives to what stands, found 'world'")
     root = ElementTree.Element("mujoco", model=name)
@@ -85,13 +86,13 @@ def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
 
 
 def save_text(text: str, path: Path) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically: whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -> None:
-    """Write the meshes of a robot with one link, and then the robot."""
+    """Write the mesh files of a robot with one link, then its URDF."""
     root = ElementTree.Element("robot", name=path.stem)
     link = ElementTree.SubElement(root, "link", name=path.stem)
     shapes = [part for shape in _listed(packed, which) for part in _for_urdf(shape, which)]
@@ -113,21 +114,21 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
 
 
 def plain_name(name: Any, what: str = "name") -> str:
-    """A name that all readers of these formats accept."""
+    """Check that a name is accepted by all readers of these formats."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise InputError(f"{what}: expected letters, digits, '_', '.' and '-', found {_validate.short(name)}")
     return name
 
 
 def prefix(text: Any) -> str:
-    """The prefix of a file name: any printable text."""
+    """Check the prefix of a file name, which may be any printable string."""
     if not isinstance(text, str) or not text.isprintable():
         raise InputError(f"mesh_prefix: expected text that can be printed, found {_validate.short(text)}")
     return text
 
 
 def _numbers(values: Any) -> str:
-    """Numbers for an attribute, without rounding."""
+    """Format numbers for an attribute, without rounding."""
     return " ".join(repr(value + 0.0) for value in np.asarray(values, dtype=np.float64).tolist())
 
 
@@ -153,7 +154,7 @@ def _listed(packed: Packed, which: str | None) -> list[Shape]:
 
 
 def _shapes(packed: Packed, which: str | None) -> Iterator[Shape]:
-    """The pieces, or one of the two ellipsoids of each."""
+    """Convert the pieces, or the inner or outer ellipsoid of each, to shapes."""
     if which is not None:
         _validate.choice(which, "ellipsoids", ELLIPSOIDS)
         fitted = zip(*ellipsoids_of(packed, which), strict=True)
@@ -189,18 +190,18 @@ def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
 
 
 def _proper(axes: Floats) -> Floats:
-    """The same axes, right-handed; all shapes here are their own mirror image along the first."""
+    """Make axes right-handed; the first may be flipped, since every shape here is symmetric along it."""
     return axes if np.linalg.det(axes) > 0 else axes * [-1.0, 1.0, 1.0]
 
 
 def _mesh(mesh: Mesh) -> Shape:
-    """A convex mesh that is given by its corners."""
+    """Make the shape of a convex mesh from its corners."""
     used, triangles = np.unique(mesh[1], return_inverse=True)
     return Shape("mesh", (), np.eye(3), np.zeros(3), (mesh[0][used], triangles.reshape(-1, 3)))
 
 
 def _box(vertices: Floats) -> Shape | None:
-    """The box whose corners are these eight points; None if there is no such box."""
+    """Find the box that has these eight points as corners; None if there is no such box."""
     if len(vertices) != 8:
         return None
     from_first = vertices - vertices[0]
@@ -219,7 +220,7 @@ def _box(vertices: Floats) -> Shape | None:
 
 
 def _for_urdf(shape: Shape, which: str | None) -> Iterable[Shape]:
-    """A shape as shapes that every reader of URDF supports: spheres, cylinders, boxes and meshes."""
+    """Convert a shape to shapes that every URDF reader supports: spheres, cylinders, boxes and meshes."""
     if shape.kind == "capsule":
         radius, length = shape.sizes
         tip = shape.rotation[:, 2] * (length / 2)

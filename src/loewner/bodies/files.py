@@ -1,4 +1,4 @@
-"""Bodies in ``.npz`` files; `loewner._archives` writes and reads them."""
+"""Save bodies to ``.npz`` files and load them, by means of `loewner._archives`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COVERINGS = ("convex", "hull", "decomposition")
 
 
 def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None) -> None:
-    """Write a pack, and the covering of its mesh."""
+    """Write a pack, and the covering of the mesh from which it was made."""
     arrays = arrays_of(packed)
     if covering is not None:
         arrays["covering"] = np.array([str(value) for value in astuple(covering)])
@@ -50,15 +50,15 @@ def load(path: str | os.PathLike[str]) -> tuple[Packed, Covering | None]:
 
 
 def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:
-    """Bodies from their arrays, and the covering if it is among them."""
+    """Make bodies from their arrays, with the covering if the arrays include one."""
     covering = _covering(told.pop("covering").tolist()) if "covering" in told else None
     return checked(told), covering
 
 
 def _covering(values: list[str]) -> Covering:
-    """The covering of a mesh by its pieces, from the six texts that `save` writes.
+    """Read the covering of a mesh by its pieces from the six strings that `save` writes.
 
-    Older files have five texts; `max_protrusion` is then NaN.
+    Older files have five strings; `max_protrusion` is then NaN.
     """
     if np.shape(values) not in ((5,), (6,)):
         raise InputError(f"covering: expected six entries, found {values!r}")

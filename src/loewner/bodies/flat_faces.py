@@ -1,4 +1,4 @@
-"""Flat faces of a mesh: neighbouring triangles in one plane."""
+"""Find the flat faces of a mesh, that is, neighbouring triangles in one plane."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FLAT = 1e-3
 
 
 def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
-    """Number the faces of a mesh.
+    """Number the faces of a mesh, by triangle.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     Returns
     -------
     ndarray of int, shape (T,)
-        Triangles that share an edge and lie in one plane, or continue a smooth surface, have equal numbers.
+        Two triangles that share an edge have the same number if they lie in one plane or continue a smooth surface.
     """
     # Imported late: few programs cut surfaces.
     from scipy.sparse import coo_array

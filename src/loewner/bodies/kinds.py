@@ -9,7 +9,7 @@ from loewner._kernels import columns
 
 
 class Kind(NamedTuple):
-    """A kind of curved piece: the image of a unit shape, and a ball added to it (see `_kernels.pieces.shapes`).
+    """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
     The constructor of `Body` with the same `name` takes `sizes`: the ball's radius and the image's semi-axes, which
     scene files call `size_names` or give as one vector. A unit cylinder or cone has the radius `top` at its upper end,

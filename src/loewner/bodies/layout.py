@@ -1,4 +1,4 @@
-"""Pieces in flat arrays, and the arrays for kernels: tables, vertices in blocks, trees, and their addresses."""
+"""Lay pieces out in flat arrays, and make the kernels' arrays: tables, vertices in blocks, trees, addresses."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ SINGLE_SIZES = 1e-3, 1e3
 
 @dataclass(frozen=True, eq=False)
 class PieceArrays:
-    """Pieces of n bodies as arrays, which become read-only.
+    """The pieces of n bodies as read-only arrays.
 
     Attributes
     ----------
     layout : ndarray of int64, shape (P, 5)
-        Kind, first and last+1 row of the piece's points, first and last+1 row of its planes.
+        Kind of the piece, first and one past the last row of its points, first and one past the last row of its planes.
     points, planes : ndarray, shapes (V, 3) and (F, 4)
-        Vertices, and faces as (unit outward normal, offset): n·x <= offset.
+        Vertices; and faces as rows of a unit outward normal n and an offset, with n·x <= offset inside.
     piece_start : ndarray of int64, shape (n + 1,)
-        Body i owns the pieces piece_start[i] .. piece_start[i+1].
+        Starts of the bodies' ranges of pieces: body i has the range piece_start[i] : piece_start[i+1].
     frames : ndarray, shape (P, 13)
         Rounding radius, center and factor of the unit shape's image (zero for polytopes).
     triangles, triangle_start
@@ -87,15 +87,15 @@ ARRAYS = tuple(f.name for f in fields(PieceArrays))
 
 
 def arrays_of(pieces: PieceArrays) -> dict[str, Any]:
-    """The arrays by name, in the order of `ARRAYS`."""
+    """Return the arrays by name, in the order of `ARRAYS`."""
     return {name: getattr(pieces, name) for name in ARRAYS}
 
 
 def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
-    """The arrays that kernels receive, with the direction maps of large pieces and the trees of surfaces.
+    """Make the arrays for kernels, with the direction maps of large pieces and the trees of surfaces.
 
-    They are described in `loewner._kernels.pieces.shapes`, and not read-only: to Numba that would be another type, and
-    everything would be compiled twice.
+    `loewner._kernels.pieces.shapes` describes them. They are writeable, because Numba would treat read-only arrays as a
+    different type and compile everything twice.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
 
 
 def direction_maps(layout: Ints, points: Floats) -> Maps:
-    """Direction maps of the large polytopes, by index of the piece."""
+    """Make the direction maps of the large polytopes, keyed by piece index."""
     first, last = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
     return {
         int(i): entries.direction_map(points[first[i] : last[i]].copy())
@@ -124,9 +124,9 @@ def direction_maps(layout: Ints, points: Floats) -> Maps:
 def heights_of(
     points: Floats, normals: Floats, center: Floats, factor: Floats, most: float = np.inf
 ) -> tuple[Floats, int]:
-    """Largest normal·vertex of a large polytope for each normal, and the number of products that were needed.
+    """Find the largest normal·vertex of a large polytope for each normal, and count the products computed.
 
-    A direction map leaves few candidates for any piece in coordinates where the inner ellipsoid is a ball.
+    In coordinates in which the inner ellipsoid is a ball, a direction map leaves few candidates for any piece.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def heights_of(
     center, factor : ndarray, shape (3,) and (3, 3)
         The inner ellipsoid.
     most : float
-        Limit on the number of products.
+        Limit on the number of products computed.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def heights_of(
 
 
 def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
-    """Face of the cube and grid cell that each direction goes through, as `directions` numbers them."""
+    """Find the cube face and the grid cell that each direction goes through, as numbered in `directions`."""
     axis = np.argmax(np.abs(normals), axis=1)
     one, two = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
     each = np.arange(len(normals))
@@ -179,14 +179,15 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
 
 
 def starts(lengths: Ints) -> Ints:
-    """Starts of adjacent ranges with the given lengths, and the end of the last one."""
+    """Return the starts of adjacent ranges with the given lengths, followed by the end of the last range."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 
 def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floats]:
-    """Form the kernels' layout and points.
+    """Make the kernels' layout and points.
 
-    These are vertices in blocks, the direction map of a large polytope, or the corners of the box around a surface.
+    The points of a piece are its vertices in blocks, the direction map of a large polytope, or the corners of the box
+    around a surface.
     """
     first = p.layout[:, columns.POINTS_FROM].copy()
     lengths = p.layout[:, columns.POINTS_TO] - first
@@ -220,7 +221,7 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
 
 
 def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
-    """Rows of the ellipsoids of parts of surfaces, and which belong to each piece; nothing if there is no surface."""
+    """Make the rows of ellipsoids around parts of surfaces, and the range of each piece; empty without surfaces."""
     start = np.zeros((len(p.layout) if trees else 0, columns.PARTS), dtype=np.int64)
     none = np.zeros((0, 3)), np.zeros((0, 3, 3))
     ellipsoids = [(*none, *none)]
@@ -246,7 +247,7 @@ def _triangles(p: PieceArrays, i: int) -> Ints:
 
 
 def _box_corners(points: Floats, triangles: Ints) -> Floats:
-    """Corners of a box with little surface around triangles, whose corners are some of the points, all in the box."""
+    """Find the corners of a box with little surface area around all points; the triangles determine its axes."""
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = turn.T @ points.T
@@ -257,7 +258,7 @@ def _box_corners(points: Floats, triangles: Ints) -> Floats:
 
 
 def _table(p: PieceArrays) -> Floats:
-    """Form the kernels' table of pieces."""
+    """Make the kernels' table of pieces."""
     table = _ellipsoid_columns(p.outer_center, p.outer_factor, p.inner_center, p.inner_factor)
     table[:, columns.ROUNDING] = p.frames[:, 0]
     table[:, columns.FRAME_CENTER : columns.FRAME_CENTER + 12] = p.frames[:, 1:]
@@ -267,7 +268,7 @@ def _table(p: PieceArrays) -> Floats:
 def _ellipsoid_columns(
     outer_center: Floats, outer_factor: Floats, inner_center: Floats, inner_factor: Floats
 ) -> Floats:
-    """A table with the columns of ellipsoids: shape matrices and one-sided bounds of sizes."""
+    """Make a table and fill its columns for ellipsoids: shape matrices and one-sided bounds on sizes."""
     table = np.zeros((len(outer_center), columns.COLUMNS))
     # Checked before anything overflows. A factor's entries are no larger than the longest semi-axis.
     largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
@@ -298,7 +299,7 @@ def _ellipsoid_columns(
 
 
 def _singular_values(factor: Floats) -> Floats:
-    """Singular values of matrices, the largest first; diagonal matrices, as of balls and boxes, need no LAPACK."""
+    """Compute singular values, largest first; diagonal matrices, as for balls and boxes, need no LAPACK."""
     diagonal = np.diagonal(factor, axis1=1, axis2=2)
     if np.count_nonzero(factor) == np.count_nonzero(diagonal):
         return np.asarray(-np.sort(-np.abs(diagonal), axis=1))
@@ -306,14 +307,14 @@ def _singular_values(factor: Floats) -> Floats:
 
 
 def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:
-    """Make the error about pieces too small or too large for the kernels."""
+    """Make the error for pieces that are too small or too large for the kernels."""
     return GeometryError(
         f"pieces: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {least.min():g} .. {most.max():g}"
     )
 
 
 def _single(hot: Floats) -> NDArray[np.float32]:
-    """The kernels' hot columns in single precision, if all sizes suit it; otherwise no rows."""
+    """Convert the kernels' hot columns to single precision if all sizes allow it; otherwise return no rows."""
     least, most = SINGLE_SIZES
     if len(hot) == 0 or hot[:, columns.OUTER_RADIUS].min() < least or hot[:, columns.REACH].max() > most:
         return np.empty((0, columns.HOT), dtype=np.float32)
@@ -323,7 +324,7 @@ def _single(hot: Floats) -> NDArray[np.float32]:
 
 
 def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
-    """Trees over the pieces of the bodies that have many."""
+    """Build trees over the pieces of the bodies that have many pieces."""
     n = len(piece_start) - 1
     if np.diff(piece_start).max(initial=0) < columns.FEW:
         return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)

@@ -1,7 +1,7 @@
-"""Octrees of OctoMap: the boxes of the occupied leaves of a binary file.
+"""Read OctoMap octrees: the boxes of the occupied leaves in a binary file.
 
-OctoMap's own reader recurses as deep as a file requires, so a damaged file can end the process. The format is short: a
-text header, then two bytes for each inner node in depth-first order, with two bits per child.
+OctoMap's own reader recurses as deep as a file demands, so a damaged file can crash the process. The format is simple:
+a text header, then two bytes for each inner node in depth-first order, with two bits per child.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ OCCUPIED, INNER = 2, 3
 
 
 def occupied_leaves(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
-    """Lower and upper corners of the occupied leaves of a `.bt` file, shapes (n, 3).
+    """Read the lower and upper corners, shape (n, 3) each, of the occupied leaves of a `.bt` file.
 
     Raises
     ------
     FileError
         If the file is missing, or not a complete octree of at most 16 levels.
     GeometryError
-        If no cell in it is occupied.
+        If no cell of the octree is occupied.
     """
     file = _validate.path(path, "path")
     data = read_regular(file, "an octree in .bt", MOST_BYTES)
@@ -63,7 +63,7 @@ def occupied_leaves(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
 
 
 def _resolution(text: bytes, file: Path) -> float:
-    """Edge of the smallest cells, in metres."""
+    """Read the edge length of the smallest cells, in metres."""
     try:
         resolution = float(text)
     except ValueError:
@@ -74,12 +74,13 @@ def _resolution(text: bytes, file: Path) -> float:
 
 
 def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tuple[Ints, Ints]:
-    """Keys of the lower corners of all occupied leaves, three bits per level, and their depths.
+    """List the keys, three bits per level, of the lower corners of all occupied leaves, and their depths.
 
     Raises
     ------
     FileError
-        If the nodes end too early or too late, differ in number from the header, or go deeper than 16 levels.
+        If the data ends too early or too late, the number of nodes differs from the header, or a node is deeper than 16
+        levels.
     """
     found: list[tuple[int, int]] = []
     known: dict[int, tuple[int, list[int], list[int]]] = {}
@@ -109,7 +110,7 @@ def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tup
 
 
 def _children(word: int) -> tuple[int, list[int], list[int]]:
-    """How many children a node has, which are occupied leaves, and which are inner nodes, the last one first."""
+    """Return a node's number of children, its occupied leaves, and its inner nodes, the last inner node first."""
     kinds = [word >> 2 * child & 3 for child in range(8)]
     occupied = [child for child, kind in enumerate(kinds) if kind == OCCUPIED]
     return 8 - kinds.count(0), occupied, [child for child in range(7, -1, -1) if kinds[child] == INNER]

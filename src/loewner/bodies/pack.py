@@ -1,4 +1,4 @@
-"""Pieces of many bodies in flat arrays: selected, joined and moved."""
+"""Select, join and move pieces of many bodies in flat arrays."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Prepared(PieceArrays):
     Attributes
     ----------
     maps : dict
-        Direction maps of the large polytopes, by index of the piece, from
+        The direction maps of the large polytopes, keyed by piece index, made by
         `loewner._kernels.pieces.directions.direction_map`.
     trees : dict
-        The trees of the surfaces, by index of the piece.
+        The trees of the pieces that are surfaces, keyed by piece index.
     """
 
     maps: Maps
@@ -61,7 +61,7 @@ class Packed(Prepared):
     kernel : records.Pieces
         The arrays that kernels receive.
     addresses : ndarray of int64
-        Where these arrays are, and their lengths.
+        The addresses and lengths of the kernels' arrays.
     handle : int
         Address of `addresses`, see `loewner._kernels.pieces.pack`; valid as long as this object lives.
     """
@@ -91,17 +91,17 @@ class Packed(Prepared):
         return cls(**arrays, maps=maps, trees=trees, kernel=kernel, addresses=table, handle=table.ctypes.data)
 
     def __reduce__(self) -> Any:
-        """Rebuild copies and pickles: a handle is an address, which is only valid for this object."""
+        """Let copies and pickles be built anew: the handle is an address that is valid only for this object."""
         return type(self).of, (PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, including the arrays for kernels."""
+        """Bytes of all arrays, including the kernels' arrays."""
         return super().nbytes + sum(int(array.nbytes) for array in self.kernel)
 
 
 def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
-    """The pieces, with the largest proven ellipsoid inside each solid in place of the previous one."""
+    """Replace the inner ellipsoid of each solid by the largest ellipsoid proven to lie inside."""
     solids = [i for i in trees if pieces.layout[i, columns.KIND] == columns.SOLID]
     if not solids:
         return pieces
@@ -124,7 +124,7 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
 
 
 def empty() -> Packed:
-    """Pack of no bodies."""
+    """Make the pack of no bodies."""
     pieces = PieceArrays(
         layout=np.zeros((0, 5), dtype=np.int64),
         points=np.zeros((0, 3)),
@@ -143,7 +143,7 @@ def empty() -> Packed:
 
 
 def join(parts: list[Packed]) -> Packed:
-    """All bodies of several packs, in order."""
+    """Join all bodies of several packs, in order."""
     return joined(parts).packed()
 
 
@@ -175,14 +175,14 @@ def ranges(starts: Ints, stops: Ints) -> Ints:
 
 
 def take(p: Packed, bodies: Ints) -> Packed:
-    """Pack of some of the bodies, repeats allowed."""
+    """Pack the selected bodies; one may be selected several times."""
     _validate.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     return some(p, ranges(first, last), starts(last - first)).packed()
 
 
 def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
-    """Some of the pieces, repeats allowed, as bodies that begin at the indices `piece_start`."""
+    """Regroup the selected pieces, repeats allowed, into bodies that begin at the indices `piece_start`."""
     layout = p.layout[pieces]
     points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
     planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
@@ -213,7 +213,7 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
 
 
 def moved(p: Packed, T: Floats) -> Packed:
-    """Move all pieces by one rigid motion, preserving containment in spite of rounding."""
+    """Move all pieces by one rigid motion, so that containment holds in spite of rounding."""
     R, t = T[:3, :3], T[:3, 3]
     points = p.points @ R.T + t + 0.0  # without negative zeros
     normals = p.planes[:, :3] @ R.T

@@ -1,4 +1,4 @@
-"""Cut surfaces into parts for proofs of motions, which replace each piece by a box: small boxes leave more space."""
+"""Cut surfaces into parts: proofs of motions replace each piece by a box, and small boxes leave more free space."""
 
 from __future__ import annotations
 
@@ -37,10 +37,9 @@ _known: WeakKeyDictionary[SurfaceTree, tuple[int, Prepared | None]] = WeakKeyDic
 
 
 def in_parts(packed: Packed, bodies: Bools) -> Packed:
-    """Cut the surfaces of bodies into parts, each a piece of its own; without surfaces, return the same pack.
+    """Cut the surfaces of bodies into parts, each a piece of its own; a pack without surfaces is returned as it is.
 
-    Parts of a solid cover only its surface: a body that stays clear of all of them stays outside if it was outside
-    once.
+    Parts of a solid cover only its surface. A body that starts outside and stays clear of all parts stays outside.
 
     Parameters
     ----------
@@ -72,7 +71,7 @@ def _as_they_are(packed: Packed, first: int, last: int) -> Prepared:
 
 
 def _parts_of(packed: Packed, i: int, most: int) -> Prepared | None:
-    """Parts of a surface, made once; None if there would be only one, or if one is too small for kernels."""
+    """Return the parts of a surface, made once; None if it is a single part, or if a part is too small for kernels."""
     tree = packed.trees[i]
     known = _known.get(tree)
     if known is None or known[0] != most:
@@ -103,15 +102,15 @@ def _cut(packed: Packed, i: int, most: int) -> Prepared | None:
 
 
 def _cut_up(triangles: Floats, faces: Ints, radius: float, most: int) -> list[Ints]:
-    """Numbers of the triangles of each part, found by cutting the part with the emptiest box repeatedly.
+    """Return the triangle indices of each part; the part with the emptiest box is cut, repeatedly.
 
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
         Coordinates come first.
     faces : ndarray of int, shape (n,)
-        Face of each triangle. A face is cut only if it is alone in its part, so the boards of a shelf are separated,
-        even where they intersect, however fine their triangles are.
+        Face of each triangle. A face is cut only if it is alone in its part. The boards of a shelf are thus separated,
+        even if they intersect, however fine their triangles are.
     radius : float
         Radius around the triangles, in metres.
     most : int
@@ -139,7 +138,7 @@ def _cut_up(triangles: Floats, faces: Ints, radius: float, most: int) -> list[In
 
 
 def _cut_in_two(lower: Floats, upper: Floats, faces: Ints, thick: float) -> tuple[Ints, Ints]:
-    """Two parts of triangles that are sorted by face: the cut across an axis with the smallest boxes."""
+    """Split triangles, sorted by face, in two parts, by the cut across an axis that gives the smallest boxes."""
     first, many = np.flatnonzero(np.diff(faces, prepend=-1)), len(faces)
     if len(first) == 1:
         first = np.arange(many)
@@ -159,7 +158,7 @@ def _cut_in_two(lower: Floats, upper: Floats, faces: Ints, thick: float) -> tupl
 
 
 def _of_first(lower: Floats, upper: Floats, thick: float) -> Floats:
-    """Volumes of boxes around the first box, the first two, the first three, ..."""
+    """Compute the volumes of the boxes around the first box, the first two boxes, the first three boxes, ..."""
     return _volumes(np.minimum.accumulate(lower, axis=1), np.maximum.accumulate(upper, axis=1), thick)
 
 
@@ -168,7 +167,7 @@ def _volumes(lower: Floats, upper: Floats, thick: float) -> Floats:
 
 
 def _areas(triangles: Floats) -> Floats:
-    """Area of each triangle; points have none."""
+    """Compute the area of each triangle; points have area 0."""
     if triangles.shape[1] == 1:
         return np.zeros(triangles.shape[2])
     a, b, c = triangles.transpose(1, 2, 0)

@@ -1,4 +1,4 @@
-"""Curved pieces in closed form: the image of a unit shape, its rounding, and both optimal ellipsoids."""
+"""Make curved pieces in closed form: the image of a unit shape, its rounding radius, and both optimal ellipsoids."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 
 
 def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
-    """Bodies of one curved piece each; `frame` are semi-axes of images of the unit shape, one row per body."""
+    """Make bodies of one curved piece each; `frame` has one row per body, the semi-axes of the unit shape's image."""
     n = len(frame)
     # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
     slack = 0.0 if CURVED[kind].is_ball else CLOSED_FORM_ROUNDING
@@ -41,10 +41,10 @@ def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
 
 
 def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
-    """Semi-axes (a, b) of the smallest ellipsoids (a, a, b) around capsules; `half` is half the straight part.
+    """Compute the smallest ellipsoids (a, a, b) around capsules, as (a, b); `half` is half the straight part.
 
-    Their support must exceed h|cos| + r, that is a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b² - a² - h²; the
-    volume is least at k² - 2h²k - 3h²r² = 0.
+    Their support function must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b²
+    - a² - h². The volume is least where k² - 2h²k - 3h²r² = 0.
     """
     # In units of the greater length, so that no square over- or underflows.
     unit = np.maximum(radius, half)
@@ -55,7 +55,7 @@ def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
 
 
 def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
-    """Semi-axes of the inner and outer ellipsoids of curved pieces along the axes of their frames, and their centers.
+    """Compute the semi-axes of the inner and outer ellipsoids of curved pieces in their frames, and the centers.
 
     Parameters
     ----------
@@ -87,5 +87,5 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
 
 
 def _diagonal(axes: Floats) -> Floats:
-    """Diagonal matrices (n, 3, 3) of the rows of an (n, 3) array."""
+    """Make diagonal matrices, shape (n, 3, 3), from the rows of an (n, 3) array."""
     return axes[:, :, None] * np.eye(3)

@@ -21,7 +21,7 @@ MOST_CELLS = 2**20
 
 
 def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
-    """One body of balls, each a piece that is its own inner and outer ellipsoid.
+    """Make one body of balls; each ball is a piece and its own inner and outer ellipsoid.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
 
 
 def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
-    """One body of axis-aligned boxes, each a polytope between two unrounded corners.
+    """Make one body of axis-aligned boxes, each a polytope between two unrounded corners.
 
     Centers and half edges are rounded. The outer ellipsoids grow and the inner ones shrink by this rounding relative to
     the shortest edge.
@@ -62,7 +62,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     Raises
     ------
     GeometryError
-        If a box is so thin, and so far from the origin, that rounding leaves it no digits.
+        If a box is so thin and so far from the origin that rounding leaves it no digits.
     """
     n = len(lower)
     _memory.expect_left(n * BOX_BYTES, f"{n} boxes")
@@ -103,13 +103,13 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
 
 
 def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
-    """One body of one piece: balls of one radius around points, as a surface whose triangles are points."""
+    """Make a body of one piece: equal balls around points, stored as a surface whose triangles are points."""
     triangles = np.repeat(np.arange(len(points))[:, None], 3, axis=1)
     return surface_pieces("points", points, triangles, radius, False, tol)
 
 
 def cells_of(points: Floats, edge: float) -> Ints:
-    """The cells of a grid through the origin that contain points; each once, shape (k, 3)."""
+    """List the occupied cells of a grid aligned with the origin, each once, shape (k, 3)."""
     cells = np.floor(points / edge)
     farthest = float(np.abs(cells).max())
     if not farthest < MOST_CELLS:
@@ -123,12 +123,12 @@ def cells_of(points: Floats, edge: float) -> Ints:
 
 
 def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
-    """One body of boxes: the union of cells of a grid through the origin, with each row of cells as one box.
+    """Make one body from cells of a grid aligned with the origin, with each row of cells as one box.
 
     Parameters
     ----------
     cells : ndarray of int, shape (k, 3)
-        Each once.
+        The cells, each once.
     edge : float
         In metres.
     """
@@ -138,7 +138,7 @@ def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
 
 
 def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
-    """First and last cells of rows without gaps along an axis."""
+    """Find the first and last cells of rows without gaps along an axis."""
     i, j = (k for k in range(3) if k != axis)
     ordered = cells[np.lexsort((cells[:, axis], cells[:, j], cells[:, i]))]
     step = np.diff(ordered, axis=0)
@@ -147,7 +147,7 @@ def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
 
 
 def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
-    """One body of boxes: the union of occupied cells, with each row of cells as one box.
+    """Make one body of boxes, the union of the occupied cells, with each row of cells as one box.
 
     Parameters
     ----------
@@ -176,14 +176,14 @@ def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
 
 
 def _begins(occupied: Bools) -> Bools:
-    """Occupied cells whose predecessor along the last axis is not occupied."""
+    """Mark the occupied cells whose predecessor along the last axis is not occupied."""
     begins = occupied.copy()
     begins[..., 1:] &= ~occupied[..., :-1]
     return begins
 
 
 def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
-    """One body of one piece, a solid: the space between heights over a grid, joined by triangles, and a flat base.
+    """Make a body of one solid piece: the space between a flat base and triangles that join heights over a grid.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Trees over the triangles of surfaces, as kernels walk through them."""
+"""Build the trees over the triangles of surfaces that kernels traverse."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SUM_ROUNDING = 2.0**-44
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTree:
-    """A tree, and the addresses of its arrays; made by `of`.
+    """A tree over the triangles of a surface, and the addresses of its arrays; made by `of`.
 
     Attributes
     ----------
@@ -34,13 +34,13 @@ class SurfaceTree:
     blocks : ndarray
         Described in `loewner._kernels.trees.triangle_tree`.
     parts : ndarray, shape (3 parts,)
-        A vertex of each connected part.
+        One vertex of each connected part.
     diagonals, ellipsoids : ndarray of float32
         Also described there.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
-        Ellipsoids inside a solid, largest first; none for other surfaces.
+        Ellipsoids inside a solid, largest first; empty for other surfaces.
     table : ndarray of int64
-        Addresses of the first five; kernels receive the address of this array.
+        Addresses of the first five arrays; kernels receive the address of this table.
     """
 
     boxes: NDArray[np.float32]
@@ -55,7 +55,7 @@ class SurfaceTree:
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints, solid: bool) -> SurfaceTree:
-        """Build the tree over at least one triangle; connected triangles share vertices."""
+        """Build the tree over one or more triangles; connected triangles share vertices."""
         boxes, children, blocks, diagonals, ellipsoids, _ = entries.triangle_tree(vertices, triangles)
         parts = vertices[entries.part_vertices(len(vertices), triangles)].ravel()
         inside = np.zeros((0, 3)), np.zeros((0, 3, 3))
@@ -70,7 +70,7 @@ class SurfaceTree:
         return cls(*arrays, *others, records.table_of(arrays))  # type: ignore[call-arg]  # nine in all
 
     def __reduce__(self) -> Any:
-        """Rebuild copies: the table holds addresses."""
+        """Make copies rebuild their table, since it holds addresses."""
         return type(self)._at, self._arrays
 
     @property
@@ -86,7 +86,7 @@ class SurfaceTree:
         return sum(int(a.nbytes) for a in (*self._arrays, self.table))
 
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
-        """Ellipsoids around the parts below the root, with a radius: centers and factors.
+        """Compute the centers and factors of ellipsoids around the parts below the root, thickened by a radius.
 
         They are stored in single precision, and its rounding is added to the radius.
         """
@@ -102,15 +102,16 @@ class SurfaceTree:
 
 
 def around_point(radius: float) -> Floats:
-    """Factor of the inner ellipsoid of a surface without an inside: a ball about one of its points, or the point."""
+    """Compute the inner ellipsoid's factor for an open surface: a ball about one of its points, or just the point."""
     return np.eye(3) * radius * (1 - SUM_ROUNDING)
 
 
 def around_sums(shape: Floats, radius: Floats) -> Floats:
-    """Factors of ellipsoids around the sums of balls and ellipsoids, which are given by shape matrices.
+    """Compute factors of ellipsoids around sums of balls and ellipsoids, the latter given by shape matrices.
 
-    Shape (1 + 1/p) Q + (1 + p) r² 1 contains the sum for all p > 0; this p minimizes its trace. Kurzhanski and Valyi
-    (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
+    For all p > 0, the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² 1 contains the sum; the p chosen here
+    minimizes the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control,
+    section 2.2.
     """
     # p times the radius, which may be much smaller or larger; any value is valid, and for a point it is 0.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
@@ -119,7 +120,7 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
 
 
 def _lines(array: NDArray[Any], kind: type[np.floating[Any]] | type[float]) -> NDArray[Any]:
-    """Copy an array to an address at which no vector straddles two cache lines."""
+    """Copy an array to an aligned address, so that no vector straddles two cache lines."""
     copy: NDArray[Any] = records.aligned(array.size, kind)
     copy[:] = array
     return copy
@@ -129,7 +130,7 @@ Trees = dict[int, SurfaceTree]
 
 
 def surface_trees(layout: Ints, points: Floats, triangles: Ints, triangle_start: Ints) -> Trees:
-    """Trees of the surfaces among pieces, by index of the piece."""
+    """Build a tree for every piece that is a surface, keyed by piece index."""
     made = {}
     for i in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
         vertices = points[layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]

@@ -1,4 +1,4 @@
-"""Surfaces as pieces: their triangles, their ellipsoids, and whether they enclose a solid."""
+"""Make pieces of surfaces: their triangles, their ellipsoids, and whether they enclose a solid."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ THICKNESS = 1e-6
 def surface_pieces(
     name: str, vertices: Floats, triangles: Ints, radius: float, solid: bool | None, tol: float
 ) -> PieceArrays:
-    """One body of one piece: all triangles of a mesh, with a radius around them.
+    """Make a body of one piece: all triangles of a mesh, with a radius around them.
 
     Parameters
     ----------
     name : str
         Name of the mesh in messages.
     vertices, triangles : ndarray
-        A mesh as `meshes.load` reads it.
+        A mesh as returned by `meshes.load`.
     radius : float
         In metres, >= 0.
     solid : bool or None
-        Whether the space around which the mesh winds belongs to it; None: if the mesh is closed.
+        Whether the space around which the mesh winds belongs to the piece; None: only if the mesh is closed.
     tol : float
         Certified log-volume gap of the outer ellipsoid.
 
@@ -87,7 +87,7 @@ def surface_pieces(
 
 
 def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """The vertices used by triangles, each point once, so that triangles still share them after a motion."""
+    """Keep the vertices that triangles use, each point once, so that triangles still share them after a motion."""
     used, numbers = np.unique(triangles, return_inverse=True)
     vertices = vertices[used] + 0.0  # without negative zeros
     count, number = entries.equal_vertices(vertices)
@@ -114,7 +114,7 @@ def expect_radius(radius: float) -> None:
 
 
 def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
-    """Refuse a mesh that is open or inconsistently oriented: it winds around nothing."""
+    """Refuse a mesh that is open or inconsistently oriented, since it encloses no space."""
     edges = _open_edges(len(vertices), triangles)
     if len(edges) == 0:
         return
@@ -125,7 +125,7 @@ def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
 
 
 def _told(vertices: Floats, edges: Ints) -> str:
-    """How many edges are open, and where the first one is."""
+    """Describe the open edges: how many there are, and where the first one is."""
     a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
     return (
         f"{len(edges)} edges that do not join triangles turned alike (holes, or flipped triangles), the first from "
@@ -134,7 +134,7 @@ def _told(vertices: Floats, edges: Ints) -> str:
 
 
 def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
-    """Whether a mesh with open edges looks like one that was meant to be closed.
+    """Return whether a mesh with open edges was probably meant to be closed.
 
     Few of its edges are open, and the area vectors of its triangles nearly cancel, as in a closed mesh.
     """
@@ -146,9 +146,10 @@ def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 
 
 def _open_edges(count: int, triangles: Ints) -> Ints:
-    """Edges between `count` vertices that are not passed as often one way as the other; rows of two vertices.
+    """Find the edges, as rows of two vertices, that triangles traverse more often in one direction than in the other.
 
-    Without such an edge the winding number of the surface is an integer everywhere off it. Triangles share vertices.
+    Without such an edge the winding number is an integer at every point off the surface. Adjacent triangles must share
+    vertices.
     """
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -163,7 +164,7 @@ def _open_edges(count: int, triangles: Ints) -> Ints:
 
 
 def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:
-    """Smallest ellipsoid around points, or nearly the smallest if they are flat."""
+    """Fit the smallest ellipsoid around points, or nearly the smallest if the points are flat."""
     center, factor = np.empty(3), np.empty((3, 3))
     points = vertices
     for _ in range(2):
@@ -176,7 +177,7 @@ def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:
 
 
 def _thickened(vertices: Floats) -> Floats:
-    """Points beside the middle of a flat set, on both sides along the directions in which it is flat."""
+    """Return points on both sides of the center of a flat set, along the directions in which it is flat."""
     middle = vertices.mean(axis=0)
     spread, axes = np.linalg.eigh(np.cov((vertices - middle).T, bias=True))
     lengths = np.sqrt(np.maximum(spread, 0.0))
@@ -186,7 +187,7 @@ def _thickened(vertices: Floats) -> Floats:
 
 
 def _with_radius(center: Floats, factor: Floats, gap: float, radius: float) -> tuple[Floats, Floats, float]:
-    """Ellipsoid around the sum of an ellipsoid and a ball, with a bound on its excess over the smallest one."""
+    """Compute an ellipsoid around the sum of an ellipsoid and a ball, and a bound on its excess over the smallest."""
     grown = around_sums((factor @ factor.T)[None], np.array([radius]))[0]
     volumes = np.linalg.slogdet(grown)[1] - np.linalg.slogdet(factor)[1]
     return center, grown, gap + float(volumes)

@@ -1,4 +1,4 @@
-"""Pieces and ellipsoids as triangles, for pictures and for formats with triangles only."""
+"""Triangulate pieces and ellipsoids, for pictures and for formats that have only triangles."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ _ICOSAHEDRON = np.vstack([_CORNERS, np.roll(_CORNERS, 1, axis=1), np.roll(_CORNE
 
 
 def of_pieces(packed: Packed) -> list[Mesh]:
-    """Surface triangles of each piece; the corners of curved ones lie on the surface."""
+    """Triangulate the surface of each piece; the corners on a curved piece lie on its surface."""
     return [of_piece(packed, number) for number in range(len(packed.layout))]
 
 
 def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
-    """Centers and factors of all inner, or all outer, ellipsoids."""
+    """Return the centers and factors of all inner, or all outer, ellipsoids."""
     if which == "inner":
         return packed.inner_center, packed.inner_factor
     return packed.outer_center, packed.outer_factor
 
 
 def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:
-    """Triangles of each inner, or each outer, ellipsoid, by index of the piece; an inner one may be a point."""
+    """Triangulate each inner, or each outer, ellipsoid, keyed by piece index; an inner one may be a point."""
     centers, factors = ellipsoids_of(packed, which)
     unit, triangles = ball(3 if len(centers) <= MANY_PIECES else 2)
     return {k: (unit @ F.T + c, triangles) for k, (c, F) in enumerate(zip(centers, factors, strict=True)) if F.any()}
 
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Join several meshes into one."""
     points: list[Floats] = []
     triangles: list[Ints] = []
     total = 0
@@ -62,7 +62,7 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
 
 @lru_cache(maxsize=4)
 def ball(subdivisions: int) -> Mesh:
-    """Unit ball as an icosahedron whose triangles are divided into four repeatedly."""
+    """Triangulate the unit ball: the triangles of an icosahedron, repeatedly divided into four."""
     vertices, triangles = _ICOSAHEDRON, _faces(_ICOSAHEDRON)
     for _ in range(subdivisions):
         edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
@@ -78,7 +78,7 @@ def ball(subdivisions: int) -> Mesh:
 
 
 def _faces(corners: Floats) -> Ints:
-    """Triangles of an icosahedron: all triples of neighbouring corners, counter-clockwise from outside."""
+    """List the triangles of an icosahedron: all triples of neighbouring corners, counter-clockwise from outside."""
     near = corners @ corners.T > 0.4  # neighbours have 1/sqrt(5), all others less than 0
     all_near = (three for three in combinations(range(12), 3) if near[np.ix_(three, three)].all())
     threes = [three if np.linalg.det(corners[list(three)]) > 0 else three[::-1] for three in all_near]
@@ -86,7 +86,7 @@ def _faces(corners: Floats) -> Ints:
 
 
 def of_piece(packed: Packed, number: int) -> Mesh:
-    """Surface triangles of one piece."""
+    """Triangulate the surface of one piece."""
     row, frame = packed.layout[number], packed.frames[number]
     if row[columns.KIND] <= columns.POLYTOPE:
         triangles = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]
@@ -95,7 +95,7 @@ def of_piece(packed: Packed, number: int) -> Mesh:
 
 
 def _curved(kind: Kind, rounding: float, center: Floats, factor: Floats) -> Mesh:
-    """A curved piece: the image of a unit shape, and a ball added to it."""
+    """Triangulate a curved piece: the image of a unit shape, with a ball added."""
     unit, triangles = ball(3) if kind.top is None else _cylinder(kind.top)
     if kind.core is None:
         return unit @ factor.T + center, triangles
@@ -106,7 +106,7 @@ def _curved(kind: Kind, rounding: float, center: Floats, factor: Floats) -> Mesh
 
 
 def _cylinder(top: float) -> Mesh:
-    """The space between circles of radius 1 at z = -1 and of radius `top` at z = 1."""
+    """Triangulate the solid between two circles, of radius 1 at z = -1 and of radius `top` at z = 1."""
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     low, high = (np.column_stack([r * circle, np.full(SEGMENTS, z)]) for r, z in ((1.0, -1.0), (top, 1.0)))

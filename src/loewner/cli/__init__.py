@@ -1,4 +1,4 @@
-"""The command line: one file per command, combined by `main`."""
+"""The command line: each command has a file of its own, and `main` combines them."""
 
 from loewner.cli.main import main
 

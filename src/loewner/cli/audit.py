@@ -1,4 +1,4 @@
-"""``loewner audit``: collisions of a trajectory from any program, with times and depths."""
+"""``loewner audit``: find the collisions of a trajectory from any program, with times and depths."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
-    """Number of derivatives that the points have: 1 with velocities, 2 with accelerations too."""
+    """Return the number of derivatives that the points have: 1 with velocities, 2 with accelerations as well."""
     return sum(one is not None for one in (points.velocities, points.accelerations))
 
 
 def _executed(points: planners.ControllerPoints, controller: str | None) -> planners.ControllerPoints:
-    """The points with as many derivatives as a controller uses."""
+    """Return the points with as many derivatives as a controller uses."""
     held = [points.velocities, points.accelerations]
     used = _derivatives(points) if controller is None else CONTROLLERS.index(controller)
     if any(one is None for one in held[:used]):
@@ -96,7 +96,7 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
 
 
 def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: Floats) -> planners.ControllerPoints:
-    """The points with additional columns for the joints that they do not name, which do not move."""
+    """Add columns to the points for joints that they do not name; these joints do not move."""
     missing = [k for k, name in enumerate(robot.configuration_names) if points.names and name not in points.names]
     if points.names is None or not missing:
         return points
@@ -113,7 +113,7 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
 def _answer(
     checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """The verdicts of a trajectory and of its pieces, and their distances, for printing."""
+    """Return the verdicts and distances of a trajectory and of its pieces, for printing."""
     curve = curves.curve_of(checker.robot, points, str(options.trajectory))
     found = checker.certify_trajectory(points, joint_error=options.joint_error)
     times, fractions = found.times, found.segments.fraction
@@ -166,7 +166,7 @@ def _answer(
 
 
 def _picture(times: Floats, verdicts: Any) -> str:
-    """The worst verdict of the pieces in each of equal parts of the time."""
+    """Draw, for equal parts of the time, the worst verdict of the pieces in each."""
     edges = np.linspace(times[0], times[-1], COLUMNS + 1)
     first = np.searchsorted(times, edges[:-1], side="right") - 1
     last = np.maximum(np.searchsorted(times, edges[1:], side="left"), first + 1)

@@ -1,4 +1,4 @@
-"""``loewner check``: whether two bodies touch, and their distance."""
+"""``loewner check``: report whether two bodies touch, and their distance."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _print_answer(
 
 
 def _kind_of_distance(a: Any, b: Any, distance: float) -> str:
-    """Description of an exact distance, which for a depth depends on the bodies."""
+    """Describe an exact distance; for a depth, the description depends on the bodies."""
     if distance >= 0:
         return "exact"
     if is_surface(a) or is_surface(b):

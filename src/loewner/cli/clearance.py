@@ -1,4 +1,4 @@
-"""``loewner clearance``: the distances of all pairs of many bodies."""
+"""``loewner clearance``: report the distances of all pairs of many bodies."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COLUMNS = ("a", "b", "verdict", "distance, m", "lower, m", "upper, m")
 
 
 class _Found(NamedTuple):
-    """Results for the pairs to report; the distance of an unsettled pair is NaN."""
+    """The results for the pairs to report; the distance of an unsettled pair is NaN."""
 
     pairs: Ints
     colliding: Bools
@@ -73,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _measured(bodies: loewner.Bodies, within: float) -> _Found:
-    """Bounds for all pairs, and exact distances of the pairs that may be near."""
+    """Compute bounds for all pairs, and exact distances of the pairs that may be near."""
     pairs = np.stack(np.triu_indices(len(bodies), 1), axis=1)
     bounds = loewner.distance(bodies, None, bodies, None, pairs=pairs)
     near = np.flatnonzero(bounds.lower <= within)
@@ -108,7 +108,7 @@ def _tell(names: list[str], found: _Found, path: Path | None) -> None:
 
 
 def _rows(names: list[str], found: _Found, shown: str) -> list[list[str]]:
-    """The cells of each pair."""
+    """Format the cells of the row of each pair."""
     columns = (array.tolist() for array in found)
     return [
         [

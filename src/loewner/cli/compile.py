@@ -1,4 +1,4 @@
-"""``loewner compile``: compile all kernels now, instead of at first use."""
+"""``loewner compile``: compile all kernels now instead of on their first use."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _log(text: str) -> None:
-    """Print a text immediately on standard error, so that standard output contains only the answer."""
+    """Print a line immediately to standard error, so that standard output contains only the answer."""
     print(f"loewner: {text}", file=sys.stderr, flush=True)

@@ -27,7 +27,7 @@ MOST_BYTES = 2**33
 
 
 def read(path: Path, robot: loewner.Robot) -> Floats:
-    """Read the numbers of a file, in the order of the robot's columns; the caller checks their shape."""
+    """Read the numbers of a file and order them as the robot's columns; the caller checks their shape."""
     suffix = path.suffix.lower()
     if suffix not in READ:
         raise FileError(f"{path}: expected a .npy, .csv or .json file, found {path.suffix or 'no suffix'}")
@@ -43,7 +43,7 @@ def read(path: Path, robot: loewner.Robot) -> Floats:
 
 
 def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
-    """Write a path with the names of its columns, atomically and such that reading gives the same numbers."""
+    """Write a path with the names of its columns, atomically; reading the file gives the same numbers."""
     names, numbers = list(robot.configuration_names), rows.tolist()
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
@@ -55,7 +55,7 @@ def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
 
 
 def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None) -> Floats:
-    """One or several configurations, from the name of a state, a file, or numbers; the caller checks the shape.
+    """Read one or more configurations from the name of a state, a file, or numbers; the caller checks the shape.
 
     Joints that a state does not name keep their values in `start`.
     """
@@ -82,7 +82,7 @@ def _rows(text: str) -> list[list[str]]:
 
 
 def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
-    """Numbers of a table, whose first row may name its columns."""
+    """Read the numbers of a table, whose first row may name the columns."""
     names = list(robot.configuration_names)
     if rows and any(";" in cell for cell in rows[0]):
         raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {','.join(rows[0])}")
@@ -97,7 +97,7 @@ def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
 
 
 def _of_json(found: Any, robot: loewner.Robot, path: Path) -> Floats:
-    """Numbers of a list, or of a file of `write`."""
+    """Read the numbers of a JSON list, or of a file that `write` has written."""
     if not isinstance(found, Mapping):
         return _validate.float_array(found, str(path))
     if set(found) != {"names", "configurations"}:
@@ -117,7 +117,7 @@ def _of_json(found: Any, robot: loewner.Robot, path: Path) -> Floats:
 
 
 def _ordered(numbers: Floats, order: Sequence[str], names: Sequence[str]) -> Floats:
-    """Columns in the robot's order."""
+    """Put columns in the robot's order."""
     return np.asarray(numbers[..., [order.index(name) for name in names]])
 
 

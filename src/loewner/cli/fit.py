@@ -1,4 +1,4 @@
-"""``loewner fit``: meshes to bodies, saved as ``.npz``."""
+"""``loewner fit``: convert meshes to bodies, saved as ``.npz``."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
-    """Fit each mesh in one of several processes; print tables of the bodies made and of the failures."""
+    """Fit the meshes, each in one of several processes; print tables of the bodies made and of the failures."""
     count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
     with told_to([]), suppress(GeometryError):  # a refused option need not be reported for each mesh
         _body(TETRAHEDRON, options, lambda *_: None)
@@ -126,7 +126,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
 
 
 def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
-    """Make the body of a mesh and save it, in a separate process; return the outcome, and its row of the table."""
+    """Make the body of a mesh and save it, in a separate process; return the outcome and a row for the table."""
     row: list[str] = []
 
     def fit() -> Outcome:
@@ -143,7 +143,7 @@ def _body(source: Any, options: argparse.Namespace, progress: Progress) -> loewn
 
 
 def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:
-    """A process's outcome and row of the table; if it died, an outcome that states this."""
+    """Return a process's outcome and its row of the table; if the process died, the outcome states that."""
     if answer is None:
         text = f"{shown(mesh)}: the process that fitted it died; it may take more memory than there is"
         return Outcome("failed", text), []

@@ -1,4 +1,4 @@
-"""``loewner info``: the version, how its kernels run, and the installed optional packages."""
+"""``loewner info``: print the version, how its kernels run, and the installed optional packages."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _lines() -> list[tuple[str, str]]:
-    """The lines to print."""
+    """Return the lines to print."""
     return [
         ("loewner", loewner.__version__),
         ("kernels", _told(_kernels)),
@@ -63,7 +63,7 @@ def _lines() -> list[tuple[str, str]]:
 
 
 def _told(what: Callable[[], str]) -> str:
-    """The text, or the fault of a setting on which it depends."""
+    """Return a text, or the fault of a setting on which the text depends."""
     try:
         return what()
     except LoewnerError as error:
@@ -71,7 +71,7 @@ def _told(what: Callable[[], str]) -> str:
 
 
 def _kernels() -> str:
-    """How the kernels run."""
+    """Describe how the kernels run."""
     if (level := library.level()) is not None:
         return f"native library, {level}, built with Numba {library.built_with()}"
     if _version("numba") == MISSING:

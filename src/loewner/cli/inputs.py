@@ -1,4 +1,4 @@
-"""Inputs of commands: bodies, meshes, poses and robots, and the options for reading them."""
+"""Read the inputs of commands: bodies, meshes, poses and robots, and the options for reading them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OF_SURFACES = ("radius", "solid")
 
 
 def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
-    """Options of commands that take meshes; `default` is the default model."""
+    """Add the options of commands that take meshes; `default` is the default model."""
     command.add_argument(
         "--model",
         choices=MODELS,
@@ -64,7 +64,7 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
 
 
 def add_robot_options(command: argparse.ArgumentParser) -> None:
-    """Options of commands that take a robot."""
+    """Add the options of commands that take a robot."""
     command.add_argument("urdf", type=Path, metavar="URDF")
     command.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
     command.add_argument(
@@ -80,7 +80,7 @@ def add_robot_options(command: argparse.ArgumentParser) -> None:
 
 
 def body(path: Path, options: argparse.Namespace) -> loewner.Body:
-    """A saved body, or the body of a mesh."""
+    """Load a saved body, or make the body of a mesh."""
     if path.suffix.lower() != ".npz":
         return from_mesh(path, options)
     model(options)  # which refuses incompatible options
@@ -93,7 +93,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
 def from_mesh(
     path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
 ) -> loewner.Body:
-    """Body of a mesh, with its own progress bar unless the caller shows progress."""
+    """Make the body of a mesh, with a progress bar of its own unless the caller shows progress."""
     chosen = model(options)
     if chosen == "surface":
         return loewner.Body.from_surface(path, scale=options.scale, **given(options, OF_SURFACES))
@@ -114,7 +114,7 @@ def from_mesh(
 
 
 def model(options: argparse.Namespace) -> str:
-    """The model of a mesh that the options select."""
+    """Return the model of a mesh that the options select."""
     if options.hull and options.model not in (None, "hull"):
         raise InputError(f"--hull: expected no other model with it, found --model {options.model}")
     of_pieces, of_surfaces = given(options, OF_PIECES), given(options, OF_SURFACES)
@@ -129,12 +129,12 @@ def model(options: argparse.Namespace) -> str:
 
 
 def given(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    """The options that were given, by name."""
+    """Return the options that were given, keyed by name."""
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
 def pose(text: str | None, name: str) -> Floats | None:
-    """Read a pose: numbers, or a matrix in a file."""
+    """Read a pose from numbers, or from a matrix in a file."""
     if text is None:
         return None
     if Path(text).suffix.lower() in (".npy", ".txt"):
@@ -169,7 +169,7 @@ def _pose_file(path: Path) -> Floats:
 
 
 def robot(options: argparse.Namespace) -> loewner.Robot:
-    """Read the robot, with progress."""
+    """Read the robot, and show progress."""
     if options.decompose and options.model not in (None, "pieces"):
         raise InputError(f"--decompose: expected no other model with it, found --model {options.model}")
     with progress_bar() as progress:
@@ -185,7 +185,7 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
 
 
 def refuse_no_pairs(checker: loewner.CollisionChecker, urdf: Path) -> None:
-    """Refuse a robot without pairs to check: every configuration would count as free."""
+    """Refuse a robot without pairs to check, since every configuration would count as free."""
     if not checker.checked_pairs:
         raise InputError(
             f"{urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "

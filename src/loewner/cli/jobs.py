@@ -1,7 +1,8 @@
-"""Distribute files to several processes, one at a time each: if a process dies, only its file is lost.
+"""Distribute files to several processes, one file at a time to each; if a process dies, only its file is lost.
 
-A process is a new interpreter that reads tasks from its input and answers on its output, one line of JSON each. It ends
-when its input ends: when there is no more work, or when the parent process has ended for any reason.
+Each process is a new interpreter that reads tasks from its standard input and writes answers to its standard output,
+each as one line of JSON. It ends when its input ends, that is, when there is no more work, or when the parent process
+has ended for any reason.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import loewner
 
 
 class Event(NamedTuple):
-    """A process's report on a task: its start, its progress, its answer, or None as the answer if the process died."""
+    """A process's report on a task: its start, its progress or its answer, which is None if the process died."""
 
     kind: str
     place: int
@@ -29,16 +30,16 @@ class Event(NamedTuple):
 
 
 def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[Event]:
-    """Distribute tasks to processes and yield their reports: ``begun``, ``progress`` (done, total), ``answer``.
+    """Distribute tasks to processes and yield the reports: ``begun``, ``progress`` (done, total) or ``answer``.
 
     Parameters
     ----------
     entry : str
-        Module that has a function ``serve_task``, which takes a task and a progress callback and returns the answer.
+        Module with a function ``serve_task`` that takes a task and a progress callback and returns the answer.
     tasks : sequence of dict
         Any values that JSON can represent.
     jobs : int
-        Largest number of processes at a time; they share the threads that this process may use.
+        Largest number of processes at a time; together they use the threads that this process may use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()
@@ -75,7 +76,7 @@ class _Pool:
         self._lock, self._running, self._ended = threading.Lock(), set[subprocess.Popen[str]](), False
 
     def start(self) -> subprocess.Popen[str] | None:
-        """Start another process; return None if all have been ended."""
+        """Start a further process; return None if all have been ended."""
         with self._lock:
             if self._ended:
                 return None
@@ -96,7 +97,7 @@ class _Pool:
 
 
 def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[int], said: SimpleQueue[Any]) -> None:
-    """Give tasks to one process, one by one; if it dies, continue with another process."""
+    """Give tasks to one process, one by one; if it dies, continue with a new process."""
     process = None
     try:
         while True:
@@ -120,7 +121,7 @@ def _tell(said: SimpleQueue[Any], place: int, value: list[int]) -> None:
 
 
 def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable[[list[int]], None]) -> Any:
-    """A process's answer to a task; None if the process died, after cleaning it up."""
+    """Return a process's answer to a task; if the process died, clean it up and return None."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -139,7 +140,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
 
 
 def _serve(entry: str) -> None:
-    """Main loop of a process: do the tasks that arrive; texts printed meanwhile do not count as answers."""
+    """Run the main loop of a process: do the tasks that arrive; output printed meanwhile is not an answer."""
     from importlib import import_module
 
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")

@@ -1,8 +1,8 @@
-"""The command line: parse, call the public API, print.
+"""Run the command line: parse arguments, call the public API, and print.
 
-Exit status: 0 for done or free; 1 for colliding (at least one of many pairs or configurations) or no path; 2 for an
-error, or if at least one of many meshes failed; 3 for ambiguous (only ``loewner check --method certified``, ``loewner
-plan`` and ``audit``).
+The exit status is 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or configurations); 2
+for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check --method certified``,
+``loewner plan`` and ``audit``).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _any_name_printed() -> Iterator[None]:
-    """Escape what standard output cannot encode, such as names of files that are not UTF-8, instead of failing."""
+    """Escape characters that standard output cannot encode, such as in file names that are not UTF-8."""
     out = sys.stdout
     if not isinstance(out, io.TextIOWrapper):
         yield
@@ -89,9 +89,9 @@ def _words(arguments: Any) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that does not take arguments that begin like negative numbers for options; likewise for subcommands.
+    """A parser that, also in subcommands, does not mistake arguments that begin like negative numbers for options.
 
-    Before Python 3.14, argparse takes "-0.5" for a number, but "-0.5,0.3" and "-5e-1" for unknown options.
+    Before Python 3.14, argparse recognises "-0.5" as a number, but treats "-0.5,0.3" and "-5e-1" as unknown options.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print each warning immediately on its own line: the work that it concerns may take minutes."""
+    """Print each warning immediately, on a line of its own, since the work that it concerns may take minutes."""
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
         print(f"loewner: warning: {message}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""Output of commands: an exit status, tables on standard output, progress on standard error."""
+"""Write the output of commands: tables on standard output, progress on standard error, and an exit status."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PlainTable:
 
 
 class NoProgress(nullcontext["NoProgress"]):
-    """Replacement for a progress bar if Rich is not installed; it shows nothing."""
+    """A replacement for the progress bar that shows nothing, used if Rich is not installed."""
 
     def __init__(self) -> None:
         super().__init__(self)
@@ -54,7 +54,7 @@ class NoProgress(nullcontext["NoProgress"]):
 
 
 def progress_bar() -> Progress | NoProgress:
-    """Progress on standard error, so that standard output contains only the answer."""
+    """Show progress on standard error, so that standard output contains only the answer."""
     try:
         from rich.console import Console
         from rich.progress import Progress
@@ -64,7 +64,7 @@ def progress_bar() -> Progress | NoProgress:
 
 
 def new_table(*columns: str, title: str | None = None) -> Table | PlainTable:
-    """Make a table without rows, to fill and to print."""
+    """Make an empty table, to be filled and printed."""
     try:
         from rich.table import Table
     except ImportError:
@@ -86,12 +86,12 @@ def print_table(table: Table | PlainTable) -> None:
 
 
 def is_surface(body: loewner.Body) -> bool:
-    """Whether a body consists of the triangles of a mesh themselves."""
+    """Return whether a body consists of the triangles of a mesh, not of convex pieces."""
     return all(piece.kind in ("surface", "solid") for piece in body.pieces)
 
 
 def model_text(body: loewner.Body) -> str:
-    """The model of the mesh from which a body was made, in a few words."""
+    """Describe in a few words the model of the mesh from which a body was made."""
     if not is_surface(body):
         return covering_text(body.covering)
     count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
@@ -101,7 +101,7 @@ def model_text(body: loewner.Body) -> str:
 
 
 def covering_text(covering: loewner.Covering | None) -> str:
-    """The model of a mesh, how much of it the pieces contain and how far they stick out, in a few words."""
+    """Describe in a few words a mesh's model, how much of the mesh the pieces contain and how far they stick out."""
     if covering is None:
         return "-"
     percent = round(100 * covering.excess_volume, 1) + 0.0  # avoids minus zero

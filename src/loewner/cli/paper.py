@@ -1,4 +1,4 @@
-"""``loewner paper``: the tables of the paper's experiment."""
+"""``loewner paper``: print the tables of the paper's experiment."""
 
 from __future__ import annotations
 

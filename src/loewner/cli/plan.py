@@ -1,4 +1,4 @@
-"""``loewner plan``: a path of a robot from start to goal, with the verdict of each of its motions."""
+"""``loewner plan``: find a robot's path from start to goal, and print the verdict on each motion."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
-    """Before the work begins, refuse options that would silently be ignored, and a path that could not be written."""
+    """Before the work begins, refuse options that would silently be ignored, and a path that cannot be written."""
     if options.resolution is not None and not options.sampled and options.planner is None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.max_iterations is not None and options.planner is not None:
@@ -120,7 +120,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats, options: argparse.Namespace
 ) -> tuple[Floats, float]:
-    """The path, and the seconds that it took to find."""
+    """Return the path, and the seconds that it took to find."""
     given = {"max_iterations": options.max_iterations, "resolution": options.resolution}
     joints = options.joints
     with progress_bar() as progress:
@@ -144,7 +144,7 @@ def _found(
 def _answer(
     checker: loewner.CollisionChecker, path: Floats, seconds: float, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """The full report on a path."""
+    """Make the full report on a path."""
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
     found = checker.certify_edges(a, b)
@@ -215,7 +215,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:
-    """Print the verdict on the whole path, and where it is not free."""
+    """Print the verdict on the whole path, and the places where the path is not free."""
     motions = answer["motions"]
     count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
     if answer["verdict"] == "FREE":

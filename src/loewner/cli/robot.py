@@ -1,4 +1,4 @@
-"""``loewner robot``: a description of a robot, and whether configurations of it are free."""
+"""``loewner robot``: describe a robot, and check whether its configurations are free."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
-    """The requested configurations, shape (N, dof)."""
+    """Return the requested configurations, shape (N, dof)."""
     if options.state is not None:
         return robot.configuration(options.state)[None]
     if options.configs is not None:
@@ -132,7 +132,7 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
 
 
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
-    """The full report on configurations."""
+    """Make the full report on configurations."""
     robot = checker.robot
     if len(Q) == 0:
         raise InputError("--configs: expected one configuration or more, found none")

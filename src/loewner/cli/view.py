@@ -1,4 +1,4 @@
-"""``loewner view``: two bodies, or a robot, in the browser."""
+"""``loewner view``: show two bodies, or a robot, in the browser."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Check pairs and configurations by the thousand on an NVIDIA GPU. Experimental: it has not run on hardware yet.
+"""Check thousands of pairs or configurations on an NVIDIA GPU. Experimental: not yet run on hardware.
 
-The certificate's formulas run there in single precision, and give proofs as on the CPU. Pairs that single precision
-leaves undecided go to the CPU, so the answers are the same as the CPU's. Only the driver of the GPU is needed; it is
-loaded when a function here is first called.
+The certificate's formulas run there in single precision and give proofs, as on the CPU. The CPU decides pairs that
+single precision leaves undecided, so the answers are the same as on the CPU alone. Only the driver of the GPU is
+needed; it is loaded when a function here is first called.
 """
 
 from loewner.gpu.arrays import DeviceArray

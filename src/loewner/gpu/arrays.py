@@ -1,7 +1,7 @@
-"""Arrays of other libraries on a GPU: read by address, and returned in the same way.
+"""Read other libraries' arrays on a GPU by address, and return results in the same way.
 
 CuPy, PyTorch, JAX and Numba share arrays by ``__cuda_array_interface__`` (version 2 and 3) and by DLPack. An array is
-any object that supports one of the two; nothing is imported and nothing is copied.
+any object that supports one of the two protocols; nothing is imported and nothing is copied.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class View(NamedTuple):
 
 
 def is_on_gpu(x: Any) -> bool:
-    """Whether an object is an array on a GPU."""
+    """Return whether an object is an array on a GPU."""
     if isinstance(x, np.ndarray):
         return False
     if hasattr(x, "__cuda_array_interface__"):
@@ -55,12 +55,12 @@ def is_on_gpu(x: Any) -> bool:
 def taken(x: Any, name: str, device: Device) -> View:
     """Take a float32 array on the GPU by its address.
 
-    From now on, work on the device's stream waits for the pending work of the array's own stream.
+    Work that is put on the device's stream from now on waits for the pending work of the array's own stream.
 
     Raises
     ------
     InputError
-        If it is not float32, not in C order, not aligned, or on another GPU.
+        If the array is not float32, not in C order, not aligned, or on a different GPU.
     """
     if hasattr(x, "__cuda_array_interface__"):
         address, shape, kind, strides, owner = _by_interface(x, name, device)
@@ -79,7 +79,7 @@ def taken(x: Any, name: str, device: Device) -> View:
 
 
 def _in_order(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Strides in bytes of float32 in C order."""
+    """Return the strides, in bytes, of a float32 array in C order."""
     strides: list[int] = []
     step = 4
     for length in reversed(shape):
@@ -89,7 +89,7 @@ def _in_order(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _by_interface(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ...], str, Any, Any]:
-    """Address, shape, kind, strides and owner by ``__cuda_array_interface__``."""
+    """Read address, shape, kind, strides and owner through ``__cuda_array_interface__``."""
     told = x.__cuda_array_interface__
     try:
         address, _ = told["data"]
@@ -151,7 +151,7 @@ _pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_
 
 
 class _Borrowed:
-    """A tensor of DLPack, given back when it is no longer referenced."""
+    """A DLPack tensor that is given back when it is no longer referenced."""
 
     def __init__(self, managed: Any) -> None:
         self.managed = managed
@@ -162,7 +162,7 @@ class _Borrowed:
 
 
 def _by_dlpack(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ...], str, Any, Any]:
-    """Address, shape, kind, strides and owner by DLPack."""
+    """Read address, shape, kind, strides and owner through DLPack."""
     kind, number = x.__dlpack_device__()
     if int(kind) == CUDA and int(number) != device.number:
         raise InputError(f"{name}: expected an array on GPU {device.number}, found one on GPU {int(number)}")
@@ -182,10 +182,10 @@ def _by_dlpack(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ...],
 
 
 class DeviceArray:
-    """An array of results on the GPU, for other libraries to take.
+    """An array of results on the GPU that other libraries can use.
 
     ``cupy.asarray``, ``torch.as_tensor(..., device="cuda")``, ``torch.from_dlpack`` and ``jax.dlpack.from_dlpack`` wrap
-    it in their own arrays without a copy; ``numpy.asarray`` copies it to the CPU.
+    it in arrays of their own without copying; ``numpy.asarray`` copies it to the CPU.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ def _unclaimed(capsule: Any) -> None:
 
 
 def _capsule_of(array: DeviceArray) -> Any:
-    """Make a capsule of DLPack."""
+    """Make a DLPack capsule."""
     # Booleans are passed as bytes: older versions of DLPack have no kind for them, although PyTorch and JAX now support
     # it.
     code = {kind: code for code, kind in KINDS.items()}[array.dtype.kind]

@@ -34,7 +34,7 @@ KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
 
 class _Tables(NamedTuple):
-    """Kernel input for a robot and its scene; fields as in `loewner._kernels.threads.configurations`."""
+    """Kernel input for a robot and its scene; `loewner._kernels.threads.configurations` describes the fields."""
 
     version: int
     moving: int
@@ -51,7 +51,7 @@ class _Tables(NamedTuple):
 
 
 class _Tile(NamedTuple):
-    """Kernel output for a tile."""
+    """Kernel output for one tile of configurations."""
 
     placed: Memory
     bounds: Memory
@@ -63,17 +63,17 @@ class _Tile(NamedTuple):
 class Checker:
     """A collision checker whose ellipsoids are on a GPU. Experimental: not yet run on hardware.
 
-    The GPU places the robot, compares bounds and ellipsoids, and returns FREE or COLLIDING where that is proven. All
-    other configurations go to the checker itself, so the answers are its own. Near obstacles, the ellipsoids leave many
-    configurations open: the exact searches do not run on the GPU.
+    The GPU places the robot, compares bounds and ellipsoids, and returns FREE or COLLIDING for configurations for which
+    this is proven. The checker itself decides all remaining configurations, so the answers equal the checker's. Near
+    obstacles, the ellipsoids leave many configurations open, and the exact searches do not run on the GPU.
 
     Parameters
     ----------
     checker : CollisionChecker
         Its scene may change between calls.
     fallback : {"error", "cpu"}
-        If there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an error, or
-        warn once and use the checker.
+        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an
+        error, or warn once and use the checker.
     device : int
         Index of the GPU among those visible to the driver.
 
@@ -125,8 +125,8 @@ class Checker:
         GpuError
             If the GPU cannot do the work.
         InputError
-            If the width is not dof, an entry is not finite, an array on the GPU is of another type, layout or GPU, or
-            pieces are smaller than 1e-3 or larger than 1e3 m.
+            If the width is not dof, an entry is not finite, an array on the GPU has the wrong type or layout or is on a
+            different GPU, or pieces are smaller than 1e-3 m or larger than 1e3 m.
         UnknownNameError, ConvergenceError
             As for `CollisionChecker.collide`.
         """
@@ -148,7 +148,7 @@ class Checker:
     # -- inside -------------------------------------------------------------------------------
 
     def _of_host(self, gpu: Device, Q: Floats) -> NDArray[np.bool_]:
-        """Answers for configurations on the CPU, shape (N, dof)."""
+        """Decide configurations in CPU memory, shape (N, dof)."""
         ready = prepared_of(self._checker)
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
             there = gpu.upload(Q.astype(np.float32))
@@ -159,7 +159,7 @@ class Checker:
         return np.asarray(out == codes.COLLIDING)
 
     def _of_array(self, gpu: Device, Q: Any) -> DeviceArray:
-        """Answers for configurations on the GPU."""
+        """Decide configurations in GPU memory."""
         view, robot, ready = taken(Q, "Q", gpu), self._checker.robot, prepared_of(self._checker)
         if len(view.shape) == 0 or view.shape[-1] != robot.dof:
             raise InputError(f"Q: expected shape (..., {robot.dof}), found {_validate.shape_text(view.shape)}")
@@ -169,7 +169,7 @@ class Checker:
         return DeviceArray(verdicts, view.shape[:-1], np.bool_)
 
     def _settled(self, ready: Problem, Q: Floats) -> NDArray[np.int8]:
-        """Verdicts of some configurations by the checker, in the scene as it was."""
+        """Let the checker decide the given configurations, in the state of the scene that the GPU used."""
         if len(Q) == 0:
             return np.empty(0, dtype=np.int8)
         Q = np.ascontiguousarray(Q)
@@ -178,7 +178,7 @@ class Checker:
         return found
 
     def _asked(self, gpu: Device, ready: Problem, Q: int, total: int) -> tuple[Memory, Ints]:
-        """Verdicts of configurations at an address, and the numbers of those that are left to the CPU."""
+        """Return the verdicts of configurations at an address, and the indices of those that are left to the CPU."""
         expect_few(total, "configurations")
         tables = self._tables_of(gpu, ready)
         expect_few(tables.pair_count * TILE, "pairs of bodies, times 16384,")
@@ -215,7 +215,7 @@ class Checker:
         gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
 
     def _tables_of(self, gpu: Device, ready: Problem) -> _Tables:
-        """Return what the kernels read, copied to the GPU when the scene has changed."""
+        """Return the kernels' input, copied to the GPU again if the scene has changed."""
         tables = self._tables.get(gpu)
         if tables is None or tables.version != ready.version:
             tables = self._tables[gpu] = _tables(gpu, ready)
@@ -235,7 +235,7 @@ def _tile(gpu: Device, tables: _Tables) -> _Tile:
 
 
 def _tables(gpu: Device, ready: Problem) -> _Tables:
-    """Copy to the GPU what the kernels read of a robot and its scene."""
+    """Copy the kernels' input about a robot and its scene to the GPU."""
     tree, packed, moving = ready.robot.tree, ready.packed, len(ready.link)
     start = packed.piece_start
     rows = single_rows(packed).copy()

@@ -1,4 +1,4 @@
-"""Call NVIDIA's driver with ctypes: one GPU, its memory, the kernels on it, and errors that name the cause.
+"""Call NVIDIA's driver with ctypes: open a GPU, allocate its memory, run kernels, and name causes of errors.
 
 The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is needed.
 It compiles the PTX of `loewner._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
@@ -47,7 +47,7 @@ WITHOUT_TIMES = 2
 
 
 class Memory:
-    """Memory of a GPU; freed with the last reference to it.
+    """Memory of a GPU, freed when the last reference to it is dropped.
 
     Attributes
     ----------
@@ -76,12 +76,12 @@ class Device:
     name : str
     capability : tuple of int
     driver : int
-        Version of CUDA that the driver supports, 1000 times the major plus 10 times the minor.
+        Version of CUDA that the driver supports: 1000 times the major version plus 10 times the minor version.
 
     Raises
     ------
     GpuError
-        If there is no such GPU, the driver is too old, or it refuses the kernels.
+        If there is no such GPU, or the driver is too old or refuses the kernels.
     """
 
     def __init__(self, number: int, cuda: Any) -> None:
@@ -135,7 +135,7 @@ class Device:
         return to
 
     def download(self, address: int, array: NDArray[Any]) -> None:
-        """Fill an array from the GPU's memory, after all earlier work is done."""
+        """Fill an array from the GPU's memory, once all earlier work is done."""
         with self._current():
             if array.nbytes:
                 self._ask(
@@ -181,7 +181,7 @@ class Device:
             self._ask("cuEventDestroy_v2", event)  # the driver frees it once it has been reached
 
     def time(self) -> Any:
-        """Record a point in time on the stream; `seconds` takes two of them."""
+        """Record a point in time on the stream, for `seconds`."""
         event = ctypes.c_void_p()
         with self._current():
             self._ask("cuEventCreate", ctypes.byref(event), 0)
@@ -189,7 +189,7 @@ class Device:
         return event
 
     def seconds(self, start: Any, stop: Any) -> float:
-        """Return the time between two recorded points once both are past, and free them."""
+        """Wait until two recorded points are past, return the time between them, and free them."""
         found = ctypes.c_float()
         with self._current():
             self._ask("cuEventSynchronize", stop)
@@ -199,7 +199,7 @@ class Device:
         return float(found.value) * 1e-3
 
     def holds(self, address: int) -> bool:
-        """Whether an address belongs to this GPU's memory."""
+        """Return whether an address belongs to this GPU's memory."""
         found = ctypes.c_int(-1)
         with self._current():
             code = self._cuda.cuPointerGetAttribute(ctypes.byref(found), ORDINAL_OF_POINTER, ctypes.c_uint64(address))
@@ -223,7 +223,7 @@ class Device:
 
     @contextlib.contextmanager
     def _current(self) -> Iterator[None]:
-        """Make the context current on this thread within the block."""
+        """Make the context current on this thread for the duration of a block."""
         self._ask("cuCtxPushCurrent_v2", self._context)
         try:
             yield
@@ -240,13 +240,13 @@ class Device:
         return self._integer("cuDeviceGetAttribute", which, handle)
 
     def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
-        """Call a function of the driver; raise an exception if it fails."""
+        """Call a function of the driver, and raise an exception if it fails."""
         code = getattr(self._cuda, function)(*arguments)
         if code:
             raise self._error(function, code, size=size)
 
     def _error(self, function: str, code: int, size: int | None = None, said: str = "") -> GpuError:
-        """Make the error for a code, in the driver's words and, where these are unclear, in our own."""
+        """Make the error for a code, with the driver's explanation and, if that is unclear, with ours."""
         self.lost = self.lost or code in LOST
         text = f"{function}: {self._words(code)}"
         if code == OUT_OF_MEMORY and size is not None:
@@ -266,7 +266,7 @@ class Device:
         return GpuError(text + (f": {said}" if said else ""), code)
 
     def _words(self, code: int) -> str:
-        """The driver's name and text for an error."""
+        """Return the driver's name and description of an error."""
         words = []
         for function in ("cuGetErrorName", "cuGetErrorString"):
             text = ctypes.c_char_p()
@@ -275,7 +275,7 @@ class Device:
         return f"{', '.join(words)} ({code})" if words else f"error {code}"
 
     def _free(self, address: int) -> None:
-        """Free memory; at the end of a process, or of a context, it is already gone."""
+        """Free memory, which may already be gone at the end of a process or of a context."""
         with contextlib.suppress(Exception), self._current():
             self._cuda.cuMemFree_v2(ctypes.c_uint64(address))
 
@@ -290,7 +290,7 @@ def opened(number: int) -> Device:
     Raises
     ------
     GpuError
-        If there is no driver, no such GPU, or it cannot be used.
+        If there is no driver or no such GPU, or the GPU cannot be used.
     """
     with _lock:
         device = _opened.get(number)

@@ -1,4 +1,4 @@
-"""Verdicts of pairs of bodies on a GPU."""
+"""Compute verdicts of pairs of bodies on a GPU."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def classify(
     fallback: str = "error",
     device: int = 0,
 ) -> Any:
-    """Compute the verdicts of `loewner.classify`, margin 0, on a GPU. Experimental: not yet run on hardware.
+    """Compute the verdicts of `loewner.classify` with margin 0 on a GPU. Experimental: not yet run on hardware.
 
     Parameters
     ----------
@@ -45,26 +45,27 @@ def classify(
         A `Bodies` of n broadcasts with the last batch axis of the poses. Their ellipsoids stay on the GPU as long as
         the bodies live.
     T_world_a, T_world_b : array_like or array on the GPU, shape (..., 4, 4), or None
-        Poses, broadcast together; translation in metres. None is the identity. On the GPU: an array of float32 in C
+        Poses, broadcast together; translation in metres. None is the identity. An array on the GPU must be float32 in C
         order, from CuPy, PyTorch, JAX or any library that supports ``__cuda_array_interface__`` or DLPack; the answers
-        then refer to exactly these float32 numbers. Any other array is copied there.
+        then refer to exactly these float32 numbers. Any other array is copied to the GPU.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. They must not be on the GPU.
     refine : bool
-        Let the CPU settle the pairs that single precision leaves open, half a percent of pairs of round pieces. With
-        False such pairs stay AMBIGUOUS, which claims nothing, as do pairs with poses that are not rigid motions; the
-        call then does not wait for the GPU if the poses are on it.
+        Let the CPU settle the pairs that single precision leaves open, about half a percent for round pieces. If False,
+        such pairs stay AMBIGUOUS, which claims nothing, and so do pairs with poses that are not rigid motions. If the
+        poses are on the GPU, the call then does not wait for the GPU.
     fallback : {"error", "cpu"}
-        If there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an error, or
-        warn once and use the CPU. The CPU cannot take over poses on a GPU, so this is then always an error.
+        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an
+        error, or warn once and use the CPU. The CPU cannot read poses on a GPU, so with such poses an error is always
+        raised.
     device : int
         Index of the GPU among those visible to the driver.
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...), or DeviceArray of int8
-        The verdicts of `loewner.classify`, as a `DeviceArray` if any of the poses are on the GPU; other libraries take
-        it without a copy.
+        The verdicts of `loewner.classify`; if any of the poses are on the GPU, as a `DeviceArray`, which other
+        libraries use without copying.
 
     Raises
     ------
@@ -73,13 +74,14 @@ def classify(
     PoseError
         If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
     InputError
-        If an operand is not a body, an array on the GPU is of another type, layout or GPU, pieces are smaller than 1e-3
-        or larger than 1e3 m, or there are more than 2^31 - 1 pairs.
+        If an operand is not a body, an array on the GPU has the wrong type or layout or is on a different GPU, pieces
+        are smaller than 1e-3 m or larger than 1e3 m, or there are more than 2^31 - 1 pairs.
 
     Notes
     -----
-    The formulas are the CPU's, compiled for the GPU, with correctly rounded operations only: FREE and COLLIDING are
-    proven as in docs/certified.md. Transferring poses to the GPU does not pay: they take 128 bytes per pair.
+    The formulas are the same as on the CPU, compiled for the GPU with only correctly rounded operations: FREE and
+    COLLIDING are proven as in docs/certified.md. It does not pay to transfer poses to the GPU only for this call, since
+    they take 128 bytes per pair.
 
     Examples
     --------
@@ -130,7 +132,7 @@ def _shape(poses: Floats | None) -> tuple[int, ...]:
 
 
 class _Operand(NamedTuple):
-    """Bodies and their poses, on the CPU or on the GPU."""
+    """Bodies and their poses, the poses on the CPU or on the GPU."""
 
     bodies: Body | Bodies
     here: Floats | None
@@ -145,7 +147,7 @@ class _Operand(NamedTuple):
         return found
 
     def poses_at(self, gpu: Device, rows: Ints) -> Floats:
-        """Poses of some rows, on the CPU in double precision."""
+        """Return the poses of the given rows, on the CPU in double precision."""
         if self.there is not None:
             return gathered(gpu, self.there.address, 16, rows).reshape(-1, 4, 4)
         assert self.here is not None
@@ -153,7 +155,7 @@ class _Operand(NamedTuple):
 
 
 class _Tables(NamedTuple):
-    """Bodies on the GPU: rows of their pieces, and the first piece of each."""
+    """Bodies on the GPU: the rows of their pieces, and the first piece of each body."""
 
     rows: Memory
     start: Memory
@@ -163,7 +165,7 @@ _tables: weakref.WeakKeyDictionary[Packed, dict[Device, _Tables]] = weakref.Weak
 
 
 def _tables_of(gpu: Device, packed: Packed) -> _Tables:
-    """Return the tables of bodies, copied to the GPU when they are first needed."""
+    """Return the tables of bodies, which are copied to the GPU when they are first needed."""
     at = _tables.setdefault(packed, {})
     if gpu not in at:
         at[gpu] = _Tables(gpu.upload(single_rows(packed)), gpu.upload(packed.kernel.piece_start.astype(np.int32)))
@@ -171,12 +173,12 @@ def _tables_of(gpu: Device, packed: Packed) -> _Tables:
 
 
 def single_rows(packed: Packed) -> NDArray[np.float32]:
-    """Pieces in single precision.
+    """Return the rows of pieces in single precision.
 
     Raises
     ------
     InputError
-        If there are none because a piece is too small or too large.
+        If there are no such rows because a piece is too small or too large.
     """
     rows: NDArray[np.float32] = packed.kernel.single
     if len(rows) == 0 and len(packed.layout) > 0:
@@ -187,7 +189,7 @@ def single_rows(packed: Packed) -> NDArray[np.float32]:
 
 
 def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool, there: bool) -> Any:
-    """Classify pairs on the GPU, and the undecided ones on the CPU."""
+    """Classify pairs on the GPU, and undecided pairs on the CPU."""
     expect_few(plan.total, "pairs")
     packs = [packed_of(operand.bodies) for operand in operands]
     tables = [_tables_of(gpu, packed) for packed in packs]
@@ -220,7 +222,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
 
 
 def _poses_on(gpu: Device, operand: _Operand) -> View:
-    """Poses on the GPU, in single precision."""
+    """Put poses on the GPU, in single precision."""
     if operand.there is not None:
         return operand.there
     assert operand.here is not None
@@ -230,7 +232,7 @@ def _poses_on(gpu: Device, operand: _Operand) -> View:
 
 
 def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
-    """Rows of a, Ta, b and Tb that belong to some pairs."""
+    """Return the rows of a, Ta, b and Tb that belong to the given pairs."""
     if plan.rows.shape[1]:
         of_a, of_b = plan.rows[:, numbers]
         return [side * step for side, step in zip((of_a, of_a, of_b, of_b), plan.steps[1:, 0], strict=True)]
@@ -239,7 +241,7 @@ def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
 
 
 def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -> NDArray[np.int8]:
-    """Verdicts of some pairs by the CPU."""
+    """Let the CPU decide the given pairs."""
     out = np.empty(len(numbers), dtype=np.int8)
     if len(numbers) == 0:
         return out

@@ -1,4 +1,4 @@
-"""Code shared by queries of pairs and of configurations: missing GPUs, lists for the CPU, rows of tables."""
+"""Code shared by queries of pairs and configurations: handle missing GPUs, lists for the CPU, and rows of tables."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def why_not(device: int = 0) -> str:
     Returns
     -------
     str
-        Empty if it can be used.
+        The reason; empty if the GPU can be used.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def why_not(device: int = 0) -> str:
 
 
 def number_of(device: int) -> int:
-    """Check the number of a GPU."""
+    """Check the index of a GPU."""
     return _validate.whole_number(device, "device", 0, MOST)
 
 
 def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None) -> Answer:
-    """Return the GPU's answer, or the CPU's if the GPU fails, with one warning per process."""
+    """Return the GPU's answer or, if the GPU fails, the CPU's, with one warning per process."""
     global _warned
     try:
         return on_gpu()
@@ -76,13 +76,13 @@ def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None)
 
 
 def expect_few(count: int, what: str) -> None:
-    """Refuse more entries than there are indices."""
+    """Refuse more entries than indices can number."""
     if count > MOST:
         raise InputError(f"expected at most {MOST} {what} a call, found {count}; ask for fewer at a time")
 
 
 class Left:
-    """The work that a kernel leaves to the CPU: a list on the GPU to which its threads append, after its length.
+    """The work that a kernel leaves to the CPU: a list on the GPU, preceded by its length, to which threads append.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class Left:
         device.clear(self.list.address, 4)
 
     def numbers(self) -> Ints:
-        """Return the list when all work is done, in ascending order."""
+        """Wait until all work is done, and return the list in ascending order."""
         count = np.empty(1, dtype=np.int32)
         self._device.download(self.list.address, count)
         found = np.empty(int(count[0]), dtype=np.int32)
@@ -105,7 +105,7 @@ class Left:
 
 
 def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
-    """Copy rows of a table of float32 on the GPU to the CPU, shape (len(rows), width)."""
+    """Copy rows of a float32 table from the GPU to the CPU, shape (len(rows), width)."""
     listed, found = device.upload(rows.astype(np.int32)), device.memory(4 * width * len(rows))
     device.launch("gather_rows", width * len(rows), width, listed.address, address, found.address)
     here = np.empty((len(rows), width), dtype=np.float32)
@@ -114,7 +114,7 @@ def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
 
 
 def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) -> None:
-    """Write small values to bytes on the GPU."""
+    """Write small values to single bytes on the GPU."""
     listed, given = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
     device.launch("scatter_bytes", len(rows), listed.address, given.address, target.address)
     device.wait()  # until then the lists must live

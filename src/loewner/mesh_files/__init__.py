@@ -1,8 +1,9 @@
-"""Read mesh files as triangles, completely or not at all, checking a file's declarations against its content.
+"""Read mesh files as triangles, completely or not at all, and check a file's declarations against its content.
 
 The readers are loewner's own. General readers are designed to show as much of a file as possible: they drop unknown
-elements, replace undecodable values by zeros and let negative indices wrap around. That is the wrong compromise if half
-a mesh is free where the whole mesh collides, and checking their results would require reading the file again.
+elements, replace undecodable values by zeros and let negative indices wrap around. That is the wrong compromise here,
+since half a mesh is free where the whole mesh collides. Checking the results of such a reader would require reading the
+file again.
 """
 
 from collections.abc import Callable
@@ -23,15 +24,15 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".dae")
 
 
 def read(path: Path) -> tuple[Floats, Triangles]:
-    """Read the vertices in metres, shape (v, 3), and triangles, shape (t, 3), of a file.
+    """Read the vertices in metres, shape (v, 3), and the triangles, shape (t, 3), of a file.
 
-    A file that states its unit of length is converted; all others are assumed to be in metres. Vertices may be infinite
-    or NaN if the file contains such values; all indices belong to existing vertices.
+    A file that states its unit of length is converted to metres; all other files are assumed to be in metres. Vertices
+    may be infinite or NaN if the file contains such values; all indices belong to existing vertices.
 
     Raises
     ------
     FileError
-        If the file cannot be read, is larger than `LIMIT`, or is not a complete mesh in the format of its suffix.
+        If the file cannot be read, is larger than `LIMIT`, or is not a complete mesh in the format of its extension.
     """
     name, suffix = shown(path), path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -53,7 +54,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
 
 
 def _reader(suffix: str, folder: Path) -> Callable[[bytes], tuple[Floats, Triangles]]:
-    """Find the reader of a format; none is imported before a mesh file is read."""
+    """Return the reader of a format; readers are imported only when a mesh file is read."""
     from loewner.mesh_files import dae, gltf, obj, off, ply, stl
 
     readers: dict[str, Callable[[bytes], tuple[Floats, Triangles]]] = {

@@ -1,4 +1,4 @@
-"""Read Collada: the triangles of a file's scene, with each geometry placed by its nodes."""
+"""Read Collada files: the triangles of the scene, with each geometry placed by its nodes."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -62,7 +62,7 @@ class _Element:
         return int(text)
 
     def reference(self, name: str) -> str:
-        """Name of the object in the same file to which an attribute refers."""
+        """Return the name of the object in the same file to which an attribute refers."""
         value = self.get(name)
         expect(value[:1] == "#", f"<{self.tag}>: expected {name} in this file, found {quoted(value)}", self.line)
         return value[1:]
@@ -87,7 +87,7 @@ class _Element:
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Read vertices in metres and triangles of the file's scene; its up axis is not applied."""
+    """Read vertices in metres and triangles of the file's scene; the file's up axis is not applied."""
     root = _parsed(data)
     expect(root.tag == "COLLADA", f"expected <COLLADA>, found <{quoted(root.tag)}>", root.line)
     vertices, triangles = joined(_Scene(root).meshes())
@@ -95,7 +95,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _parsed(data: bytes) -> _Element:
-    """The tree of elements; entities and other declarations are refused."""
+    """Parse the tree of elements; entities and other declarations are refused."""
     parser = expat.ParserCreate(namespace_separator="}")
     parser.buffer_text = True
     parser.buffer_size = 1 << 20
@@ -136,7 +136,7 @@ def _parsed(data: bytes) -> _Element:
 
 
 def _metres(root: _Element) -> float:
-    """Metres per unit of length."""
+    """Read the metres per unit of length."""
     for asset in root.all("asset"):
         for unit in asset.all("unit"):
             text = unit.attributes.get("meter", "1").strip()
@@ -150,7 +150,7 @@ def _metres(root: _Element) -> float:
 
 
 class _Scene:
-    """Objects of the file by identifier; geometries are made when a node first uses them."""
+    """The objects of a file by identifier; geometries are made when a node first uses them."""
 
     def __init__(self, root: _Element) -> None:
         self.root = root
@@ -171,7 +171,7 @@ class _Scene:
         return found[0]
 
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
-        """Geometries of the scene, placed, in the order of the file."""
+        """Return the geometries of the scene, each at its place, in the order of the file."""
         shown = self.root.one("scene").one("instance_visual_scene")
         scene = self.find("visual_scene", shown.reference("url"), shown.line)
         waiting: list[tuple[_Element, Floats, int]] = [(node, np.eye(4), 0) for node in scene.all("node")[::-1]]
@@ -242,7 +242,7 @@ class _Scene:
         return points, assemble(element, runs)
 
     def source(self, name: str, line: int) -> Floats:
-        """Points of a source, shape (n, 3); the same array each time."""
+        """Return the points of a source, shape (n, 3); each call returns the same array."""
         if name in self.points:
             return self.points[name]
         source = self.find("source", name, line)
@@ -337,7 +337,7 @@ def _scale(element: _Element) -> Floats:
 
 
 def _rotate(element: _Element) -> Floats:
-    """Rotation about an axis by an angle in degrees."""
+    """Read a rotation about an axis by an angle in degrees."""
     *axis, angle = element.floats(4)
     if angle == 0:
         return np.eye(4)

@@ -1,4 +1,4 @@
-"""Read glTF 2.0, in text or binary: the triangles of a file's scene, with each mesh placed by its nodes."""
+"""Read glTF 2.0 files, text or binary: the triangles of the scene, with each mesh placed by its nodes."""
 
 import base64
 import json
@@ -30,14 +30,14 @@ _UNIT = 1e-2
 
 
 def read(data: bytes, folder: Path, binary: bool, limit: int) -> tuple[Floats, Triangles]:
-    """Vertices in metres, and triangles, of the file's scene."""
+    """Read the vertices, in metres, and the triangles of the file's scene."""
     text, body = _chunks(data) if binary else (data, None)
     tree = _json(text)
     return joined(_Reader(tree, body, folder, limit).meshes())
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
-    """JSON and, if there is one, the first binary chunk of a GLB file."""
+    """Return the JSON of a GLB file and its first binary chunk, if there is one."""
     expect(len(data) >= 20 and data[:4] == b"glTF", "expected a GLB file, found something else")
     version, length = struct.unpack("<II", data[4:12])
     expect(version == 2, f"expected glTF 2, found version {version}")
@@ -77,7 +77,7 @@ def _json(text: bytes) -> dict[str, Any]:
 
 
 class _Reader:
-    """The objects of a file by number, each checked when it is requested."""
+    """The objects of a file by index, each checked when it is requested."""
 
     def __init__(self, tree: dict[str, Any], body: bytes | None, folder: Path, limit: int) -> None:
         self.tree, self.body, self.folder, self.limit = tree, body, folder, limit
@@ -93,7 +93,7 @@ class _Reader:
     # -- fields
 
     def item(self, kind: str, index: int) -> tuple[dict[str, Any], str]:
-        """An object of a list of the file, and its name for messages."""
+        """Return an object from one of the file's lists, and its name for messages."""
         found = self.tree.get(kind, [])
         expect(isinstance(found, list), f"{kind}: expected a list, found {type(found).__name__}")
         expect(index < len(found), f"expected one of {len(found)} {kind}, found number {index}")
@@ -126,7 +126,7 @@ class _Reader:
     # -- nodes
 
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
-        """The meshes of the scene, placed."""
+        """Return the meshes of the scene, each at its place."""
         scene, where = self.item("scenes", self.integer(self.tree, "the file", "scene", 0))
         waiting = [(index, np.eye(4)) for index in self.items(scene, where, "nodes", int)[::-1]]
         seen: set[int] = set()
@@ -169,7 +169,7 @@ class _Reader:
         return T
 
     def expect_rigid(self, holder: dict[str, Any], where: str) -> None:
-        """Refuse features that deform a mesh, or place it more than once."""
+        """Refuse features that deform a mesh or place it more than once."""
         expect("skin" not in holder, f"{where}: expected a rigid mesh, found one with a skin")
         weights = holder.get("weights", [])
         expect(isinstance(weights, list) and not any(weights), f"{where}: expected no morph, found weights of one")
@@ -191,7 +191,7 @@ class _Reader:
         yield self.made[index]
 
     def primitive(self, primitive: dict[str, Any], where: str) -> tuple[Floats, Triangles] | None:
-        """Vertices and triangles; None for points and lines."""
+        """Return the vertices and triangles of a primitive; None for points and lines."""
         self.expect_rigid(primitive, where)
         mode = self.integer(primitive, where, "mode", _TRIANGLES)
         expect(mode <= _FAN, f"{where}: expected a mode of 0 to 6, found {mode}")
@@ -216,7 +216,7 @@ class _Reader:
     # -- bytes
 
     def accessor(self, index: int, shape: str) -> tuple[NDArray[Any], int]:
-        """Numbers, shape (count, n), and the type in which they are stored."""
+        """Return the numbers of an accessor, shape (count, n), and the type in which they are stored."""
         accessor, where = self.item("accessors", index)
         count = self.integer(accessor, where, "count", least=1)
         expect(count <= 3 * MOST, f"{where}: expected a count of at most {3 * MOST}, found {count}")
@@ -240,7 +240,7 @@ class _Reader:
         return values, kind
 
     def view(self, holder: dict[str, Any], where: str, count: int, kind: int, width: int) -> NDArray[Any]:
-        """Rows of numbers from a buffer view, at the offset that `holder` gives."""
+        """Return rows of numbers from a buffer view, at the offset that `holder` gives."""
         view, name = self.item("bufferViews", self.integer(holder, where, "bufferView"))
         expect(not view.get("extensions"), f"{name}: expected no compression, found an extension")
         data = self.buffer(self.integer(view, name, "buffer"))
@@ -256,7 +256,7 @@ class _Reader:
         return np.ndarray((count, width), _TYPES[kind], data, start + offset, (stride, size))
 
     def replaced(self, sparse: Any, where: str, values: NDArray[Any], kind: int) -> NDArray[Any]:
-        """`values` with the replacements of a sparse accessor."""
+        """Apply the replacements of a sparse accessor to `values`."""
         expect(isinstance(sparse, dict), f"{where}: expected an object")
         count = self.integer(sparse, where, "count", least=1)
         expect(count <= len(values), f"{where}: expected a count of at most {len(values)}, found {count}")
@@ -290,7 +290,7 @@ class _Reader:
         return self.buffers[index]
 
     def linked(self, uri: Any, where: str) -> bytes:
-        """Bytes of a data URI, or of a file in the folder of this one or below."""
+        """Return the bytes of a data URI, or of a file in this file's folder or below."""
         if not isinstance(uri, str):
             raise Refusal(f"{where}: expected a uri, found {type(uri).__name__}")
         if uri.startswith("data:"):

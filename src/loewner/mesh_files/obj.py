@@ -1,4 +1,4 @@
-"""Read Wavefront OBJ: `v` and `f` lines; groups, materials, normals and texture coordinates are ignored."""
+"""Read `v` and `f` lines of Wavefront OBJ; groups, materials, normals and texture coordinates are ignored."""
 
 import re
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _WIDTHS = (3, 4, 6, 7)
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices as stored; polygons become fans of triangles."""
+    """Read vertices as stored, and polygons as fans of triangles."""
     points: list[Floats] = []
     corners: list[Ints] = []
     sizes: list[Ints] = []
@@ -76,7 +76,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _plain(data: bytes) -> bytes:
-    """The text with plain line ends and continued lines joined; all other lines keep their numbers."""
+    """Return the text with plain line ends and continued lines joined; all other lines keep their numbers."""
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -103,7 +103,7 @@ def _blocks(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 
 def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> Floats:
-    """All numbers of `v` lines, one row each, with `width` columns if that is not 0."""
+    """Read the numbers of `v` lines, one row per line, with `width` columns if that is not 0."""
     width = width or len(vertex_lines[0].split()) - 1
     flat = b" ".join(vertex_lines).split()
     # Each line begins with "v", which is not a number: if the lines differ in length, it ends up in a column of
@@ -122,7 +122,7 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
 
 
 def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], Ints]:
-    """Corners of all faces, concatenated, and the number of corners of each face."""
+    """Return the corners of all faces, concatenated, and the number of corners of each face."""
     sizes = np.fromiter((len(line.split()) for line in face_lines), dtype=np.int64, count=len(face_lines)) - 1
     if sizes.min() < 3:
         k = int(np.argmax(sizes < 3))
@@ -135,7 +135,7 @@ def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], In
 
 
 def _corners(flat: list[bytes], numbers: Ints, seen: Ints) -> Ints:
-    """Indices from 0 of the vertices that the faces name; negative ones count back from the last vertex before."""
+    """Return zero-based indices of the faces' vertices; negative ones in the file count back from the latest vertex."""
     if b"/" in b"".join(flat):
         for k, word in enumerate(flat):
             if not _CORNER.fullmatch(word):

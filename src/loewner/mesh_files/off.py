@@ -1,4 +1,4 @@
-"""Read the Object File Format in text: a header, three counts, vertices and faces, with colours and normals."""
+"""Read the text form of the Object File Format: header, three counts, vertices and faces, colours and normals."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ _COLOURS = (0, 1, 3, 4)
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices as stored; polygons become fans of triangles."""
+    """Read vertices as stored, and polygons as fans of triangles."""
     lines, numbers = data_lines(data, b"#")
     word = lines[0][0] if lines else b""
     expect(word in _WIDTHS, f"expected an OFF file, found one that begins with {quoted(word)}")
@@ -56,7 +56,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _face(line: list[bytes], number: int, count: int) -> Ints:
-    """Corners of one face, which may have a colour."""
+    """Read the corners of one face, which may have a colour."""
     size = int(in_line(number, integers, line[:1])[0])
     expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
     found = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"

@@ -1,4 +1,4 @@
-"""Shared code of the readers of all formats: refusals, numbers from text, polygons to triangles."""
+"""Code shared by the readers of all formats: refuse files, read numbers from text, cut polygons into triangles."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
@@ -17,7 +17,7 @@ MOST = 50_000_000
 
 
 class Refusal(Exception):
-    """A refused file and the reason, with the line if it is known."""
+    """The reason why a file is refused, with the line if it is known."""
 
     def __init__(self, message: str, line: int | None = None) -> None:
         super().__init__(message)
@@ -25,19 +25,19 @@ class Refusal(Exception):
 
 
 def expect(holds: object, message: str, line: int | None = None) -> None:
-    """Refuse the file unless `holds`."""
+    """Refuse the file unless `holds` is true."""
     if not holds:
         raise Refusal(message, line)
 
 
 def quoted(token: bytes | str) -> str:
-    """A part of a file for a message: printable and short."""
+    """Make a part of a file printable and short, for a message."""
     text = token.decode("latin-1") if isinstance(token, bytes) else token
     return ascii(text if len(text) <= 40 else text[:40] + "...")
 
 
 def is_float(token: bytes) -> bool:
-    """Whether `floats` accepts a token: Python's grammar without underscores."""
+    """Return whether `floats` accepts a token: Python's grammar without underscores."""
     try:
         float(token)
     except ValueError:
@@ -46,12 +46,12 @@ def is_float(token: bytes) -> bool:
 
 
 def is_integer(token: bytes) -> bool:
-    """Whether `integers` accepts a token."""
+    """Return whether `integers` accepts a token."""
     return token.lstrip(b"+-").isdigit() and len(token) <= 19 and token.lstrip(b"+-") in (token, token[1:])
 
 
 def floats(tokens: Sequence[bytes]) -> Floats:
-    """Numbers of tokens, with 1e400 as infinity; the first token that is not a number is refused."""
+    """Convert tokens to numbers, 1e400 to infinity; the first token that is not a number is refused."""
     try:
         numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -63,7 +63,7 @@ def floats(tokens: Sequence[bytes]) -> Floats:
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
-    """Whole numbers of tokens; the first token that is not a whole number, or is absurdly large, is refused."""
+    """Convert tokens to whole numbers; the first token that is no whole number, or is absurdly large, is refused."""
     try:
         numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -83,7 +83,7 @@ def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], token
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:
-    """Triangles of polygons, each a fan about its first corner; `corners` has the corners of all, concatenated."""
+    """Cut polygons into fans of triangles about their first corners; `corners` has the corners of all, concatenated."""
     count = sizes - 2
     expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
     first = np.repeat(np.cumsum(sizes) - sizes, count)
@@ -92,15 +92,14 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 
 
 def strip(corners: Ints) -> Triangles:
-    """Triangles of a strip, all oriented like the first."""
+    """Return the triangles of a strip, all oriented like the first."""
     triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """One mesh of several; meshes with the same array of vertices share it. A mesh that would be too large is
-    refused."""
+    """Join meshes into one, in which meshes with the same array of vertices share it; refuse one that is too large."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
     starts: dict[int, int] = {}  # of the arrays in `vertices`
@@ -120,14 +119,14 @@ def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles
 
 
 def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
-    """A mesh moved by an affine map; triangles are reversed by a mirror, so that they are not inside out."""
+    """Move a mesh by an affine map; a mirror also reverses triangles, so that the mesh is not inside out."""
     if np.linalg.det(T[:3, :3]) < 0:
         triangles = triangles[:, ::-1]
     return vertices @ T[:3, :3].T + T[:3, 3], triangles
 
 
 def check_range(corners: Ints, count: int, what: str, line: int | None = None) -> None:
-    """Refuse indices outside 0..count-1."""
+    """Refuse indices outside the range from 0 to count - 1."""
     if len(corners) and (corners.min() < 0 or corners.max() >= count):
         bad = corners[(corners < 0) | (corners >= count)][0]
         raise Refusal(f"expected {what} to name vertices 0..{count - 1}, found {bad}", line)
@@ -141,7 +140,7 @@ def plain_lines(data: bytes) -> list[bytes]:
 
 
 def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
-    """Words of all non-empty lines, and the line numbers."""
+    """Return the words of all non-empty lines, and the line numbers."""
     lines = plain_lines(data)
     if comment is not None and comment in data:
         lines = [line.partition(comment)[0] for line in lines]

@@ -1,4 +1,4 @@
-"""Read the Polygon File Format: a header that declares elements, and their content in text or binary."""
+"""Read the Polygon File Format: a header that declares elements, and the elements' content, text or binary."""
 
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -65,7 +65,7 @@ class _Element:
 
 @dataclass
 class _Content:
-    """The content of an element: its scalars, and its lists of corners, concatenated."""
+    """The content of an element: its scalars, and its lists of corners in concatenated form."""
 
     scalars: dict[str, Any]
     corners: Ints
@@ -73,7 +73,7 @@ class _Content:
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices as stored; polygons become fans of triangles."""
+    """Read vertices as stored, and polygons as fans of triangles."""
     order, elements, start = _header(data)
     vertex = [e for e in elements if e.name == "vertex"]
     face = [e for e in elements if e.name == "face"]
@@ -95,7 +95,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Byte order ("" for text), elements, and the end of the header."""
+    """Read the header: byte order ("" for text), elements, and the position at which the header ends."""
     order: str | None = None
     elements: list[_Element] = []
     position, number = 0, 0
@@ -180,7 +180,7 @@ def _text(data: bytes, start: int, elements: list[_Element]) -> list[_Content]:
 
 
 def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int]) -> _Content:
-    """Columns of scalars; lines are split one by one only if there are lists."""
+    """Read an element in text; lines are split one by one only if the element has lists."""
     properties = element.properties
     scalars: dict[str, Any] = {p.name: np.empty(0) for p in properties if p.length is None}
     if not any(p.length for p in properties):
@@ -252,7 +252,7 @@ def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> li
 
 
 def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Content and its end; lists are assumed to be as long as in the first row until one is not."""
+    """Read an element in binary, and its end; lists are assumed to be as long as in the first row until one is not."""
     row = _layout(element, data, start, order) if element.count else []
     if row is None:
         raise Refusal(
@@ -282,7 +282,7 @@ def _binary_element(element: _Element, data: bytes, start: int, order: str) -> t
 
 
 def _layout(element: _Element, data: bytes, start: int, order: str) -> list[tuple[str | None, str, int | None]] | None:
-    """Layout of the first row: name, type and length of its fields in order; a list's own length has no name."""
+    """Return name, type and length of the first row's fields, in order; the length field of a list has no name."""
     row: list[tuple[str | None, str, int | None]] = []
     for p in element.properties:
         kind = order + p.type
@@ -302,7 +302,7 @@ def _layout(element: _Element, data: bytes, start: int, order: str) -> list[tupl
 
 
 def _binary_rows(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Read rows one by one, for lists of different lengths."""
+    """Read rows one by one, since their lists differ in length."""
     little = "little" if order == "<" else "big"
     parts = [
         (p.name, order + p.type, int(p.type[1]), p.length and (int(p.length[1]), p.length[0] == "i"))

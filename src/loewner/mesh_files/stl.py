@@ -1,4 +1,4 @@
-"""Read STL, binary or text: triangles, each with its own corners."""
+"""Read STL files, binary or text: triangles, each with its own corners."""
 
 import struct
 
@@ -23,7 +23,7 @@ _LINES = (
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Read three vertices for each triangle, in the file's order; normals in the file are ignored."""
+    """Read three vertices per triangle, in the file's order; the file's normals are ignored."""
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET * count:
         corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)
@@ -36,7 +36,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 
 def _text(data: bytes) -> Floats:
-    """Corners of all facets of all solids in a text file."""
+    """Read the corners of all facets of all solids in a text file."""
     lines = [line for line in map(bytes.strip, plain_lines(data.lower())) if line]
     begins = [i for i, line in enumerate(lines) if line.startswith(b"solid") and line.split()[0] == b"solid"]
     ends = [i for i, line in enumerate(lines) if line.startswith(b"endsolid") and line.split()[0] == b"endsolid"]
@@ -63,7 +63,7 @@ def _text(data: bytes) -> Floats:
 
 
 def _refuse_first(data: bytes, begins: list[int], ends: list[int]) -> None:
-    """Refuse a file because of its first malformed line."""
+    """Refuse a file and name its first malformed line."""
     lines, numbers = data_lines(data)
     for first, last in zip(begins, ends, strict=True):
         for i in range(first + 1, last):

@@ -1,9 +1,9 @@
-"""The paper's experiment: its data set, four detectors, tables and figures, and its own methods for comparison.
+"""Repeat the paper's experiment: data set, detectors, tables and figures, and the paper's methods for comparison.
 
-`run` performs the experiment and returns an `Experiment`; `tables.rows` gives its tables as text. The modules follow
+`run` performs the experiment and returns an `Experiment`; `tables.rows` formats its tables as text. The modules follow
 the paper's order: `dataset`, `fitting`, `detectors`, `results`, `tables`, `sheets`, `figures`, `report`, `experiment`.
-The paper's methods that the library replaces are in `estimates` (f, section 4), `overlap` (appendix A) and
-`lifted_mvie` (appendix B).
+The methods of the paper that the library replaces by others are in `estimates` (f, section 4), `overlap` (appendix A)
+and `lifted_mvie` (appendix B).
 """
 
 from loewner.paper import tables

@@ -1,9 +1,9 @@
-"""The paper's data set: pairs of hulls of twenty random points, the second shifted along [1, 1, 1].
+"""Draw the paper's data set: pairs of hulls of twenty random points, the second of each shifted along [1, 1, 1].
 
-The text leaves two readings open. Points "sampled from a unit ball" may be uniform in radius or in volume,
-and the shift "in the direction [1, 1, 1] by a random number" may take that vector at length 1 or sqrt(3).
-Uniform radius with the unit vector gives the paper's share of collisions and its four exact classes
-(docs/design/paper.md), so it is the default; uniform volume is the second data set.
+The text leaves two readings open. Points "sampled from a unit ball" may be uniform in radius or in volume, and the
+shift "in the direction [1, 1, 1] by a random number" may take that vector at length 1 or sqrt(3). Uniform radius with
+the unit vector reproduces the paper's share of collisions and its four exact classes (docs/design/paper.md), so it is
+the default. Uniform volume is the second data set.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class DataSet:
         Key of `DATA_SETS`.
     seed : int
     points_1, points_2 : ndarray, shape (pairs, 20, 3)
-        In metres; the second is already shifted.
+        In metres; the second points are already shifted.
     shift : ndarray, shape (pairs,)
         Distance of the two balls' centers, in metres.
 
@@ -54,7 +54,7 @@ class DataSet:
 
 
 def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet:
-    """Draw the data set; the first k pairs of a larger one are the data set of k pairs.
+    """Draw the data set; the first k pairs of a larger data set are the data set of k pairs.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     seed : int
         At least 0.
     dataset : {"radius", "volume"}
-        Distribution of the points in the unit ball: uniform radius, or uniform in the volume.
+        Distribution of the points in the unit ball: with uniform radius, or uniform in volume.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     InputError
         If `pairs` or `seed` is out of range, or the pairs do not fit into memory.
     UnknownNameError
-        If the data set is neither of the two.
+        If the data set is neither "radius" nor "volume".
 
     Examples
     --------
@@ -96,7 +96,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
 
 
 def _points_in_ball(uniform: Floats, dataset: str) -> Floats:
-    """Map uniform triples to points of the unit ball: radius, height and longitude."""
+    """Map uniform triples, which determine radius, height and longitude, to points of the unit ball."""
     radius = uniform[..., 0] if dataset == "radius" else np.cbrt(uniform[..., 0])
     z = 2.0 * uniform[..., 1] - 1.0
     longitude = 2.0 * np.pi * uniform[..., 2]

@@ -1,8 +1,9 @@
-"""The paper's four detectors, compiled, and their confusion with the truth.
+"""Run the paper's four detectors, compiled, and tally their answers against the ground truth.
 
 Use detector 3 (level surfaces) for the paper's estimate: it also works well on other shapes. Detector 4 (center lines)
-does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half for thin rods and
-over two thirds for thin plates. Detector 1 is the earlier method and serves only as the baseline.
+does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half of the collisions of
+thin rods, and over two thirds of the collisions of thin plates. Detector 1 is the earlier method and serves only as the
+baseline.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ SHORTEST_TIMING = 0.05  # seconds; shorter runs are repeated because of the cloc
 
 @dataclass(frozen=True)
 class Confusion:
-    """Counts of a detector's answers compared with the truth; "positive" is a collision.
+    """A detector's answers, tallied against the ground truth; "positive" means a collision.
 
-    The paper prints them as ((tp, fp), (fn, tn)), with the detector in rows and the truth in columns.
+    The paper prints these counts as ((tp, fp), (fn, tn)), with the detector in rows and the truth in columns.
 
     Attributes
     ----------
     tp, fp, fn, tn : int
-        Collisions found, false alarms, collisions missed, free pairs found free.
+        Numbers of collisions found, false alarms, collisions missed, and free pairs found free.
 
     Examples
     --------
@@ -62,7 +63,7 @@ class Confusion:
 
     @classmethod
     def of(cls, collides: Bools, truth: Bools) -> Confusion:
-        """Count answers compared with the truth.
+        """Tally a detector's answers against the ground truth.
 
         Parameters
         ----------
@@ -71,7 +72,7 @@ class Confusion:
         Raises
         ------
         InputError
-            If their lengths differ, or they are not booleans.
+            If the lengths differ, or the arrays are not boolean.
         """
         collides, truth = _truths(collides, "collides"), _truths(truth, "truth")
         if collides.shape != truth.shape:
@@ -82,7 +83,7 @@ class Confusion:
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
-        """(tp, fp, fn, tn)."""
+        """The counts as a tuple (tp, fp, fn, tn)."""
         return self.tp, self.fp, self.fn, self.tn
 
     @property
@@ -102,14 +103,14 @@ def _truths(x: Any, name: str) -> Bools:
 
 @dataclass(frozen=True)
 class Faces:
-    """Half-spaces of n polytopes, packed: {x : normals x <= offsets}.
+    """The packed half-spaces {x : normals x <= offsets} of n polytopes.
 
     Attributes
     ----------
     normals : ndarray, shape (f, 3)
     offsets : ndarray, shape (f,)
     start : ndarray of int, shape (n + 1,)
-        Body k owns rows start[k] to start[k + 1].
+        Body k has the rows start[k] : start[k + 1].
     """
 
     normals: Floats
@@ -117,7 +118,7 @@ class Faces:
     start: Ints
 
     def take(self, index: NDArray[np.intp]) -> Faces:
-        """Keep the bodies of an index array, in its order."""
+        """Select bodies by an index array, in its order."""
         count = np.diff(self.start)[index]
         start = np.concatenate([[0], np.cumsum(count)])
         rows = np.arange(start[-1]) + np.repeat(self.start[index] - start[:-1], count)
@@ -126,7 +127,7 @@ class Faces:
 
 @dataclass(frozen=True)
 class Pairs:
-    """The input of the detectors for n pairs, all in one frame.
+    """The detectors' input for n pairs, all in one frame.
 
     Attributes
     ----------
@@ -157,19 +158,20 @@ class Pairs:
 
     @classmethod
     def from_bodies(cls, a: Bodies, b: Bodies, heuristic: str = "centroid") -> Pairs:
-        """Pair body k of `a` with body k of `b`, each of one convex polytope.
+        """Pair body k of `a` with body k of `b`; each body is a single convex polytope.
 
         Parameters
         ----------
         a, b : Bodies
             Sequences of equal length.
         heuristic : {"centroid", "center"}
-            Center of detector 1's shrunk outer ellipsoid: the mean of the vertices or the outer center.
+            Center of detector 1's shrunk outer ellipsoid: the mean of the vertices, or the center of the outer
+            ellipsoid.
 
         Raises
         ------
         InputError
-            If their numbers differ, or a body is not one convex polytope.
+            If the sequences differ in length, or a body is not a single convex polytope.
         UnknownNameError
             If there is no such heuristic.
         """
@@ -193,7 +195,7 @@ class Pairs:
         )
 
     def take(self, index: Any) -> Pairs:
-        """Keep the pairs of an index array, in its order.
+        """Select pairs by an index array, in its order.
 
         Parameters
         ----------
@@ -233,7 +235,7 @@ class Answers:
     ----------
     collides : ndarray of bool, shape (n,)
     ambiguous : ndarray of bool, shape (n,)
-        Pairs that neither of the detector's own overlap checks decided.
+        Pairs that neither of the detector's two overlap checks decided.
 
     Examples
     --------
@@ -255,7 +257,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     detector : {1, 2, 3, 4}
     pairs : Pairs
     angle : float
-        Lin-Han's tolerance in radians, for detector 2.
+        Tolerance of Lin and Han's method in radians, for detector 2.
 
     Returns
     -------
@@ -282,10 +284,10 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
 
 
 def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> float:
-    """Measure the time of one check in microseconds, averaged over the pairs, on one thread, compiled beforehand.
+    """Measure the average time of one check in microseconds, on one thread, with everything compiled beforehand.
 
-    The result is the median of at least three passes; below about a hundred pairs the call itself takes a visible
-    share.
+    The result is the median of at least three passes over the pairs. With fewer than about a hundred pairs, the call
+    itself takes a noticeable share of the time.
     """
     n = len(_expect_pairs(pairs))
     if n == 0:
@@ -301,7 +303,7 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
 
 
 def estimate(pairs: Pairs) -> Answers:
-    """Apply the library's own rule, F_in F_out <= 1, to the pairs that the two exact overlap checks leave open.
+    """Apply the library's rule, F_in F_out <= 1, to the pairs that the two exact overlap checks leave open.
 
     Parameters
     ----------
@@ -326,14 +328,14 @@ def estimate(pairs: Pairs) -> Answers:
 
 
 def shrunk(outer: Ellipsoids, faces: Faces, center: Floats) -> Ellipsoids:
-    """Detector 1's heuristic inner ellipsoids: the outer ones, moved to `center` and shrunk to touch a face.
+    """Make detector 1's heuristic inner ellipsoids: outer ones, moved to `center` and shrunk to touch a face.
 
     Parameters
     ----------
     outer : Ellipsoids, batch (n,)
     faces : Faces
     center : ndarray, shape (n, 3)
-        Inside the polytopes.
+        Points inside the polytopes.
     """
     body = np.repeat(np.arange(len(center)), np.diff(faces.start))
     slack = faces.offsets - (faces.normals * center[body]).sum(axis=1)
@@ -367,7 +369,7 @@ def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguou
 
 
 def _unpacked(bodies: Bodies) -> tuple[Faces, Floats]:
-    """Faces of bodies of one polytope each, and the mean of each body's vertices."""
+    """Return the faces of bodies of one polytope each, and the mean of each body's vertices."""
     packed = packed_of(bodies)
     layout = packed.layout
     single = (np.diff(packed.piece_start) == 1) & (layout[packed.piece_start[:-1], columns.KIND] == columns.POLYTOPE)

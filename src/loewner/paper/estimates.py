@@ -1,4 +1,4 @@
-"""The paper's estimate f of the distance of two pieces, for the near points of each of its detectors 2 to 4.
+"""Compute the paper's estimate f of the distance of two pieces, for the near points of its detectors 2 to 4.
 
 f <= 0 counts as a collision. The library's own estimate (`loewner.collide` with ``method="estimate"``, and the
 `estimate` of `loewner.distance`) is different: docs/design/estimate_rule.md compares them.
@@ -25,7 +25,7 @@ BYTES_PER_PAIR = 8 * (4 * 12 + 1)  # copies of four centers and factors, and f
 def distance_estimate(
     inner_1: Ellipsoids, outer_1: Ellipsoids, inner_2: Ellipsoids, outer_2: Ellipsoids, method: str = "rimon-boyd"
 ) -> Floats:
-    """Guess the distance of convex pieces by the paper's f, from the two ellipsoids of each.
+    """Estimate the distance of convex pieces by the paper's f, from the two ellipsoids of each piece.
 
     On the line through near points of the inner ellipsoids, each piece is assumed to end half way between its inner and
     its outer ellipsoid.
@@ -35,14 +35,14 @@ def distance_estimate(
     inner_1, outer_1, inner_2, outer_2 : Ellipsoids
         In 3-D, all in one frame, in metres; batches broadcast.
     method : {"rimon-boyd", "lin-han", "center-line"}
-        Near points of `loewner.near_points`, used by detectors 3, 2 (to 0.01 rad) and 4 respectively. "center-line"
-        misses many collisions of thin pieces.
+        Method of `loewner.near_points`; the three are used by detectors 3, 2 (to 0.01 rad) and 4, in this order.
+        "center-line" misses many collisions of thin pieces.
 
     Returns
     -------
     ndarray, shape (...)
-        f in metres; values of at most 0 count as collisions. They prove nothing, even where the ellipsoids settle the
-        pair: use `loewner.classify` for proofs.
+        f in metres; values of at most 0 count as collisions. The values prove nothing, even if the ellipsoids settle
+        the pair; use `loewner.classify` for proofs.
 
     Raises
     ------

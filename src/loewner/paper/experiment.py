@@ -1,4 +1,4 @@
-"""The experiment of section 5: the data set, the exact truth, four detectors and the library's estimate."""
+"""Run the experiment of section 5: the data set, the exact answers, four detectors and the library's estimate."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def run(
     MissingExtraError
         If `out` is given and matplotlib is not installed.
     FileError
-        If a file cannot be written; each is written whole or not at all.
+        If a file cannot be written; each file is written whole or not at all.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def run(
 
 
 def _detected(detector: int, pairs: Pairs, truth: Bools) -> Result:
-    """Answers, counts and times of one detector."""
+    """Compute the answers, counts and times of one detector."""
     answers = detectors.detect(detector, pairs)
     hard = pairs.take(np.flatnonzero(answers.ambiguous))
     return _counted(
@@ -144,7 +144,7 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
 
 
 def folder_exists(path: Path) -> bool:
-    """Whether a folder exists; False also for names that no file system accepts, such as names that are too long."""
+    """Return whether a folder exists; False also for names that no file system accepts, such as overlong names."""
     try:
         return path.is_dir()
     except OSError:

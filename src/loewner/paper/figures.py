@@ -1,7 +1,7 @@
-"""Figures 1 to 4 of the paper, drawn from the experiment's own pairs (3 is a flow chart).
+"""Draw figures 1 to 4 of the paper from the experiment's own pairs (figure 3 is a flow chart).
 
-Figures 1 and 2 are plane sections through the near-point line, so every marked point lies in the section. Drawing needs
-matplotlib (extra "plots").
+Figures 1 and 2 are sections by a plane through the near-point line, so every marked point lies in the section. Drawing
+needs matplotlib (extra "plots").
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DOTS_PER_INCH = 110
 
 
 def require_matplotlib() -> Any:
-    """Import the drawing packages; the figures never use pyplot, so no window system is needed.
+    """Import the drawing packages; figures do not use pyplot, so no window system is needed.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def draw(experiment: Experiment) -> dict[str, Any]:
     Returns
     -------
     dict of str to matplotlib.figure.Figure
-        Under the names in `FIGURES`.
+        The figures, under the names in `FIGURES`.
     """
     require_matplotlib()
     k, with_polyhedra = _clear_pair(experiment, True), _clear_pair(experiment, False)
@@ -75,7 +75,7 @@ def render(figure: Any, kind: str) -> bytes:
 
 @dataclass(frozen=True)
 class Line:
-    """The near-point line of one pair: v1 at 0, v2 at L, in metres along unit e."""
+    """The near-point line of one pair: v1 at 0 and v2 at L, in metres along the unit vector e."""
 
     v1: Floats
     e: Floats
@@ -85,7 +85,7 @@ class Line:
 
 
 def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
-    """Near points of inner ellipsoids, and points where their line leaves outer 1 (beta) and enters outer 2 (alpha)."""
+    """Find a pair's near-point line, and where it leaves outer ellipsoid 1 (beta) and enters outer 2 (alpha)."""
     near = near_points(*inner, method=method, angle=PAPER_ANGLE)
     L = float(near.distance)
     away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center
@@ -95,21 +95,21 @@ def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, 
 
 
 def _exit(E: Ellipsoids, p: Floats, e: Floats) -> float:
-    """Parameter t at which the ray p + t e leaves an ellipsoid that contains p."""
+    """Compute the parameter t at which the ray p + t e leaves an ellipsoid that contains p."""
     v, w = np.linalg.solve(E.factor, np.stack([e, p - E.center], axis=1)).T
     a, b, c = v @ v, v @ w, min(w @ w - 1.0, 0.0)
     return float((-b + np.sqrt(b * b - a * c)) / a)
 
 
 def _faces(piece: Piece) -> tuple[Floats, Floats]:
-    """Normals and offsets; all pieces of the experiment are polytopes."""
+    """Return normals and offsets; all pieces of the experiment are polytopes."""
     assert piece.normals is not None
     assert piece.offsets is not None
     return piece.normals, piece.offsets
 
 
 def _polytope_exit(normals: Floats, offsets: Floats, p: Floats, e: Floats) -> float:
-    """Parameter t at which the ray p + t e leaves a polytope that contains p."""
+    """Compute the parameter t at which the ray p + t e leaves a polytope that contains p."""
     speed, slack = normals @ e, offsets - normals @ p
     ahead = speed > 0
     return float((slack[ahead] / speed[ahead]).min())
@@ -193,7 +193,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
 
 
 def _ellipse(E: Ellipsoids, origin: Floats, x: Floats, y: Floats) -> Floats | None:
-    """Section of an ellipsoid by the plane origin + s x + t y: its outline, shape (2, 200), or None if it misses."""
+    """Cut an ellipsoid by the plane origin + s x + t y; return the outline, shape (2, 200), or None if it misses."""
     u, v, w = np.linalg.solve(E.factor, np.stack([x, y, origin - E.center], axis=1)).T
     M = np.array([[u @ u, u @ v], [u @ v, v @ v]])
     middle = -np.linalg.solve(M, [u @ w, v @ w])
@@ -208,7 +208,7 @@ def _ellipse(E: Ellipsoids, origin: Floats, x: Floats, y: Floats) -> Floats | No
 
 
 def _polygon(normals: Floats, offsets: Floats, origin: Floats, x: Floats, y: Floats) -> Floats:
-    """Section of a polytope by a plane, shape (corners, 2): a square clipped by every face (Sutherland-Hodgman)."""
+    """Cut a polytope by a plane: clip a square by every face (Sutherland-Hodgman); the shape is (corners, 2)."""
     size = 10.0 + np.abs(offsets).max()
     corners = np.array([[-size, -size], [size, -size], [size, size], [-size, size]])
     for n, b in zip(normals, offsets, strict=True):
@@ -249,9 +249,9 @@ ARROWS = (
 
 
 def arrow_path(start: str, end: str) -> Floats:
-    """Corners of an arrow from the border of one box to the border of another, shape (2 or 3, 2).
+    """Return the corners of an arrow from the border of one box to the border of a second box, shape (2 or 3, 2).
 
-    It runs straight down, or sideways, or sideways and then down if an answer skips the questions below.
+    The arrow runs straight down or sideways, or sideways and then down if an answer skips the questions below.
     """
     x0, y0, width_0, height_0 = BOXES[start][:4]
     x1, y1, width_1, height_1 = BOXES[end][:4]
@@ -297,7 +297,7 @@ def _flow_chart() -> Any:
 
 
 def _samples(experiment: Experiment) -> Any:
-    """One ambiguous pair of detector 2 from each cell of Table 2 (b)."""
+    """Pick one ambiguous pair of detector 2 from each cell of Table 2 (b)."""
     require_matplotlib()
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -332,7 +332,7 @@ def _samples(experiment: Experiment) -> Any:
 
 
 def _surface(E: Ellipsoids) -> Floats:
-    """Points of an ellipsoid on a grid, shape (3, 13, 25)."""
+    """Compute a grid of points on an ellipsoid, shape (3, 13, 25)."""
     polar, around = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 25), indexing="ij")
     ball = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)])
     points: Floats = E.center[:, None, None] + np.einsum("ij,jab->iab", E.factor, ball)

@@ -1,6 +1,6 @@
-"""Reliability of the fits: each polyhedron of the experiment is fitted separately, and failures are counted.
+"""Measure the reliability of the fits: fit each polyhedron of the experiment separately, and count failures.
 
-The paper requires a reliable fit (section 3) but prints none of these numbers.
+The paper requires reliable fits (section 3) but prints no numbers about them.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ MOST_POLYHEDRA = 2000  # the polyhedra of the paper's 1000 pairs
 
 @dataclass(frozen=True)
 class Fitting:
-    """One kind of fit over many polyhedra, one call for each, on one thread.
+    """The results of one kind of fit over many polyhedra, with one call per polyhedron, on one thread.
 
     Attributes
     ----------
     name : str
         A key of `FITS`.
     tried, failed : int
-        Numbers of fits; a fit failed if it ended in a `LoewnerError`, without an ellipsoid within the tolerance.
+        Numbers of fits tried and failed; a fit failed if it raised a `LoewnerError` instead of returning an ellipsoid
+        within the tolerance.
     largest_gap : float
         The largest certified gap in log-volume among the successful fits; NaN if there are none.
     microseconds : float
@@ -56,7 +57,7 @@ FITS: dict[str, Callable[[Floats], Fit]] = {
 
 
 def fit_one_by_one(bodies_1: Bodies, bodies_2: Bodies) -> tuple[Fitting, ...]:
-    """Fit the polyhedra of the first pairs, by every kind of fit, at the default tolerance (the paper's, section 5)."""
+    """Fit the first pairs' polyhedra by every kind of fit, at the default tolerance (the paper's, section 5)."""
     half = MOST_POLYHEDRA // 2
     pieces = [body.pieces[0] for bodies in (bodies_1, bodies_2) for body in bodies[:half]]
     polyhedra = [piece.vertices for piece in pieces if piece.vertices is not None]

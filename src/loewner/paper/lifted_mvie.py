@@ -1,7 +1,7 @@
-"""Appendix B of the paper: the smallest ellipsoid around points by the largest one in a polytope one dimension higher.
+"""Find the smallest ellipsoid around points by the largest in a polytope of one more dimension (appendix B).
 
-It serves as a check on `loewner.mvce`, which is faster: the lifted problem has dimension n + 1 and two half-spaces for
-each point.
+The method serves as a check on `loewner.mvce`, which is faster, since the lifted problem has dimension n + 1 and two
+half-spaces per point.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from loewner.polytopes import FLATNESS, check_enough, flat_error, writeable
 
 @guarded
 def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
-    """Smallest ellipsoid around points, by the paper's reduction to an inscribed one.
+    """Find the smallest ellipsoid around points, by the paper's reduction to an inscribed ellipsoid.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     Returns
     -------
     Fit
-        The ellipsoid as stored contains every point exactly, in spite of rounding.
+        The fit; its ellipsoid as stored contains every point exactly, in spite of rounding.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
 
 
 def _lifted(points: Floats, tol: float) -> Fit:
-    """The MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
+    """Find the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, and cut its polar at height 1."""
     m, n = points.shape
     code, _, _, _, origin, frame, local = entries.to_unit_size(points, FLATNESS)
     if code == codes.FLAT:

@@ -1,6 +1,6 @@
-"""Appendix A of the paper: the overlap of two ellipsoids by an eigenproblem.
+"""Decide the overlap of two ellipsoids by an eigenproblem (appendix A of the paper).
 
-It is the reference for `loewner.overlap`, which is faster and stays accurate for thin ellipsoids.
+This method is the reference for `loewner.overlap`, which is faster and stays accurate for thin ellipsoids.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LARGEST_MISS = 1e-6
 
 @guarded
 def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
-    """Decide whether ellipsoids overlap by the paper's appendix A, a 2n x 2n eigenproblem; touching counts.
+    """Decide whether ellipsoids overlap, by the 2n x 2n eigenproblem of the paper's appendix A; touching counts.
 
     Parameters
     ----------
@@ -64,10 +64,10 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
 
 def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
-    """Appendix A in its own notation.
+    """Compute the overlap in the notation of appendix A.
 
-    The paper first tests whether either center lies in the other ellipsoid. The eigenproblem cannot answer the case of
-    a in E2 (no scaled E1 touches E2 from outside); it answers b in E1 correctly by itself.
+    The paper first tests whether either center lies in the other ellipsoid. The eigenproblem cannot decide the case
+    that a lies in E2, since no scaled E1 then touches E2 from outside. It correctly decides the case that b lies in E1.
     """
     F1, F2, batch = pair.F1, pair.F2, pair.batch
     if not len(F1):
@@ -119,6 +119,6 @@ def _transposed(M: Floats) -> Floats:
 
 
 def _solved(M: Floats, v: Floats) -> Floats:
-    """M⁻¹ v for batches."""
+    """Compute M⁻¹ v for batches."""
     x: Any = np.linalg.solve(M, v[..., None])
     return np.asarray(x[..., 0])

@@ -1,4 +1,4 @@
-"""The experiment as a report: Markdown, self-contained HTML, and the figures, each written whole or not at all."""
+"""Write the experiment as a report: Markdown, self-contained HTML and the figures, each whole or not at all."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CAPTIONS = {
 
 
 def prepare(folder: str | os.PathLike[str]) -> Path:
-    """Create the folder and check that figures can be drawn, before any work is done.
+    """Before any work is done, create the folder and check that figures can be drawn.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def write(experiment: Experiment, folder: str | os.PathLike[str]) -> list[Path]:
     Returns
     -------
     list of Path
-        The files, in the order written.
+        The files, in the order in which they were written.
     """
     target = prepare(folder)
     images = {
@@ -69,7 +69,7 @@ def write(experiment: Experiment, folder: str | os.PathLike[str]) -> list[Path]:
 
 
 def markdown(experiment: Experiment) -> str:
-    """The report as Markdown; it names the figures' SVG files."""
+    """Format the report as Markdown that refers to the figures' SVG files."""
     lines: list[str] = []
     for kind, content in _blocks(experiment):
         if kind == "title":
@@ -101,7 +101,7 @@ STYLE = (
 
 
 def html(experiment: Experiment, images: dict[str, bytes]) -> str:
-    """The report as one self-contained HTML file, with the PNG files among `images`, which are made by `write`."""
+    """Format the report as one self-contained HTML file, with the PNG files among the `images` made by `write`."""
     parts: list[str] = []
     escape = _html.escape
     for kind, content in _blocks(experiment):
@@ -133,7 +133,7 @@ def html(experiment: Experiment, images: dict[str, bytes]) -> str:
 
 
 def _html_row(sheet: sheets.Sheet, cells: tuple[str, ...], kind: str) -> str:
-    """A row of cells of the kind "th" or "td"."""
+    """Format a row of cells of the kind "th" or "td"."""
     classes = (' class="number"' if numeric else "" for numeric in sheet.numeric)
     texts = zip(classes, cells, strict=True)
     return "<tr>" + "".join(f"<{kind}{style}>{_html.escape(cell)}</{kind}>" for style, cell in texts) + "</tr>"
@@ -143,7 +143,7 @@ def _html_row(sheet: sheets.Sheet, cells: tuple[str, ...], kind: str) -> str:
 
 
 def _blocks(experiment: Experiment) -> list[tuple[str, Any]]:
-    """The report as (kind, content) blocks, for both formats."""
+    """Make the report as (kind, content) blocks, for both formats."""
     data = experiment.data
     second, fourth = (experiment.detectors[k].all.counts for k in (1, 3))
     printed = PAPER[2][0].counts

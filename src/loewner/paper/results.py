@@ -1,4 +1,4 @@
-"""The results of the experiment, and the files that they are written to."""
+"""Hold the results of the experiment, and write them to files."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Result:
     Attributes
     ----------
     id : int
-        1 to 4 as in the paper; 0 for the library's own estimate.
+        Number of the detector, 1 to 4 as in the paper; 0 for the library's own estimate.
     name : str
     answers : Answers
     all, ambiguous : Confusion
-        Over all pairs, and over the pairs ambiguous to this detector.
+        Counts over all pairs, and over the pairs that are ambiguous to this detector.
     microseconds, ambiguous_microseconds : float
-        Time of one check, one thread, over all pairs and over the ambiguous ones; NaN if not timed
-        or if there are none.
+        Average time of one check on one thread, over all pairs and over the ambiguous pairs; NaN if not timed, or if
+        there are no such pairs.
 
     Examples
     --------
@@ -61,15 +61,15 @@ class Experiment:
     bodies_1, bodies_2 : Bodies
         Hulls and fits of the pairs.
     pairs : Pairs
-        The pairs in the form that the detectors take.
+        The pairs, in the form that the detectors take.
     truth : ndarray of bool, shape (pairs,)
         Exact answers.
     detectors : tuple of Result
         Detectors 1 to 4.
     estimate : Result
-        F_in F_out <= 1, ambiguous by the two exact overlap checks.
+        The rule F_in F_out <= 1, for which pairs are ambiguous if the two exact overlap checks do not settle them.
     fittings : tuple of Fitting
-        Reliability of each kind of fit on these polyhedra, at most the first 2000.
+        Reliability of each kind of fit, measured on at most the first 2000 polyhedra.
 
     Examples
     --------
@@ -92,7 +92,7 @@ class Experiment:
         return len(self.truth)
 
     def as_dict(self) -> dict[str, Any]:
-        """Counts and times (microseconds) as plain numbers, as written to JSON.
+        """Return counts and times (in microseconds) as plain numbers, as they are written to JSON.
 
         Returns
         -------

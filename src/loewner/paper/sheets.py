@@ -1,7 +1,7 @@
-"""The tables as text for the terminal and the report: our numbers beside the paper's, at most 80 columns wide.
+"""Format the tables as text, at most 80 columns wide, with our numbers beside the paper's.
 
-Cells with numbers of the paper name the table and the cells of their source; all other numbers are counted or measured
-in this run.
+Cells with numbers from the paper name the table and the cells from which the numbers come; all other numbers are
+counted or measured in this run.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Sheet:
     head : tuple of str
     rows : tuple of tuple of str
     note : str
-        Explanation of the table, and the source of the paper's numbers in it.
+        Explanation of the table, and the source of the paper's numbers in the table.
     """
 
     title: str
@@ -60,12 +60,12 @@ class Sheet:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Which columns contain numbers, which are right-aligned."""
+        """Return which columns contain numbers; these are right-aligned."""
         return tuple(all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*self.rows, strict=True))
 
     @property
     def aligned(self) -> tuple[tuple[str, ...], ...]:
-        """Head and rows, with the cells of each column padded to the same width."""
+        """Pad the cells of each column, in head and rows, to the same width."""
         padded = []
         for column, right in zip(zip(self.head, *self.rows, strict=True), self.numeric, strict=True):
             width = max(map(len, column))
@@ -74,7 +74,7 @@ class Sheet:
 
 
 def pairs(experiment: Experiment) -> Sheet:
-    """The four exact classes of the pairs."""
+    """Tabulate the four exact classes of the pairs."""
     counts, p_value = classes(experiment)
     rows = [
         (name, *_counted(count, len(experiment)), *_counted(printed, PAPER_PAIRS), source)
@@ -90,19 +90,19 @@ def pairs(experiment: Experiment) -> Sheet:
 
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
-    """The confusion matrices (a) and (b) of each detector beside the paper's, then the estimate's."""
+    """Tabulate each detector's confusion matrices (a) and (b) beside the paper's, then the estimate's."""
     found = tables(experiment)
     return tuple(_matrices(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 
 
 def shares(experiment: Experiment) -> tuple[Sheet, ...]:
-    """The counts in percent, with the interval of each share."""
+    """Tabulate the counts in percent, with the confidence interval of each share."""
     found = tables(experiment)
     return tuple(_shares(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 
 
 def right(experiment: Experiment) -> Sheet:
-    """How often each detector is right, and whether its counts are consistent with the paper's."""
+    """Tabulate how often each detector is right, and whether its counts are consistent with the paper's."""
     rows = []
     fourth = experiment.detectors[3]
     for result in (*experiment.detectors, experiment.estimate):
@@ -125,7 +125,7 @@ def right(experiment: Experiment) -> Sheet:
 
 
 def outside(experiment: Experiment) -> Sheet:
-    """Errors among the pairs that a detector's overlap checks decided; there should be none."""
+    """Tabulate errors among the pairs that a detector's overlap checks decided; there should be none."""
     rows = []
     for result in (*experiment.detectors, experiment.estimate):
         own = errors_outside(result.all, result.ambiguous)
@@ -144,7 +144,7 @@ def outside(experiment: Experiment) -> Sheet:
 
 
 def times(experiment: Experiment) -> Sheet:
-    """Time of a check."""
+    """Tabulate the time of a check."""
     rows = []
     for result in experiment.detectors:
         own = (result.microseconds, result.ambiguous_microseconds)
@@ -159,7 +159,7 @@ def times(experiment: Experiment) -> Sheet:
 
 
 def fits(experiment: Experiment) -> Sheet:
-    """How reliable the fits are."""
+    """Tabulate the reliability of the fits."""
     rows = [
         (f.name, f"{f.tried:,}", f"{f.failed:,}", _gap(f.largest_gap), number(f.microseconds))
         for f in experiment.fittings
@@ -179,7 +179,7 @@ def fits(experiment: Experiment) -> Sheet:
 
 
 def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
-    """The terminal's output: every table, without the intervals."""
+    """Return the terminal's output: every table, without the confidence intervals."""
     return (
         pairs(experiment),
         *counts(experiment),
@@ -194,12 +194,12 @@ def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
 
 
 def _name(result: Result) -> str:
-    """Name of a detector, or of the estimate, in a row."""
+    """Return the name of a detector, or of the estimate, for a row."""
     return f"{result.id}: {result.name}" if result.id else result.name
 
 
 def _head(table: Table) -> tuple[str, str]:
-    """Subject of a table, as a title and as the head of a column."""
+    """Return the subject of a table, as a title and as the head of a column."""
     if table.cells[0].paper_count is None:
         return f"{table.detector} (not in the paper)", "estimate"
     return f"detector {table.detector}", f"detector {table.detector.partition(':')[0]}"
@@ -260,7 +260,7 @@ def _gap(gap: float) -> str:
 
 
 def colliding(experiment: Experiment) -> str:
-    """Number of colliding pairs, beside the paper's."""
+    """Describe the number of colliding pairs, beside the paper's."""
     own, total = int(experiment.truth.sum()), len(experiment)
     return (
         f"{own:,} of {total:,} pairs collide, {percent(own / total)} % (the paper: {PAPER_COLLIDING} of "

@@ -1,4 +1,4 @@
-"""Tables 1 to 4, (a) and (b), next to the paper's own numbers, with a test of their consistency."""
+"""Make tables 1 to 4, (a) and (b), next to the paper's own numbers, with a test of consistency."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Cell:
     name : str
     count : int
     share, low, high : float
-        Share of the table's total, and its 95 % Wilson interval.
+        Share of the table's total, and the ends of the share's 95 % Wilson interval.
     paper_count : int or None
     paper_share : float
     """
@@ -78,8 +78,8 @@ class Table:
     accuracy : float
         Share of right answers.
     p_value : float
-        The p-value for the hypothesis that these counts and the paper's come from one distribution (chi-square,
-        homogeneity).
+        The p-value of a chi-square test of homogeneity, for the hypothesis that these counts and the paper's come from
+        one distribution.
     statement : str
         The p-value in words.
     microseconds : float
@@ -98,7 +98,7 @@ class Table:
 
 
 def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
-    """Pearson's chi-square p-value for two rows of counts to share one distribution; NaN if a row is empty."""
+    """Compute Pearson's chi-square p-value for two rows of counts sharing one distribution; NaN if one is empty."""
     table = np.array([counts, others], dtype=float)
     table = table[:, table.sum(axis=0) > 0]
     rows, columns = table.sum(axis=1), table.sum(axis=0)
@@ -111,7 +111,7 @@ def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
 
 
 def tables(experiment: Experiment) -> tuple[Table, ...]:
-    """All tables: 1 (a), 1 (b) ... 4 (b), then the library's estimate (a), (b)."""
+    """Make all tables: 1 (a), 1 (b) ... 4 (b), then (a) and (b) for the library's estimate."""
     _expect_experiment(experiment)
     found: list[Table] = []
     fourth = experiment.detectors[3]
@@ -132,12 +132,12 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
 
 
 def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
-    """Count the four exact classes of the pairs, and compute their p-value against the counts implied by Table 3.
+    """Count the four exact classes of the pairs, and compute the p-value against the counts implied by Table 3.
 
     Returns
     -------
     counts : tuple of int
-        In the order of `CLASSES`, by the estimate's checks, which are exact.
+        Counts in the order of `CLASSES`, determined by the estimate's checks, which are exact.
     p_value : float
     """
     _expect_experiment(experiment)
@@ -148,7 +148,7 @@ def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
 
 
 def errors_outside(every: Confusion, ambiguous: Confusion) -> tuple[int, int]:
-    """Collisions missed and false alarms among the pairs that a detector's overlap checks decided.
+    """Count missed collisions and false alarms among the pairs that a detector's overlap checks decided.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ COLUMNS = ("table", "detector", *CELLS, "right", "consistent with the paper", "u
 
 
 def rows(experiment: Experiment) -> list[tuple[str, ...]]:
-    """Rows of text under `COLUMNS`: each cell as share, 95 % interval and the paper's share, in percent."""
+    """Format rows of text under `COLUMNS`: each cell's share, its 95 % interval and the paper's share, in percent."""
     return [
         (
             table.title,
@@ -191,12 +191,12 @@ def rows(experiment: Experiment) -> list[tuple[str, ...]]:
 
 
 def percent(share: float) -> str:
-    """A share in percent with one decimal, or a dash."""
+    """Format a share in percent with one decimal, or as a dash."""
     return "-" if math.isnan(share) else f"{100 * share:.1f}"
 
 
 def number(x: float) -> str:
-    """Three digits, or a dash."""
+    """Format a number with three digits, or as a dash."""
     return "-" if math.isnan(x) else f"{x:.3g}"
 
 
@@ -234,7 +234,7 @@ def _with_fourth(table: Table, fourth: Confusion, printed: Confusion) -> Table:
 
 
 def statement(p: float) -> str:
-    """State in words whether a p-value is consistent with one distribution for two rows of counts."""
+    """State in words whether a p-value is consistent with two rows of counts sharing one distribution."""
     if math.isnan(p):
         return "-"
     verdict = "yes" if p >= SIGNIFICANCE else "no"

@@ -1,4 +1,4 @@
-"""Paths from start to goal whose motions are proven free, and the trajectories made from them."""
+"""Plan paths whose motions are proven free from start to goal, and make trajectories from the paths."""
 
 from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.ompl_planners import space_information

@@ -1,4 +1,4 @@
-"""Calls of the compiled RRT-Connect and shortening: memory for their kernels, and errors from their codes."""
+"""Call the compiled RRT-Connect and shortening: allocate memory for their kernels, and turn codes into errors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_ROOM = 4096
 
 
 class Trees(NamedTuple):
-    """Two trees, as described by `_kernels.robots.planning.Trees`."""
+    """Two trees in the form that `_kernels.robots.planning.Trees` describes."""
 
     nodes: Floats
     parents: Ints
@@ -50,7 +50,7 @@ class Trees(NamedTuple):
         return cls(nodes, parents, np.empty((2, capacity)))
 
     def rooted(self, start: Floats, goals: Floats) -> Trees:
-        """Add roots to the trees: a start, shape (joints,), and goals, shape (goals, joints)."""
+        """Add a start, shape (joints,), and goals, shape (goals, joints), as the roots of the trees."""
         count = len(goals)
         self.nodes[0, :, 0], self.nodes[1, :, :count] = start, goals.T
         self.parents[0, 0], self.parents[1, :count] = -1, -1
@@ -59,18 +59,18 @@ class Trees(NamedTuple):
 
     @property
     def capacity(self) -> int:
-        """Number of configurations for which each tree has room."""
+        """Number of configurations that fit into each tree."""
         return int(self.nodes.shape[2])
 
     def grown(self) -> Trees:
-        """A copy with room for twice as many configurations."""
+        """Copy the trees, with room for twice as many configurations."""
         more = Trees.of(self.nodes.shape[1], 2 * self.capacity)
         for old, new in zip(self, more, strict=True):
             new[..., : self.capacity] = old
         return more
 
     def branch(self, tree: int, node: int) -> Floats:
-        """Values from a node to its root."""
+        """Return the values from a node to its root."""
         numbers = []
         while node >= 0:
             numbers.append(node)
@@ -132,14 +132,14 @@ def connect(
 
 
 def _sequence(joints: int, seed: int) -> tuple[Floats, Floats]:
-    """Strides and shifts of a sequence of low discrepancy, whose k-th entry is the fraction of shift + k strides."""
+    """Return strides and shifts of a low-discrepancy sequence; its k-th entry is the fraction of shift + k strides."""
     strides, shifts = _irrationals(joints)
     return strides, np.modf(0.5 + seed * shifts)[0]
 
 
 @cache
 def _irrationals(joints: int) -> tuple[Floats, Floats]:
-    """Powers of the root of x^(d + 1) = x + 1, the golden ratio for d = 1; and numbers independent of these.
+    """Compute powers of the root of x^(d + 1) = x + 1 (the golden ratio for d = 1), and numbers independent of them.
 
     Roberts: The unreasonable effectiveness of quasirandom sequences, 2018.
     """
@@ -151,7 +151,7 @@ def _irrationals(joints: int) -> tuple[Floats, Floats]:
 
 
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
-    """The path through both trees."""
+    """Return the path through both trees."""
     first, rest = trees.branch(0, int(state[OF_START]))[::-1], trees.branch(1, int(state[OF_GOAL]))
     turned = False
     if space.turning.any():
@@ -170,7 +170,7 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
 
 
 def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) -> str:
-    """Message about a search that found nothing."""
+    """Make the message for a search that found nothing."""
     seen = judge.how_surfaces_are_seen()
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (
@@ -185,7 +185,7 @@ def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) ->
 
 
 def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
-    """A shorter path with the same ends; the judge has found all motions of `path` and of the result free."""
+    """Return a shorter path with the same ends; the judge has found all motions of both paths free."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     asked = judge.asked()

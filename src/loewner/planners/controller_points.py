@@ -1,4 +1,4 @@
-"""Points of a trajectory for controllers, and the curve that controllers execute between the points."""
+"""Read a trajectory's points for controllers, and make the curve that controllers execute between the points."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
 
 class ControllerPoints:
-    """Points with times that a joint trajectory controller interpolates, such as ros2_control's.
+    """Timed points that a joint trajectory controller, such as ros2_control's, interpolates.
 
-    It interpolates positions alone by straight lines, positions and velocities by cubic polynomials, and positions,
-    velocities and accelerations by quintic polynomials.
+    If points have only positions, the controller interpolates them by straight lines; if they also have velocities, by
+    cubic polynomials; if they also have accelerations, by quintic polynomials.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class ControllerPoints:
         Rates at the same times, in radians or metres per second and per second squared; accelerations require
         velocities.
     names : sequence of str, optional
-        Names of the columns; by default the order of `Robot.configuration_names`.
+        Names of the columns. By default the columns are in the order of `Robot.configuration_names`.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class ControllerPoints:
         Parameters
         ----------
         path : path
-            A ``.json`` or ``.yaml`` file with a ``trajectory_msgs/JointTrajectory`` of ROS, by itself or within another
+            A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within another
             message; or a ``.csv`` file whose columns are ``time``, the joints' names and optionally ``NAME velocity``
             and ``NAME acceleration`` for each joint. Files written by `Trajectory.save` can be read as well.
 
@@ -110,7 +110,7 @@ class ControllerPoints:
         FileError
             If the file does not exist, or contains no such points.
         InputError
-            If the file name has another ending.
+            If the file has any other extension.
         MissingExtraError
             If PyYAML is needed and not installed.
 
@@ -141,7 +141,7 @@ class ControllerPoints:
 
     @classmethod
     def _of_table(cls, text: str) -> ControllerPoints:
-        """Points from a table with a header."""
+        """Read points from a table with a header."""
         rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
         header = rows[0] if rows else []
         if not header or header[0] not in TIMES or len(set(header)) < len(header):
@@ -158,7 +158,7 @@ class ControllerPoints:
 
     @classmethod
     def _of_message(cls, held: Any) -> ControllerPoints:
-        """Points from a message or from a file of `Trajectory.save`."""
+        """Read points from a message or from a file written by `Trajectory.save`."""
         if isinstance(held, Mapping) and "blended" in held:
             return cls(held["times"], held["positions"], held["velocities"], names=held["names"])
         message = _message(held, DEEPEST)
@@ -184,7 +184,7 @@ class ControllerPoints:
 
 @form_of.register(ControllerPoints)
 def _form(given: ControllerPoints, name: str) -> Curve:
-    """The curve that the controller executes; see `CollisionChecker.certify_trajectory`."""
+    """Make the curve that the controller executes; see `CollisionChecker.certify_trajectory`."""
     T = np.diff(given.times)[:, None]
     q0, q1 = given.positions[:-1], given.positions[1:]
     points, size = [q0, q1], np.maximum(np.abs(q0), np.abs(q1))
@@ -202,7 +202,7 @@ def _form(given: ControllerPoints, name: str) -> Curve:
 
 
 def _message(held: Any, depth: int) -> Any:
-    """The first trajectory with points in a message, however it is wrapped; None if there is none."""
+    """Find the first trajectory with points in a message, however it is wrapped; None if there is none."""
     if isinstance(held, Mapping) and held.get("joint_names") and held.get("points"):
         return held
     inner = held.values() if isinstance(held, Mapping) else held if isinstance(held, list) else ()
@@ -211,7 +211,7 @@ def _message(held: Any, depth: int) -> Any:
 
 
 def _seconds(given: Any) -> float:
-    """Seconds of a duration, which is given in ROS's form or as a number."""
+    """Convert a duration, in ROS's form or as a number, to seconds."""
     if not isinstance(given, Mapping):
         return float(given)
     whole = given["sec"] if "sec" in given else given["secs"]

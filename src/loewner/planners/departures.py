@@ -1,4 +1,4 @@
-"""Paths that begin or end in contact: motions along the contact normals that leave or enter it."""
+"""Plan the ends of paths that begin or end in contact, by motions along the contact normals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RISES = (0.02, 0.01, 0.005, 0.002)
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """Start and goals of a path, and free configurations near the ones in contact.
+    """The start and goals of a path, and free configurations near those that are in contact.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Departures:
     start, goals : ndarray, shapes (dof,) and (goals, dof)
         As given by the user.
     free_start, free_goals : ndarray, of the same shapes
-        Free configurations near them; the configurations themselves if no contact has to end or begin.
+        Free configurations near `start` and `goals`; equal to them if no contact has to end or begin.
     """
 
     space: Space
@@ -42,12 +42,13 @@ class Departures:
 
     @classmethod
     def of(cls, space: Space, ready: Problem, start: Floats, goals: Floats) -> Departures:
-        """Find them, in one consistent state of the scene.
+        """Find the free configurations, in one consistent state of the scene.
 
         Raises
         ------
         PlanningError
-            If the rules allow a contact at the start or the only goal to end, but no motion that ends it was found.
+            If the rules allow a contact at the start or at the only goal, but no motion was found that ends or begins
+            it.
         """
         free_start, free_goals = start, goals
         if ready.leaving.any():
@@ -62,7 +63,7 @@ class Departures:
         return cls(space, start, goals, free_start, free_goals)
 
     def joined(self, path: Floats) -> Floats:
-        """A path between the free configurations, extended by the motions out of contact and into it."""
+        """Extend a path between the free configurations by the motions out of contact and into contact."""
         ends = self.space.unwound(path[-1], self.free_goals)
         k = int(np.abs(ends - path[-1]).max(axis=1).argmin())
         rows = [path]
@@ -74,7 +75,7 @@ class Departures:
 
 
 def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
-    """A free configuration near one in contact, with a proven motion between; or itself, and what is at fault."""
+    """Find a free configuration near one in contact, with a proven motion between; or return q and the fault."""
     checker = space.checker
     ruled = {
         frozenset(ready.names[k] for k in pair) for pair in ready.pairs[ready.leaving if at_start else ready.reaching]
@@ -103,9 +104,9 @@ def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[
 
 
 def _way(space: Space, ready: Problem, q: Floats, touching: tuple[Contact, ...]) -> Floats:
-    """The change of configuration, for each metre, that moves what touches apart along the normals without turning it.
+    """Compute a change of configuration per metre that separates touching bodies along the normals without turns.
 
-    The joints achieve this as nearly as possible, in the sense of least squares.
+    The change is the least-squares solution, since the joints may not allow exactly this motion.
     """
     robot = space.checker.robot
     poses = robot.forward_kinematics(q)

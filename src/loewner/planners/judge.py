@@ -1,7 +1,8 @@
-"""Judge for planners whether motions are free, by proof or by samples.
+"""Decide for planners whether motions are free, by proof or by sampling.
 
-One `Judge` decides about a path from its first motion to its last shortening: the scene may change meanwhile, and
-motions that are free at different times need not form a path that is free at any time.
+One `Judge` accompanies a path from its first motion to its last shortening and refers to a single state of the scene.
+The scene may change meanwhile, and motions that are free at different times need not form a path that is free at any
+one time.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """How motions are judged, proven or sampled in steps.
+    """Judge motions for a planner: prove them, or sample them in steps.
 
     Attributes
     ----------
@@ -42,7 +43,7 @@ class Judge:
     resolution : float
         0 if motions are proven.
     samples : int
-        How many the longest motion takes.
+        Number of samples that the longest motion takes.
     """
 
     checker: CollisionChecker
@@ -52,11 +53,11 @@ class Judge:
 
     @classmethod
     def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
-        """A judge for the scene's current state."""
+        """Make a judge for the scene's current state."""
         return cls(checker, prepared_of(checker), resolution, 1)
 
     def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
-        """How surfaces may keep motions from being proven, for messages; empty for sampling or without surfaces.
+        """Explain, for messages, how surfaces may prevent proofs of motions; "" if there are no surfaces or no proofs.
 
         Parameters
         ----------
@@ -76,7 +77,7 @@ class Judge:
         return ""
 
     def up_to(self, longest: float) -> Judge:
-        """A judge for the same state that can sample motions up to a length.
+        """Return a judge for the same state that can sample motions up to a given length.
 
         Raises
         ------
@@ -95,7 +96,7 @@ class Judge:
         return replace(self, samples=size)
 
     def asked(self) -> tuple[Ints, Floats]:
-        """Handles and lengths, as `_kernels.robots.free_motions.judge_of` takes them, for calls of this thread."""
+        """Return the handles and lengths for `_kernels.robots.free_motions.judge_of`, for calls of this thread."""
         ready = self.ready if self.resolution else self.ready.in_parts
         prepared = ready.motions
         memory = workspace(max(prepared.memory, ready.memory))
@@ -103,19 +104,19 @@ class Judge:
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
-        """Which motions of a batch are free; unsettled ones are not."""
+        """Return which motions of a batch are free; an unsettled motion is not."""
         if not self.resolution:
             return self.proven(straight(self.ready.robot, Q0, Q1))
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
         return np.asarray(found == Verdict.FREE)
 
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
-        """Which courses of a batch are proven free, with all configurations that deviate from them by up to `off`."""
+        """Return which courses of a batch are proven free, including all deviations of up to `off`."""
         return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
-    """Whether one motion is free in the scene's current state; an unsettled motion is not."""
+    """Return whether one motion is free in the scene's current state; an unsettled motion is not."""
     ready = prepared_of(checker)
     if resolution:
         return verdicts.is_sampled_free(ready, a, b, resolution)
@@ -143,7 +144,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     Raises
     ------
     PlanningError
-        If a motion is not free. The message names it and the pair of bodies.
+        If a motion is not free. The message names the motion and the pair of bodies.
     """
     free = judge.free(path[:-1], path[1:])
     if not free.all() and len(judge.ready.ruled):

@@ -1,4 +1,4 @@
-"""Plan with OMPL, with every state and motion judged by a `CollisionChecker`.
+"""Plan with OMPL; a `CollisionChecker` judges every state and motion.
 
 OMPL is imported only when a function here is called: ``pip install "loewner[planners]"``.
 """
@@ -34,17 +34,17 @@ def space_information(
     certified: bool = False,
     resolution: float = 0.05,
 ) -> Any:
-    """Make an OMPL ``SpaceInformation`` whose states and motions the checker judges, for your own planners.
+    """Make an OMPL ``SpaceInformation`` for your own planners; the checker judges its states and motions.
 
     Parameters
     ----------
     checker : CollisionChecker
         Changes of its scene take effect at the next checked state.
     joints : str or iterable of str, optional
-        A group, or names of joints: the dimensions of the state space, in the order of the robot's
-        `configuration_names`. Default: all.
+        A group, or names of joints. These joints are the dimensions of the state space, in the order of the robot's
+        `configuration_names`. Default: all joints.
     fixed : array_like, shape (dof,), optional
-        Values that the other joints keep. Default: the values of `Robot.configuration`, all 0.
+        Values that all remaining joints keep. Default: the values of `Robot.configuration`, all 0.
     certified : bool
         Prove the motions that OMPL checks, as `plan` does; otherwise sample them in steps.
     resolution : float
@@ -79,7 +79,7 @@ def space_information(
 
 
 def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function that makes a planner."""
+    """Return a function that makes the planner of this name."""
     if callable(planner):
         return planner
     base, geometric = _ompl("base"), _ompl("geometric")
@@ -112,7 +112,7 @@ def search(
     resolution : float
         Largest step for planners that divide motions themselves.
     step : float
-        Largest step for motions that OMPL checks; 0 if they must be proven.
+        Largest step for motions that OMPL checks; 0 if motions must be proven.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def search(
 def _solve(
     space: Space, make: Callable[[Any], Any], q: Floats, goals: Floats, timeout: float, information: Any, simplify: bool
 ) -> Floats:
-    """The path that OMPL returns."""
+    """Run OMPL and return its path."""
     base, geometric = _ompl("base"), _ompl("geometric")
     count = len(space.columns)
     problem, region = base.ProblemDefinition(information), base.GoalStates(information)
@@ -163,7 +163,7 @@ def _solve(
 
 
 def _information(space: Space, resolution: float, step: float) -> Any:
-    """The space in the form that OMPL takes."""
+    """Convert the space to the form that OMPL takes."""
     base = _ompl("base")
     dimensions = base.RealVectorStateSpace(0)
     for column, lower, upper in zip(space.columns, space.lower, space.upper, strict=True):
@@ -186,13 +186,14 @@ def _information(space: Space, resolution: float, step: float) -> Any:
 
 @cache
 def _motion_validator() -> Any:
-    """The class of the motion validator, made when OMPL is first needed."""
+    """Make the class of the motion validator, when OMPL is first needed."""
     parent: Any = _ompl("base").MotionValidator
 
     class Motions(parent):  # type: ignore[misc]
-        """Checks whether motions are free in the scene's current state.
+        """Check whether motions are free in the scene's current state.
 
-        It keeps no reference to the ``SpaceInformation``, which refers to it: the two would never be freed.
+        The validator keeps no reference to the ``SpaceInformation``. That object refers to the validator, so the two
+        would never be freed.
         """
 
         def __init__(self, information: Any, space: Space, step: float) -> None:

@@ -1,4 +1,4 @@
-"""The public functions `plan` and `shorten`; they use the compiled planner by default, and OMPL's planners by name."""
+"""Define `plan` and `shorten`, which use the compiled planner by default and OMPL's planners by name."""
 
 from __future__ import annotations
 
@@ -32,51 +32,51 @@ def plan(
     simplify: bool = True,
     seed: int = 0,
 ) -> Floats:
-    """Find a motion free of collisions, proven at every one of its configurations.
+    """Find a path from start to goal that is proven free of collisions everywhere.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Bodies attached in its scene move along.
+        Bodies attached in its scene move with the robot.
     start : array_like, shape (dof,)
     goal : array_like, shape (dof,) or (goals, dof)
         One goal or several; reaching any of them is enough. Goals that are obviously unreachable (outside the limits,
         or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
-        A group, or names of joints: these move, and all others keep the values of `start`. Default: all.
+        A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all.
     planner : str or callable, optional
-        None: RRT-Connect, compiled. Otherwise a class of ``ompl.geometric``, such as "BITstar" or "PRM"; or a function
-        that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
+        Default: the compiled RRT-Connect. Otherwise the name of a class of ``ompl.geometric``, such as "BITstar" or
+        "PRM"; or a function that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
     certified : bool
         Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.
     resolution : float
-        For motions that are not proven: the largest Euclidean distance between two checked configurations, in the units
-        of the joints. OMPL's planners that divide motions themselves always use it.
+        For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
+        in the units of the joints. OMPL planners that divide motions themselves always use it.
     max_iterations : int
-        For the compiled planner: the number of configurations drawn at random before it gives up.
+        Number of random configurations that the compiled planner draws before it gives up.
     timeout : float
-        Seconds for the search; simplifying takes additional time. OMPL's planners that seek a shortest path use all of
-        this time.
+        Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
+        always use the whole time.
     simplify : bool
-        Shorten the path; OMPL's path simplifier also smooths its paths.
+        Shorten the path. Paths of OMPL planners are also smoothed, by OMPL's path simplifier.
     seed : int
-        Equal seeds give equal paths, unless the timeout ends the search. OMPL has one seed for the whole process, which
-        this sets.
+        Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this sets OMPL's seed,
+        which applies to the whole process.
 
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations from `start` to a goal; each joint value changes linearly between two of them. A joint that turns
-        without limits takes the shorter way around: it ends at the goal's value or whole turns from it (OMPL's
-        planners: at the goal's value).
+        Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
+        joint that turns without limits takes the shorter way around, so it ends at the goal's value or whole turns from
+        it (with OMPL's planners, always at the goal's value).
 
     Raises
     ------
     PlanningError
         If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if
-        no short motion along the contact normal ends a contact at the start or begins one at the goal; if no path was
-        found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
-        final check (the message names the motion).
+        no short motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no
+        path was found within the iterations or in time (the message reports how far the search got); or if OMPL's path
+        fails the final check (the message names the motion).
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within.
@@ -91,12 +91,12 @@ def plan(
 
     Notes
     -----
-    A path leaves a start that is in contact by `Scene.leave`, and approaches a goal that is in contact by
-    `Scene.reach`, along the contact normals: its first or last motion moves the touching body straight away from the
-    other body, or towards it.
+    If `Scene.leave` allows a contact at the start, the first motion moves the touching body straight away from the
+    other body, along the contact normal. If `Scene.reach` allows a contact at the goal, the last motion moves the body
+    straight towards the other body.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
-    Yershova et al. (ICRA 2005). A motion of a tree is at most a twelfth of the diagonal of the limits long.
+    Yershova et al. (ICRA 2005). A motion of a tree is at most as long as a twelfth of the diagonal of the limits.
 
     Examples
     --------
@@ -132,18 +132,18 @@ def shorten(
     max_iterations: int = compiled.CUTS,
     seed: int = 0,
 ) -> Floats:
-    """Shorten a path by removing and cutting corners wherever the straight motion is free.
+    """Shorten a path by removing corners, or cutting them off, wherever the straight motion is free.
 
     Parameters
     ----------
     checker : CollisionChecker
     path : array_like, shape (k, dof)
-        Two or more configurations; between two of them joint values change linearly, and orientations follow the
-        shorter arc.
+        Two or more configurations. Between successive configurations, joint values change linearly and orientations
+        follow the shorter arc.
     certified, resolution
         As for `plan`; `resolution` is in the units of the joints.
     max_iterations : int
-        Number of cuts to try, between points drawn at random.
+        Number of cuts to try, each between two points drawn at random.
     seed : int
         Equal seeds give equal paths.
 
@@ -155,7 +155,7 @@ def shorten(
     Raises
     ------
     PlanningError
-        If a motion of the path is not free; the message names it, and the pair that collides.
+        If a motion of the path is not free; the message names the motion and the pair that collides.
     InputError
         If an argument has the wrong shape or value.
 

@@ -1,8 +1,8 @@
-"""Roadmaps: networks of motions proven free, made once, that answer many queries in one scene.
+"""Roadmaps: networks of motions proven free, built once to answer many queries in one scene.
 
-A roadmap keeps every motion that it tried, not only the free ones: when the scene changes, all of them are proven again
-in one batch. In addition, each path is proven once more as a whole, since whole turns are rounded, the scene may change
-meanwhile, and a file's claims are not a proof.
+A roadmap keeps every motion that it tried, not only the free ones; when the scene changes, all of them are proven again
+in one batch. In addition, each path is proven as a whole when it is found. There are three reasons: whole turns are
+rounded, the scene may change meanwhile, and a file's claims are not a proof.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ BYTES = 96
 
 
 class _Links(NamedTuple):
-    """Free motions between a query's ends and the nodes; the start is numbered as an additional last node.
+    """Free motions between a query's ends and the nodes; the start has the index after the last node.
 
     Attributes
     ----------
     nodes, lengths : ndarray, shape (s,)
         Nodes and lengths of motions from the start.
     goals, from_nodes, to_lengths : ndarray, shape (g,)
-        Goals, nodes and lengths of motions to goals.
+        For each motion to a goal: the goal, the node where it starts, and its length.
     """
 
     nodes: Ints
@@ -60,7 +60,7 @@ class _Links(NamedTuple):
     to_lengths: Floats
 
     def joined(self, more: _Links) -> _Links:
-        """These links and more."""
+        """Concatenate these links and more links."""
         a, b = self, more
         return _Links(
             np.concatenate([a.nodes, b.nodes]), np.concatenate([a.lengths, b.lengths]),
@@ -70,7 +70,7 @@ class _Links(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """A path: numbers of its nodes from the start on, the goal, and the link that leads to the goal."""
+    """A path: the indices of its nodes, beginning with the start, the goal, and the link that leads to the goal."""
 
     nodes: Ints
     goal: int
@@ -79,19 +79,19 @@ class _Way(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Graph:
-    """The free motions at one state of the scene.
+    """The free motions of a roadmap at one state of the scene.
 
     Attributes
     ----------
     version : int
         Version of the scene.
     proven : bool
-        Whether this process proved the motions; otherwise a file claims that they are free.
+        Whether this process proved the motions; if not, a file claims that they are free.
     free : ndarray of bool, shape (motions,)
     matrix : csr_array, shape (nodes, nodes)
         Lengths of the free motions, in both directions.
     labels : ndarray of int, shape (nodes,)
-        Number of the connected component of each node.
+        Index of the connected component of each node.
     """
 
     version: int
@@ -102,7 +102,7 @@ class _Graph:
 
     @classmethod
     def of(cls, version: int, count: int, edges: Ints, lengths: Floats, free: Bools, *, proven: bool) -> _Graph:
-        """The graph of some nodes and the free motions between them."""
+        """Make the graph over the given nodes and the free motions between them."""
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import connected_components
 
@@ -112,7 +112,7 @@ class _Graph:
         return cls(version, proven, free, matrix, connected_components(matrix, directed=False)[1])
 
     def shortest(self, links: _Links) -> _Way | None:
-        """The shortest path from the start to any goal; None if there is none."""
+        """Find the shortest path from the start to any goal; None if there is none."""
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
 
@@ -142,7 +142,7 @@ class _Graph:
 
 @dataclass(frozen=True, eq=False)
 class _Neighbours:
-    """Search for the nearest nodes.
+    """A search structure for nearest nodes.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class _Neighbours:
     count : int
         Number of nodes.
     tree : KDTree
-        Tree over the values of the moving joints; values of joints that turn without limits wrap.
+        Tree over the values of the moving joints; the values of joints that turn without limits are periodic.
     """
 
     space: Space
@@ -159,19 +159,19 @@ class _Neighbours:
 
     @classmethod
     def of(cls, space: Space, nodes: Floats) -> _Neighbours:
-        """Prepare the search among some nodes."""
+        """Prepare the search over the given nodes."""
         from scipy.spatial import KDTree
 
         box = np.where(space.turning, 2 * np.pi, 0.0) if space.turning.any() else None
         return cls(space, len(nodes), KDTree(cls._wrapped(space, nodes), boxsize=box))
 
     def of_all(self, Q: Floats, many: int) -> Ints:
-        """The given number of nodes nearest to each configuration, nearest first, shape (N, many)."""
+        """Find the given number of nodes nearest to each configuration, nearest first, shape (N, many)."""
         values = self._wrapped(self.space, Q)
         return self._nearest(values, many)
 
     def pairs(self, neighbours: int) -> Ints:
-        """Pairs of nodes with one among the nearest of the other, each once and ascending, shape (m, 2)."""
+        """List, in order and once, each pair of nodes in which one is among the other's nearest, shape (m, 2)."""
         each = min(neighbours, self.count - 1)
         if each == 0:
             return np.empty((0, 2), dtype=np.int64)
@@ -198,7 +198,7 @@ class _Neighbours:
 
     @staticmethod
     def _wrapped(space: Space, Q: Floats) -> Floats:
-        """Values of the joints that move, reduced to 0 .. a whole turn for joints that turn without limits."""
+        """Return the values of the moving joints, reduced to one turn for joints that turn without limits."""
         values: Floats = Q[:, space.columns]
         if space.turning.any():
             turned = np.mod(values[:, space.turning], 2 * np.pi)
@@ -208,11 +208,11 @@ class _Neighbours:
 
 @guarded
 class Roadmap:
-    """Configurations, and motions between them that are proven free, for many queries; made by `roadmap`.
+    """A network of configurations and of motions proven free between them, for many queries; made by `roadmap`.
 
     Notes
     -----
-    A roadmap belongs to a checker. After a change of the scene, the next query first proves all motions again in one
+    A roadmap belongs to one checker. After a change of the scene, the next query first proves all motions again in one
     batch, including the motions that were not free before. `len` returns the number of nodes.
 
     Any thread may use a roadmap. An interrupted call leaves it unchanged.
@@ -255,48 +255,48 @@ class Roadmap:
 
     @property
     def checker(self) -> CollisionChecker:
-        """The checker of the roadmap; for another checker, make or load another roadmap."""
+        """The checker to which the roadmap belongs; a different checker needs a roadmap of its own."""
         return self._space.checker
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The joints that move; all others keep their values in `nodes`."""
+        """The joints that move; all remaining joints have the same value in all `nodes`."""
         return tuple(self._space.name(column) for column in self._space.columns)
 
     @property
     def nodes(self) -> Floats:
-        """The configurations, shape (n, dof), read-only: free when the roadmap was made."""
+        """The configurations, shape (n, dof), read-only; all were free when the roadmap was made."""
         return self._nodes
 
     @property
     def edges(self) -> Ints:
-        """The motions that are free in the scene's current state: pairs of indices into `nodes`, shape (m, 2)."""
+        """The motions that are free in the scene's current state, as pairs of indices into `nodes`, shape (m, 2)."""
         return self._edges[self._now().free]
 
     @property
     def components(self) -> Ints:
-        """Number of nodes of each connected component, the largest first; nodes without free motions are omitted."""
+        """Number of nodes in each connected component, largest first; nodes without free motions are not counted."""
         sizes = np.bincount(self._now().labels)
         return np.sort(sizes[sizes > 1])[::-1]
 
     def path(self, start: ArrayLike, goal: ArrayLike, *, simplify: bool = True) -> Floats:
-        """Find a motion free of collisions, proven at every one of its configurations.
+        """Find a path from start to goal that is proven free of collisions everywhere.
 
         Parameters
         ----------
         start : array_like, shape (dof,)
         goal : array_like, shape (dof,) or (goals, dof)
-            One goal or several; with several goals, the path leads to the one nearest along the roadmap. Goals that are
-            outside the limits or collide are ignored, as long as one remains.
+            One goal or several; with several goals, the path leads to the goal that is nearest along the roadmap. Goals
+            that are outside the limits or collide are ignored, as long as one remains.
         simplify : bool
             Shorten the path, as `shorten` does.
 
         Returns
         -------
         ndarray, shape (k, dof)
-            Configurations from `start` to a goal; each joint value changes linearly between two of them. A joint that
-            turns without limits takes the shorter way around between two nodes: it ends at the goal's value or whole
-            turns from it.
+            Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next.
+            A joint that turns without limits takes the shorter way around between nodes, so it ends at the goal's value
+            or whole turns from it.
 
         Raises
         ------
@@ -305,8 +305,8 @@ class Roadmap:
             if no motion between the start or a goal and nearby nodes is free; or if no component of the roadmap
             connects the start to a goal.
         InputError
-            If an argument has the wrong shape or value, or start or goal differs from the nodes in a joint that does
-            not move.
+            If an argument has the wrong shape or value, or if the start or a goal differs from the nodes in a joint
+            that does not move.
         UnknownNameError
             If the scene now names a link that the robot does not have.
 
@@ -341,7 +341,7 @@ class Roadmap:
         Raises
         ------
         InputError
-            If the path is not a path, or its name has another ending.
+            If `path` is not a path, or has any other extension.
         FileError
             If the file cannot be written.
 
@@ -379,15 +379,15 @@ class Roadmap:
         Returns
         -------
         Roadmap
-            The roadmap belongs to this checker. If everything on which a verdict depends is the same as when it was
-            saved (the robot's joints and bodies, the checked pairs, margins, attachments, and the poses of the scene's
-            bodies), then the motions marked as free in the file count as free in the search for a path; otherwise the
-            first query proves all motions again. The path itself is proven in either case.
+            The roadmap, which belongs to this checker. A verdict depends on the robot's joints and bodies, the checked
+            pairs, margins, attachments, and the poses of the scene's bodies. If all this is the same as when the
+            roadmap was saved, the motions marked as free in the file count as free in the search for a path; otherwise
+            the first query proves all motions again. The path itself is proven in either case.
 
         Raises
         ------
         FileError
-            If the file does not exist, is of another kind or damaged, or belongs to a robot with other joints or
+            If the file does not exist, is damaged, is not a roadmap, or belongs to a robot with different joints or
             limits.
         InputError
             If an argument has the wrong type.
@@ -417,7 +417,7 @@ class Roadmap:
     # -- which motions are free -----------------------------------------------------------------
 
     def _now(self) -> _Graph:
-        """The graph for the scene's current state."""
+        """Return the graph for the scene's current state."""
         graph = self._graph
         if graph is not None and graph.version == prepared_of(self.checker).version:
             return graph
@@ -425,7 +425,7 @@ class Roadmap:
 
     @guarded
     def _proven(self) -> _Graph:
-        """All motions proven anew."""
+        """Prove all motions again and return the graph."""
         # Later changes are noticed by the next query.
         judge = Judge.of(self.checker, 0.0)
         sound = self._space.free_among(self._nodes)
@@ -444,7 +444,7 @@ class Roadmap:
     # -- queries --------------------------------------------------------------------------------
 
     def _found(self, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
-        """The judge and the shortest path over free motions, proven as a whole; None if the graph has changed."""
+        """Find the shortest path over free motions and prove it as a whole; None if the graph has changed."""
         known = graph = self._now()
         links = self._links(graph, Judge.of(self.checker, 0.0), q, goals)
         while (way := graph.shortest(links)) is not None:
@@ -466,12 +466,12 @@ class Roadmap:
         )
 
     def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """Free motions to the nearest nodes, as many as are needed to connect the start to a goal.
+        """Find free motions to nearest nodes, as many as are needed to connect the start to a goal.
 
         Raises
         ------
         PlanningError
-            If they do not become connected.
+            If the start cannot be connected to a goal.
         """
         ends = np.concatenate([q[None], goals])
         most = min(len(self), max(self._neighbours, MOST_TRIED // len(ends)))
@@ -489,13 +489,13 @@ class Roadmap:
             tried, last = last, min(2 * last, most)
 
     def _straight(self, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """The free straight motions from the start to goals."""
+        """Find the straight motions from the start to goals that are free."""
         free, lengths = self._judged(judge, np.broadcast_to(q, goals.shape), goals)
         at = np.flatnonzero(free)
         return _Links(at[:0], lengths[:0], at, np.full(len(at), len(self)), lengths[at])
 
     def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints) -> _Links:
-        """The free motions from the start to nodes (row 0) and from nodes to goals (a row for each goal)."""
+        """Find the free motions from the start to nodes (row 0) and from nodes to goals (one row per goal)."""
         from_start, to_goals = near[0], near[1:].ravel()
         numbers, s = np.repeat(np.arange(len(goals)), near.shape[1]), len(from_start)
         a = np.concatenate([np.broadcast_to(q, (s, len(q))), self._nodes[to_goals]])
@@ -504,11 +504,11 @@ class Roadmap:
         return _Links(from_start[here], lengths[:s][here], numbers[there], to_goals[there], lengths[s:][there])
 
     def _judged(self, judge: Judge, a: Floats, b: Floats) -> tuple[Bools, Floats]:
-        """Which motions are free, and how long they are."""
+        """Return which motions are free, and the lengths of all motions."""
         return judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b)
 
     def _without(self, graph: _Graph, links: _Links, way: _Way, unfree: Ints) -> tuple[_Graph, _Links]:
-        """Graph and links for this query without some motions of a path, given by their numbers on it."""
+        """Remove motions of a path, given by their indices along it, from the graph and the links of this query."""
         last = len(way.nodes) - 1
         from_start, to_goal = np.ones(len(links.nodes), dtype=bool), np.ones(len(links.goals), dtype=bool)
         free = graph.free.copy()
@@ -528,7 +528,7 @@ class Roadmap:
         return self._graph_of(graph.version, free, proven=True), left
 
     def _lengths_of(self, a: Floats, b: Floats) -> Floats:
-        """Lengths of motions, over the joints that move."""
+        """Compute lengths of motions over the joints that move."""
         lengths: Floats = np.linalg.norm((self._space.unwound(a, b) - a)[..., self._space.columns], axis=-1)
         return lengths
 
@@ -543,22 +543,22 @@ def roadmap(
     neighbours: int | None = None,
     seed: int = 0,
 ) -> Roadmap:
-    """Make a roadmap of configurations and of motions between neighbours that are proven free, for many queries.
+    """Make a roadmap for many queries: free configurations, and motions proven free between neighbours.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Bodies attached in its scene move along. If bodies come and go, make the roadmap in a scene with few bodies:
-        configurations that collide now are permanently excluded.
+        Bodies attached in its scene move with the robot. If bodies come and go, make the roadmap while the scene has
+        few bodies, since configurations that collide now are permanently excluded.
     samples : int or array_like, shape (n, dof)
-        The number of configurations to draw, uniformly within the limits; or the configurations themselves. The free
-        ones become the nodes.
+        The number of configurations to draw, uniformly within the limits; or the configurations themselves. All free
+        configurations become nodes.
     joints : str or iterable of str, optional
-        A group, or names of joints: these move, and all others are kept. Default: all.
+        A group, or names of joints. These joints move; all remaining joints keep their values. Default: all.
     fixed : array_like, shape (dof,), optional
-        Values that the other joints keep. Default: the values in the first given configuration, or in
-        `Robot.configuration`, which are all 0. A joint that turns without limits is drawn within half a turn of its
-        value here.
+        Values that the remaining joints keep. Default: the values in the first given configuration or, if none is
+        given, in `Robot.configuration`, where all are 0. A joint that turns without limits is drawn within half a turn
+        of its value here.
     neighbours : int, optional
         Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
         and d joints, as in PRM*, so that the paths converge to the shortest ones as the number of samples grows.
@@ -618,7 +618,7 @@ def _samples(
     fixed: ArrayLike | None,
     seed: int,
 ) -> tuple[Space, Floats]:
-    """The space of a roadmap, and configurations in it, drawn or given."""
+    """Return the space of a roadmap, and the configurations drawn in it or given."""
     robot = checker.robot
     count = _count(samples)
     given = np.empty((0, robot.dof)) if count is not None else robot.checked(samples, "samples")
@@ -642,7 +642,7 @@ def _samples(
 
 
 def _count(samples: Any) -> int | None:
-    """How many samples to draw; None if they seem to be given."""
+    """Return how many samples to draw; None if configurations seem to be given instead."""
     try:
         whole = not isinstance(samples, bool) and operator.index(samples) is not None
     except Exception:  # not an integer, or an error from the caller's object
@@ -651,7 +651,7 @@ def _count(samples: Any) -> int | None:
 
 
 def _check_given(space: Space, Q: Floats, name: str) -> None:
-    """Refuse configurations that are outside the limits, or differ in joints that do not move."""
+    """Refuse given configurations that are outside the limits, or differ in joints that do not move."""
     outside = _outside(space, Q)
     if outside.any():
         k = int(outside.argmax())
@@ -667,7 +667,7 @@ def _check_given(space: Space, Q: Floats, name: str) -> None:
 
 
 def _outside(space: Space, Q: Floats) -> Bools:
-    """Which configurations are outside the limits of the joints that move."""
+    """Return which configurations are outside the limits of the joints that move."""
     values = Q[:, space.columns]
     beyond = (values < space.lower) | (values > space.upper)
     found = np.zeros(len(Q), dtype=bool)
@@ -677,7 +677,7 @@ def _outside(space: Space, Q: Floats) -> Bools:
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:
-    """The reason why start and goals are not connected."""
+    """Explain, for a message, why the start and the goals are not connected."""
     total = len(graph.labels)
     for name, found in (("start", links.nodes), ("goal", links.from_nodes)):
         if len(found) == 0:
@@ -702,7 +702,7 @@ def _why(graph: _Graph, links: _Links, tried: int) -> str:
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not match; shapes are known before the numbers are read."""
+    """Refuse arrays whose shapes do not match; this is possible before their numbers are read."""
     nodes, edges, free, settings = (shapes[name] for name in ROADMAPS.arrays)
     if len(nodes) != 2 or 0 in nodes:
         raise InputError(f"nodes: expected shape (n, dof), found {nodes}")
@@ -727,12 +727,12 @@ ROADMAPS = Format(
 
 
 def _checked(told: dict[str, Any], checker: CollisionChecker) -> tuple[Space, str]:
-    """Check the contents of a file; return its space, and the fingerprint.
+    """Check the contents of a file; return its space and its fingerprint.
 
     Raises
     ------
     InputError
-        If it is not a roadmap, or not for this robot.
+        If the file is not a roadmap, or is for a different robot.
     """
     robot, joints = checker.robot, told["joints"].ravel().tolist()
     known = [name for name in joints if name in robot.configuration_names and name in robot.joint_names]

@@ -1,4 +1,4 @@
-"""The space that planners search: moving joints and their limits, with checks of start and goals."""
+"""Define the space that planners search, that is, moving joints and their limits; check starts and goals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The joints that move, and the values of the others.
+    """The joints that move with their ranges, and the values of the joints that do not.
 
     Attributes
     ----------
@@ -37,11 +37,11 @@ class Space:
     columns : ndarray of int64, shape (joints,)
         Columns of the moving joints in configurations.
     still : ndarray, shape (dof,)
-        A configuration whose entries for other joints are kept.
+        A configuration with the values of the joints that do not move.
     lower, upper : ndarray, shape (joints,)
-        Range to search: the limits, or half a turn beyond start and goals.
+        Range to search: the limits, or for joints without limits half a turn beyond start and goals.
     turning : ndarray of bool, shape (joints,)
-        Joints without limits that return to the same place after a whole turn.
+        Whether a joint has no limits and returns to the same place after a whole turn.
     """
 
     checker: CollisionChecker
@@ -53,7 +53,7 @@ class Space:
 
     @classmethod
     def of(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
-        """The space of some joints; for a joint without limits its range extends half a turn beyond start and goals."""
+        """Make the space of the given joints; without limits, a joint's range is half a turn beyond start and goals."""
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper
@@ -68,7 +68,7 @@ class Space:
         return cls(checker, moving, q, lower[moving], upper[moving], turning[moving])
 
     def configurations(self, values: ArrayLike) -> Floats:
-        """Whole configurations, shape (..., dof), from values of the moving joints, shape (..., columns)."""
+        """Make whole configurations, shape (..., dof), from values of the moving joints, shape (..., columns)."""
         values = np.asarray(values)
         Q = np.empty((*values.shape[:-1], len(self.still)))
         Q[:] = self.still
@@ -76,7 +76,7 @@ class Space:
         return Q
 
     def unwound(self, Q0: Floats, Q1: Floats) -> Floats:
-        """Configurations Q1, with unlimited turning joints moved by whole turns as near to Q0 as possible."""
+        """Shift the unlimited turning joints of Q1 by whole turns, as near to Q0 as possible."""
         if not self.turning.any():
             return Q1
         at = self.columns[self.turning]
@@ -85,7 +85,7 @@ class Space:
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
     def checked_goals(self, q: Floats, goals: Floats) -> Floats:
-        """The goals that a quick check does not exclude, after checking the start.
+        """Check the start, and return the goals that a quick check does not exclude.
 
         Limits are checked first: for values in degrees, any other message would be misleading.
 
@@ -94,7 +94,7 @@ class Space:
         PlanningError
             If the start or all goals are outside the limits or collide.
         InputError
-            If a goal moves a joint that is kept.
+            If a goal moves a joint that does not move in this space.
         """
         Q = np.concatenate([q[None], goals])
         within = self._inside(Q)
@@ -117,13 +117,13 @@ class Space:
         raise _no_goal(named + faults[NAMED:])
 
     def _inside(self, Q: Floats) -> Bools:
-        """Which configurations have all joints that move within their limits."""
+        """Return which configurations have all moving joints within their limits."""
         values = Q[:, self.columns]
         inside = (values >= self.lower - ON_LIMIT) & (values <= self.upper + ON_LIMIT)
         return np.asarray(inside.all(axis=1))
 
     def outside(self, q: Floats) -> str:
-        """Which moving joints are outside their limits; "" if none is."""
+        """Describe the moving joints that are outside their limits; "" if there are none."""
         values = q[self.columns]
         outside = np.flatnonzero((values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT))
         if len(outside) == 0:
@@ -136,19 +136,19 @@ class Space:
         return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
 
     def free(self, q: Floats) -> bool:
-        """Whether a configuration is proven free; an unsettled one is not."""
+        """Return whether a configuration is proven free; an unsettled one is not."""
         return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
-        """Which configurations of a batch are proven free; unsettled ones are not."""
+        """Return which configurations of a batch are proven free; an unsettled one is not."""
         return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels take no views
 
     def name(self, column: int) -> str:
-        """Name of a column of configurations."""
+        """Return the name of a column of configurations."""
         return self.checker.robot.configuration_names[column]
 
     def check_still(self, Q: Floats, what: str, kept: str, joints: str) -> None:
-        """Refuse configurations that differ from `still` where nothing moves; the texts are for the message."""
+        """Refuse configurations that differ from `still` in joints that do not move; the strings are for messages."""
         differs = self.still != Q
         differs[:, self.columns] = False
         if differs.any():
@@ -160,7 +160,7 @@ class Space:
             )
 
     def _fault(self, q: Floats) -> str:
-        """The reason why a configuration within the limits that is not free cannot be on a path."""
+        """Explain why a configuration that is within the limits but not free cannot be on a path."""
         contacts, doubt = verdicts.contacts(prepared_of(self.checker), q)
         if doubt:
             return f"one that cannot be proven free: {doubt}"
@@ -179,7 +179,7 @@ class Space:
 
 
 def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
-    """Check a user's start and goals; their shapes are then (dof,) and (goals, dof)."""
+    """Check a user's start and goals; return them with shapes (dof,) and (goals, dof)."""
     robot = checked_checker(checker).robot
     q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
@@ -190,16 +190,16 @@ def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -
 
 
 def checked_checker(checker: Any) -> CollisionChecker:
-    """The checker, if it is one."""
+    """Check that an argument is a collision checker."""
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     return checker
 
 
 def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
-    """Columns without a lower limit, without an upper one, and columns of angles without any limit.
+    """Mark the columns without a lower limit, those without an upper limit, and angles without any limit.
 
-    What some programs write for no limit, 1e16 or the largest number, counts as none.
+    Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
     """
     below, above = robot.lower <= -FARTHEST_LIMIT, robot.upper >= FARTHEST_LIMIT
     tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
@@ -211,12 +211,12 @@ def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
 
 
 def _by_a_hair(excess: float) -> str:
-    """An addition to a message whose numbers may look equal."""
+    """Make an addition for a message in which two numbers may look equal."""
     return f" (by {excess:.1g}: clip or copy it)" if excess < A_HAIR else ""
 
 
 def _no_goal(faults: list[str]) -> PlanningError:
-    """The error if every goal has a fault."""
+    """Make the error for the case that every goal has a fault."""
     if len(faults) == 1:
         return PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
     listed = "; ".join(f"goal[{k}]: {fault}" for k, fault in enumerate(faults[:NAMED]))
@@ -230,7 +230,7 @@ def _refuse_start(fault: str) -> None:
 
 
 def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
-    """Columns of a group, of some joints or of all, in ascending order."""
+    """Return the columns of a group, of the given joints or of all joints, in ascending order."""
     if isinstance(joints, str):
         if joints not in robot.groups and joints not in robot.joint_names:
             raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))

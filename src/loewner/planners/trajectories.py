@@ -1,7 +1,7 @@
-"""Assign times to the configurations of a path, within velocity and acceleration limits and on motions proven free.
+"""Assign times to a path of motions proven free, within velocity and acceleration limits.
 
-A trajectory consists of pieces of constant acceleration: along a motion the robot accelerates, keeps its speed and
-decelerates, and across a corner it follows a parabola. All of this is in closed form, so the limits hold at every time
+A trajectory consists of pieces of constant acceleration. Along a motion the robot accelerates, keeps its speed and
+decelerates; across a corner it follows a parabola. Everything is in closed form, so the limits hold at every instant
 and not only on a grid. docs/design/trajectories.md describes the alternatives that were considered.
 """
 
@@ -74,7 +74,7 @@ WRITTEN = (*ENDINGS, ".yaml")
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Position of a robot at every time; made by `trajectory`, or read by `load`.
+    """The position of a robot as a function of time; made by `trajectory`, or read by `load`.
 
     Accelerations are constant between two consecutive `times`.
 
@@ -87,7 +87,7 @@ class Trajectory:
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
     blended : ndarray of bool, shape (n - 1,)
-        Whether the robot cuts a corner in each interval; in all others it is on the path.
+        Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
 
     Examples
     --------
@@ -116,21 +116,21 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """Seconds from start to end."""
+        """Time from start to end, in seconds."""
         return float(self.times[-1])
 
     @property
     def stops(self) -> Floats:
-        """Times at which the robot rests at a corner, between start and end."""
+        """Times, between start and end, at which the robot rests at a corner."""
         return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1)])
 
     @property
     def blends(self) -> Floats:
-        """First and last times of the blends, shape (blends, 2)."""
+        """Times at which each blend begins and ends, shape (blends, 2)."""
         return np.stack([self.times[:-1][self.blended], self.times[1:][self.blended]], axis=1)
 
     def positions(self, t: ArrayLike) -> Floats:
-        """Configurations at times.
+        """Compute the configurations at given times.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Trajectory:
         return found
 
     def velocities(self, t: ArrayLike) -> Floats:
-        """Velocities at times.
+        """Compute the velocities at given times.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Trajectory:
         return found
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Accelerations at times; at the time of a jump, the value after it.
+        """Compute accelerations at given times; at a jump, the value after the jump.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class Trajectory:
         return found
 
     def sample(self, rate: float) -> tuple[Floats, Floats]:
-        """Sample times at a constant rate, and the positions at these times.
+        """Sample the trajectory at a constant rate: times, and positions at these times.
 
         Parameters
         ----------
@@ -247,21 +247,21 @@ class Trajectory:
         Parameters
         ----------
         path : path
-            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``,
-            which is 1 if the robot cuts a corner until the next row. `load` reads ``.csv`` and ``.json`` files. A
-            ``.yaml`` file contains a ``trajectory_msgs/JointTrajectory`` of ROS, with times rounded to nanoseconds. It
-            has no accelerations, since a controller that interpolates only positions and velocities follows the
-            trajectory.
+            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, and
+            ``blend``, which is 1 if the robot cuts a corner between this row and the next. `load` reads ``.csv`` and
+            ``.json`` files. A ``.yaml`` file contains a ROS ``trajectory_msgs/JointTrajectory`` with times rounded to
+            nanoseconds. It has no accelerations, since a controller follows the trajectory if it interpolates only
+            positions and velocities.
         rate : float, optional
-            Also write rows at this rate [1/s], for programs that join rows by straight lines. Between the rows that are
-            always written, accelerations are constant.
+            Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
+            the knots, between which accelerations are constant.
 
         Raises
         ------
         InputError
-            If the name has another suffix, or the rate is not a number above 0.
+            If the file has any other extension, or the rate is not a number above 0.
         FileError
-            If the file cannot be written; an existing file of that name is then unchanged.
+            If the file cannot be written; an existing file is then left unchanged.
 
         Examples
         --------
@@ -319,14 +319,14 @@ class Trajectory:
         return read._read_only()
 
     def certify(self, checker: CollisionChecker, *, joint_error: ArrayLike = 0.0) -> CertifiedTrajectory:
-        """Prove that the robot is free of collisions at every time; see `CollisionChecker.certify_trajectory`.
+        """Prove that the robot is free of collisions at every instant; see `CollisionChecker.certify_trajectory`.
 
         Parameters
         ----------
         checker : CollisionChecker
-            A checker for a robot with joints of these names.
+            A checker for a robot whose joints have these names.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may deviate at any time.
+            Radians or metres by which each value may deviate from the trajectory at any time.
 
         Returns
         -------
@@ -344,7 +344,7 @@ class Trajectory:
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
-        """Numbers of the pieces, the time passed in them, and their durations, with an axis for joints."""
+        """Find the piece at each time, the time since it began, and its duration, with an axis for joints."""
         at = _validate.finite_array(t, "t", ("...",))
         if at.size and not (at.min() >= 0 and at.max() <= self.duration):
             worst = float(at.min() if at.min() < 0 else at.max())
@@ -356,7 +356,7 @@ class Trajectory:
         return k, x[..., None], T[..., None]
 
     def _ticks(self, rate: float) -> Floats:
-        """Multiples of a period, and the end."""
+        """Return the multiples of a period, and the end."""
         rate = _validate.positive_scalar(rate, "rate")
         count = self.duration * rate
         _validate.fits_memory(int(min(count, 2.0**60)) * 40 * (len(self.names) + 2), f"{count:.3g} samples")
@@ -364,7 +364,7 @@ class Trajectory:
         return np.append(times[times < self.duration], self.duration)
 
     def _with_ticks(self, rate: float) -> Trajectory:
-        """The same trajectory with more knots."""
+        """Return the same trajectory with more knots."""
         ticks = self._ticks(rate)
         after = np.searchsorted(self.times, ticks)  # the last is the end itself
         # Between two rows that are almost at the same time, accelerations would be noise.
@@ -396,13 +396,13 @@ class Trajectory:
         return "\n".join(lines) + "\n"
 
     def _read_only(self) -> Trajectory:
-        """The same trajectory with read-only arrays."""
+        """Return the same trajectory with read-only arrays."""
         for array in (self.times, self.knots, self.rates, self.blended):
             array.setflags(write=False)
         return self
 
     def _fault(self) -> str:
-        """The first requirement of a trajectory that is violated; "" if there is none."""
+        """Describe the first requirement that a trajectory violates; "" if there is none."""
         n, dof = self.times.size, len(self.names)
         shapes = [a.shape for a in (self.times, self.knots, self.rates, self.blended)]
         if n == 0 or dof == 0 or shapes != [(n,), (n, dof), (n, dof), (n - 1,)]:
@@ -429,7 +429,7 @@ class Trajectory:
 
 @form_of.register(Trajectory)
 def _form(given: Trajectory, name: str) -> Curve:
-    """The curve that a robot executes; see `CollisionChecker.certify_trajectory`: parabolas between knots."""
+    """Make the curve that a robot executes, parabolas between knots; see `CollisionChecker.certify_trajectory`."""
     T = np.diff(given.times)[:, None]
     courses = np.stack([given.knots[:-1], given.knots[:-1] + given.rates[:-1] * (T / 2), given.knots[1:]], axis=1)
     return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
@@ -448,27 +448,30 @@ def trajectory(
     """Assign times to a path, as fast as velocity and acceleration limits allow.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
-    parabolas (blends) that are proven free of collisions at every time; where none can be proven, the robot stops.
+    parabolas (blends) that are proven free of collisions at every instant; the robot stops at a corner where no blend
+    can be proven.
 
     Parameters
     ----------
     robot : Robot
     path : array_like, shape (k, dof)
-        Two or more configurations, as from `plan`; each joint value changes linearly between two of them.
+        Two or more configurations, as from `plan`; each joint value changes linearly from one configuration to the
+        next.
     velocity : float or array_like, shape (dof,), optional
-        Limits [rad/s or m/s]. Default: the URDF's, `Robot.velocity`.
+        Velocity limits [rad/s or m/s]. Default: the limits of the URDF, `Robot.velocity`.
     acceleration : float or array_like, shape (dof,), optional
-        Limits [rad/s² or m/s²]. A URDF has none; by default a joint reaches its velocity limit in one second.
+        Acceleration limits [rad/s² or m/s²]. A URDF has none; by default a joint reaches its velocity limit in one
+        second.
     checker : CollisionChecker, optional
         A checker for this robot. The motions of the path must be proven free.
     blend : float
-        Fraction of a motion that the blend at each of its ends may take, from 0 (stop at every corner) to 0.49. Used
-        only with a checker.
+        Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
+        It has an effect only with a checker.
 
     Returns
     -------
     Trajectory
-        It is at rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how it takes the corners.
+        The robot is at rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how it takes the corners.
 
     Raises
     ------
@@ -476,7 +479,8 @@ def trajectory(
         If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the robot has a
         floating or ball joint, whose orientations do not change linearly; or if the checker belongs to another robot.
     PlanningError
-        If there is a checker and a motion of the path is not proven free; the message names it and a pair of bodies.
+        If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
+        bodies.
 
     See Also
     --------
@@ -484,8 +488,9 @@ def trajectory(
 
     Notes
     -----
-    If it stops at corners, the trajectory is the fastest along the path. A blend has constant acceleration, and is as
-    fast as limits and neighbouring motions allow. Each joint keeps its limits at every time, up to rounding.
+    If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, and
+    is as fast as the limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to
+    rounding.
 
     Examples
     --------
@@ -523,11 +528,11 @@ class Straights(NamedTuple):
     rows : ndarray, shape (k + 1, dof)
         The ends of the motions.
     lengths : ndarray, shape (k,)
-        Their durations at full speed, in seconds.
+        Durations of the motions at full speed, in seconds.
     full : ndarray, shape (k, dof)
-        Velocities at full speed, at which one joint is at its limit.
+        Velocities at full speed, that is, with one joint at its limit.
     gains : ndarray, shape (k,)
-        Fractions of full speed that can be added per second.
+        Fractions of full speed by which the speed can change per second.
     strongest : ndarray, shape (dof,)
         Limits of acceleration.
     """
@@ -540,7 +545,7 @@ class Straights(NamedTuple):
 
     @classmethod
     def of(cls, rows: Floats, fastest: Floats, strongest: Floats) -> Straights:
-        """Motions between rows, within limits."""
+        """Make the motions between rows, within limits."""
         with np.errstate(all="ignore"):
             ways = np.diff(rows, axis=0)
             lengths = np.abs(ways / fastest).max(axis=1, initial=0.0)
@@ -556,19 +561,19 @@ class Straights(NamedTuple):
         return cls(rows, lengths, full, gains, strongest)
 
     def part(self, first: int, last: int) -> Straights:
-        """The motions at the corners first .. last, `last` excluded."""
+        """Select the motions at the corners from `first` up to, but without, `last`."""
         motions = slice(first, last + 1)
         return Straights(
             self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
         )
 
     def at(self, k: Any, share: Floats) -> Floats:
-        """Configurations at fractions of motions."""
+        """Return the configurations at fractions of motions."""
         a, b = self.rows[k], self.rows[k + 1]
         return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
 
     def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points where blends begin, the corners, and points where blends end; `halves` as for `_passed`."""
+        """Return the points where blends begin, the corners, and the points where blends end; see `_passed`."""
         k = np.arange(len(halves))
         return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
 
@@ -591,7 +596,7 @@ def _checked(robot: Robot, path: ArrayLike) -> Floats:
 def _limits(
     robot: Robot, rows: Floats, velocity: ArrayLike | None, acceleration: ArrayLike | None
 ) -> tuple[Floats, Floats]:
-    """Limits of velocity and of acceleration, shape (dof,) each; infinite for joints that do not move."""
+    """Return velocity and acceleration limits, shape (dof,) each; infinite for joints that do not move."""
     moves = (rows != rows[0]).any(axis=0)
     fastest = robot.velocity if velocity is None else _per_joint(robot, velocity, "velocity")
     unknown = moves & ~np.isfinite(fastest)
@@ -606,7 +611,7 @@ def _limits(
 
 
 def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
-    """Positive numbers, one for each joint, from such numbers or a single one."""
+    """Check positive numbers, one or one per joint, and return one per joint."""
     array = _validate.positive_array(limit, name, ("...",))
     if array.shape not in ((), (robot.dof,)):
         raise InputError(
@@ -616,7 +621,7 @@ def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
 
 
 def _corners(rows: Floats) -> Floats:
-    """The ends of the path and the rows at which it turns, without repeats and rows on a straight line."""
+    """Keep the ends of the path and its corners; drop repeated rows and rows on a straight line."""
     moved = np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))
     rows = rows[moved]
     kept = [0]
@@ -628,7 +633,7 @@ def _corners(rows: Floats) -> Floats:
 
 
 def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
-    """Whether rows lie on the straight line from a to b, in order, up to rounding."""
+    """Return whether rows lie on the straight line from a to b, in order, up to rounding."""
     way = b - a
     j = np.abs(way).argmax()
     if way[j] == 0:
@@ -640,7 +645,7 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 
 
 def _least(ratios: Floats) -> Floats:
-    """The smallest ratio of each row, ignoring 0 / 0."""
+    """Return the smallest ratio in each row, ignoring 0 / 0."""
     return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
 
 
@@ -648,7 +653,7 @@ def _least(ratios: Floats) -> Floats:
 
 
 def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Floats]:
-    """Sizes of blends that are proven free, for each corner, the largest first; the last is 0, a stop."""
+    """Find for each corner the blend sizes that are proven free, largest first; the last is 0, a stop."""
     lengths = straights.lengths
     turns = np.abs(np.diff(straights.full, axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -668,7 +673,7 @@ def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Flo
 
 
 def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Floats) -> Bools:
-    """Which parabolas from `first` to `last`, whose tangents there meet in `corner`, are proven free.
+    """Return which parabolas from `first` to `last`, with end tangents that meet in `corner`, are proven free.
 
     Computed positions may be off by `astray` and by rounding: docs/certified.md, "Blends".
     """
@@ -677,7 +682,7 @@ def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Flo
 
 
 def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
-    """Sizes of blends, one of the proven sizes for each corner, chosen for `CHOSEN_AT_A_TIME` corners at a time."""
+    """Choose one of the proven blend sizes for each corner, `CHOSEN_AT_A_TIME` corners at a time."""
     parts = [
         _shortest_part(straights.part(first, first + len(sizes)), sizes)
         for first, sizes in ((k, proven[k : k + CHOSEN_AT_A_TIME]) for k in range(0, len(proven), CHOSEN_AT_A_TIME))
@@ -687,7 +692,7 @@ def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
 
 
 def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
-    """Sizes of blends for a path with few corners, such that no change of a single one shortens the duration."""
+    """Choose blend sizes for a path with few corners, such that no change of a single size shortens the duration."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = _duration(straights, halves)
     improved = True
@@ -707,13 +712,13 @@ def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
 
 
 def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[float]]:
-    """Speeds at the rows, as shares of full speed, and the motions' lengths between blends, in seconds at full speed.
+    """Compute speeds at the rows, as shares of full speed, and lengths between blends, in seconds at full speed.
 
     Parameters
     ----------
     halves : ndarray, shape (corners,)
-        Seconds at full speed from the beginning of a blend to the corner, and equally from there to its end; 0 for a
-        stop.
+        Seconds at full speed from the beginning of a blend to its corner, which equals the time from the corner to the
+        blend's end; 0 for a stop.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         room = _least(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
@@ -730,7 +735,7 @@ def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[flo
 
 
 def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[float, float]]:
-    """The phases between two speeds on a straight line: for each the distance, and the speed at its end."""
+    """Return the phases between two speeds on a straight line, each as its distance and the speed at its end."""
     peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
     top = max(low, high)
     if peak - top <= SHORTEST * peak:
@@ -745,7 +750,7 @@ def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[f
 
 
 def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
-    """Durations of phases, from a starting speed on."""
+    """Compute the durations of successive phases, given the speed at the start."""
     found = []
     for way, end in phases:
         found.append(2 * way / (speed + end))
@@ -754,7 +759,7 @@ def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
 
 
 def _duration(straights: Straights, halves: Floats) -> float:
-    """Total duration in seconds."""
+    """Compute the total duration in seconds."""
     speeds, left = _passed(straights, halves)
     total = sum(2 * half / speed if half else 0.0 for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True))
     for k, (length, gain) in enumerate(zip(left, straights.gains.tolist(), strict=True)):
@@ -763,7 +768,7 @@ def _duration(straights: Straights, halves: Floats) -> float:
 
 
 def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
-    """The trajectory of all phases in sequence."""
+    """Make the trajectory of all phases in sequence."""
     speeds, left = _passed(straights, halves)
     first, _, last = straights.corners(halves)
     ends, taken = [*first, straights.rows[-1]], [0.0, *halves.tolist(), 0.0]
@@ -792,7 +797,7 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
 
 
 def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> Path:
-    """Check that a path has one of these endings."""
+    """Check that a path has one of these extensions."""
     checked = _validate.path(path, "path")
     if checked.suffix.lower() not in endings:
         raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}")
@@ -800,7 +805,7 @@ def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> Path
 
 
 def _listed(numbers: list[float]) -> str:
-    """A list in YAML, in which a number with an exponent needs a decimal point."""
+    """Format a list in YAML, where a number with an exponent needs a decimal point."""
     texts = (repr(number) for number in numbers)
     return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"
 
@@ -810,7 +815,7 @@ def _header(names: tuple[str, ...]) -> list[str]:
 
 
 def _read_csv(text: str) -> Trajectory:
-    """Read a text written by `_csv`."""
+    """Read a string written by `_csv`."""
     header, *rows = csv.reader(io.StringIO(text), strict=True)
     names = tuple(header[1 : len(header) // 2])
     if header != _header(names):
@@ -821,7 +826,7 @@ def _read_csv(text: str) -> Trajectory:
 
 
 def _read_json(text: str) -> Trajectory:
-    """Read a text written by `_json`."""
+    """Read a string written by `_json`."""
     held = json.loads(text)
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
@@ -831,5 +836,5 @@ def _read_json(text: str) -> Trajectory:
 
 
 def _why(error: Exception) -> str:
-    """The decoder's message."""
+    """Return the decoder's message."""
     return f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))

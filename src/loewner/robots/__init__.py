@@ -1,7 +1,8 @@
-"""Robots: reading descriptions into links with bodies, placing the links, and checking them for collisions.
+"""Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
-`robot` holds links on joints (read by `urdf`, `srdf` and `link_bodies`). `checker` is what users call; `checked_pairs`
-and `problem` prepare, and `verdicts`, `proofs` and `distances` answer. `sampling` finds pairs that need no check.
+`robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read. Users call `checker`;
+`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `sampling`
+finds pairs that need no check.
 """
 
 from loewner.robots.checker import CollisionChecker

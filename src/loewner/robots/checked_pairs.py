@@ -1,4 +1,4 @@
-"""The pairs of a robot and a scene that can meet at all and may not touch, by the rules of both."""
+"""Find the pairs of bodies that can meet but, by the rules of the robot and the scene, may not touch."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ MOST_PAIRS = 2**24
 
 
 def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) -> Problem:
-    """Prepare all pairs that can meet and may not touch.
+    """Prepare all pairs that can meet but may not touch.
 
     Parameters
     ----------
     robot : Robot
     scene : Scene
     skipped : iterable of pairs of str
-        Links that may touch, in addition to the pairs that the scene allows.
+        Pairs of links that may touch, in addition to the pairs that the scene allows.
     version : int
-        The scene's version, read before anything else of it.
+        The scene's version, read before any of its other contents.
 
     Raises
     ------
     UnknownNameError
-        If the scene names a link that the robot does not have, or a body as one of its links.
+        If the scene names a link that the robot does not have, or has a body with the name of a link.
     InputError
         If there are more than `MOST_PAIRS` pairs.
     """
@@ -76,7 +76,7 @@ def _check_names(robot: Robot, scene: Scene) -> None:
 
 
 def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], Bodies, Ints]:
-    """Names and bodies, those that move first; and the link that each of these moves with."""
+    """List names and bodies, the moving ones first, and the link with which each moving body moves."""
     links = {name: k for k, name in enumerate(robot.link_names)}
     moving = [(name, links[name], body) for name, body in robot.bodies.items()]
     moving += [
@@ -96,7 +96,7 @@ def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]
 
 
 def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[frozenset[str]]) -> Ints:
-    """Pairs of bodies, as places in `names`, the first of which moves."""
+    """Pair bodies, as indices into `names`; the first body of each pair moves."""
     thing = rigid_with(robot)[link]
     moving, total = len(link), len(names)
     others = total - 1 - np.arange(moving)  # each with all that come after it
@@ -121,7 +121,7 @@ def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[froz
 
 
 def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
-    """What each pair keeps, metres, as `Scene.margin_of`."""
+    """Compute the margin of each pair, in metres, as `Scene.margin_of` does."""
     a, b = pairs.T
     is_link = np.array([name not in scene for name in names], dtype=bool)
     rules, lowered = scene.margins, scene.lowered
@@ -143,7 +143,7 @@ def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
 
 
 def _numbers(named: Iterable[tuple[str | None, ...]], names: tuple[str, ...], pairs: Ints) -> list[int]:
-    """Numbers of the checked pairs of two names each; -1 for those that are not checked."""
+    """Look up the indices of named pairs among the checked pairs; -1 for a pair that is not checked."""
     place = {name: k for k, name in enumerate(names)}
     number = pairs[:, 0] * len(names) + pairs[:, 1]  # ascending, as the pairs are
     numbers = []
@@ -155,14 +155,14 @@ def _numbers(named: Iterable[tuple[str | None, ...]], names: tuple[str, ...], pa
 
 
 def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Bools:
-    """Which of the pairs a rule names."""
+    """Mark the pairs that a rule names."""
     ruled = np.zeros(len(pairs) + 1, dtype=bool)
     ruled[_numbers(rules, names, pairs)] = True  # -1 is behind the last
     return ruled[:-1]
 
 
 def _check_convex(names: tuple[str, ...], bodies: Bodies, pairs: Ints) -> None:
-    """Refuse rules about the contact of surfaces: their depth is not that of convex pieces."""
+    """Refuse rules about the contact of surfaces, whose depth is not defined as for convex pieces."""
     packed = packed_of(bodies)
     for pair in pairs:
         for k in pair:

@@ -1,4 +1,4 @@
-"""Check a robot in a scene, at one configuration, at a million, or along motions.
+"""Check a robot in a scene, at one configuration, at millions of them, or along motions.
 
 A `CollisionChecker` checks arguments, keeps the prepared pairs (`problem`) while the scene does not change, and
 wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
@@ -38,23 +38,24 @@ UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
 
 @guarded
 class CollisionChecker:
-    """Checks configurations of a robot for collisions with itself and with a scene.
+    """Check configurations of a robot for collisions with itself and with a scene.
 
     Parameters
     ----------
     robot : Robot
     scene : Scene, optional
-        It may be changed afterwards; the next query uses the changed scene. None: the robot alone.
+        The scene may be changed afterwards; the next query uses its new state. Default: no scene, only the robot.
     allowed : iterable of pairs of str, optional
-        Links that may touch, in addition to the robot's `disabled_pairs`; for instance the keys of `pairs_by_sampling`.
+        Pairs of links that may touch, in addition to the robot's `disabled_pairs`; for instance the keys of the dict
+        that `pairs_by_sampling` returns.
     skip_adjacent : bool, optional
-        Skip pairs of links that a joint connects, which mostly overlap by design. Default: only if the robot was read
-        without an SRDF, which usually disables such pairs.
+        Skip pairs of links that a joint connects, since most of these overlap by design. By default they are skipped
+        only if the robot was read without an SRDF; an SRDF usually disables such pairs.
 
     Raises
     ------
     InputError
-        If the robot has no collision geometry, since it would always be free.
+        If the robot has no collision geometry, since every configuration would be free.
     UnknownNameError
         If a link in `allowed` does not belong to the robot.
 
@@ -62,10 +63,10 @@ class CollisionChecker:
     -----
     The checker tests all pairs of links that can move against each other, and all pairs of a link (or a body attached
     to it) and a body of the scene, except for allowed pairs. Rigidly joined bodies are never checked against each
-    other. Bodies of the scene are not checked against each other either: see `Scene.pairs`.
+    other. Bodies of the scene are not checked against each other either; `Scene.pairs` does that.
 
-    The scene's margin applies to pairs with a body of the scene; pairs of links keep a margin only if
-    `Scene.set_margin` sets one for all links, for one of the two, or for the pair (`Scene.margin_of`).
+    The scene's margin applies to pairs with a body of the scene; a pair of links has a margin only if
+    `Scene.set_margin` sets one for all links, for one of the two, or for the pair (see `Scene.margin_of`).
 
     If no pair is checked (a robot with only one link; all pairs allowed), every configuration is free: see
     `checked_pairs`.
@@ -116,7 +117,7 @@ class CollisionChecker:
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles prepare anew: a handle is an address, and means nothing anywhere else."""
+        """Leave the prepared pairs out of copies and pickles: a handle is an address, valid only in this object."""
         return {**self.__dict__, "_prepared": UNPREPARED}
 
     def __repr__(self) -> str:
@@ -127,12 +128,12 @@ class CollisionChecker:
     # Read-only: the prepared arrays belong to this robot and scene; another one would silently get their answers.
     @property
     def robot(self) -> Robot:
-        """The checked robot; for another robot, or another base, make another checker."""
+        """The robot that is checked. A different robot, or a different pose of its base, needs a new checker."""
         return self._robot
 
     @property
     def scene(self) -> Scene:
-        """The scene in which the robot is checked. Its contents may change; for another scene make another checker."""
+        """The scene in which the robot is checked. Its contents may change; a different scene needs a new checker."""
         return self._scene
 
     @property
@@ -208,7 +209,7 @@ class CollisionChecker:
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
-        """Count the tests that settled the configurations exactly.
+        """Decide exactly, and count the configurations that each kind of test settled.
 
         Parameters
         ----------
@@ -221,7 +222,7 @@ class CollisionChecker:
         return self.settle(Q)[1]
 
     def settle(self, Q: ArrayLike) -> tuple[OneOrMany, Settled]:
-        """Decide as `collide` does, and count as `tiers` does, in one call.
+        """Return the results of `collide` and of `tiers` from one computation.
 
         Parameters
         ----------
@@ -242,20 +243,20 @@ class CollisionChecker:
         return verdicts.collisions(found.verdicts, checked), found.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
-        """Decide which straight motions are free of collisions, at steps no longer than `resolution`.
+        """Decide which straight motions are free of collisions, from samples in steps no longer than `resolution`.
 
         Parameters
         ----------
         Q0, Q1 : array_like, shape (..., dof)
             Ends, broadcast together.
         resolution : float
-            Largest Euclidean distance between two checked configurations, in the units of the joints.
+            Largest Euclidean distance between two successive checked configurations, in the units of the joints.
 
         Returns
         -------
         bool, or ndarray of bool, shape (...)
-            True if both ends and all configurations between them are free. Collisions between two of these
-            configurations are not detected.
+            True if both ends and all sampled configurations between them are free. Collisions between two samples are
+            not detected.
 
         Notes
         -----
@@ -291,7 +292,7 @@ class CollisionChecker:
     def certify_edges(
         self, Q0: ArrayLike, Q1: ArrayLike, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
     ) -> CertifiedMotions:
-        """Prove which straight motions are free of collisions at every one of their configurations.
+        """Prove which straight motions are free of collisions everywhere along the motion.
 
         Parameters
         ----------
@@ -301,8 +302,9 @@ class CollisionChecker:
             In metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other motion is
             FREE or COLLIDING.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may deviate from the motion: FREE holds for all deviating values. A
-            motion that collides only for such values is AMBIGUOUS, and contact at its ends is not allowed.
+            Radians or metres by which each value may deviate from the motion; FREE covers all such deviations. A motion
+            that collides only for deviating values is AMBIGUOUS. With a joint error, contact at the ends is not
+            allowed.
 
         Returns
         -------
@@ -319,19 +321,19 @@ class CollisionChecker:
 
         See Also
         --------
-        valid_edges : Checks samples, without a claim about the motion between them.
+        valid_edges : Checks samples of the motion and claims nothing about the configurations between them.
 
         Notes
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
-        `Robot.between`. The proof does not sample: a plane between two bodies proves a whole interval of the motion,
-        and an interval without such a plane is halved. docs/certified.md derives it. Static surfaces and clouds are
-        replaced by boxes around up to 128 parts of them: a motion that comes nearer than these boxes allow is
+        `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
+        motion, and an interval without such a plane is halved. docs/certified.md derives it. Each static surface or
+        cloud is replaced by boxes around up to 128 of its parts; a motion that comes nearer than these boxes allow is
         AMBIGUOUS. The first call with a new surface takes longer, since it makes the parts.
 
-        Pairs named by `Scene.leave` may be in contact at the start of a motion, pairs named by `Scene.reach` at its
-        end. Along such a motion the contact gets deeper by no more than the tolerance, and at such an end it is no
-        deeper than the tolerance.
+        Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
+        end. A contact at the start gets deeper along the motion by no more than the tolerance; a contact at the end is
+        no deeper than the tolerance.
 
         Examples
         --------
@@ -363,19 +365,19 @@ class CollisionChecker:
     def certify_trajectory(
         self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
-        """Prove that a curve executed by a robot is free of collisions at every real time.
+        """Prove that a curve executed by a robot is free of collisions at every instant.
 
         Parameters
         ----------
         curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-            A continuous function of time with values of shape (dof,), in pieces of at most degree 7. Subclasses of
-            SciPy's types are accepted, such as ``CubicSpline(times, path)``. Columns are in the order of
-            `Robot.configuration_names`, unless the curve names them. Quaternions are scaled to norm 1.
+            A continuous piecewise polynomial of time, of degree at most 7, with values of shape (dof,). Subclasses of
+            SciPy's types are accepted, such as ``CubicSpline(times, path)``. The columns are in the order of
+            `Robot.configuration_names`, unless the curve itself names its columns. Quaternions are scaled to norm 1.
         tolerance : float
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may deviate from the curve at any time: FREE holds for all deviating
-            values.
+            Radians or metres by which each value may deviate from the curve at any time; FREE covers all such
+            deviations.
 
         Returns
         -------
@@ -385,14 +387,14 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the curve has another type, other joints, jumps, too high a degree, numbers that are not finite, or times
-            that do not increase.
+            If the curve is of the wrong type, is for different joints, jumps, has a degree above 7, numbers that are
+            not finite, or times that do not increase.
 
         Notes
         -----
-        Each piece is proven as a polynomial: a plane separates two bodies over an interval of it, by bounds on the
-        first and second derivatives that docs/certified.md derives. Pairs named by `Scene.leave` and `Scene.reach` are
-        no exception here: a curve that begins in contact is not FREE.
+        Each polynomial piece is proven over intervals, on each of which a plane separates two bodies. The proof uses
+        bounds on the first and second derivatives, which docs/certified.md derives. `Scene.leave` and `Scene.reach`
+        have no effect here: a curve that begins in contact is not FREE.
 
         Examples
         --------
@@ -421,7 +423,7 @@ class CollisionChecker:
         Returns
         -------
         tuple of Contact
-            With exact distance or depth, witness points and normal.
+            Each with the exact distance or depth, witness points and normal.
         """
         checked = self.robot.checked_one(q)
         found, doubt = verdicts.contacts(self._ready(), checked)
@@ -430,7 +432,7 @@ class CollisionChecker:
         return found
 
     def collide_by_pair(self, Q: ArrayLike) -> Bools:
-        """Decide exactly which pairs collide at which configurations; if only the configurations matter, use `collide`.
+        """Decide exactly which pairs collide at each configuration; `collide` is faster if the pairs do not matter.
 
         Parameters
         ----------
@@ -460,13 +462,13 @@ class CollisionChecker:
     @overload
     def distance(self, Q: ArrayLike, *, exact: bool, gradient: bool = ...) -> StateDistance: ...
     def distance(self, Q: ArrayLike, *, exact: bool = False, gradient: bool = False) -> StateDistance:
-        """Compute bounds on the distance of the nearest pair, and on request its exact distance; margins are ignored.
+        """Bound the distance of the nearest pair and, on request, compute it exactly; margins are ignored.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
         exact : bool
-            Also compute the distance or depth, the pair, witnesses and normal.
+            Also compute the exact distance or depth, with its pair, witnesses and normal.
         gradient : bool
             Also compute the derivative of the exact distance with respect to the configuration, in metres per radian or
             metre.
@@ -474,7 +476,7 @@ class CollisionChecker:
         Returns
         -------
         StateDistance
-            In metres; floats and names for one configuration, arrays for a batch.
+            Distances in metres, and names: single values for one configuration, arrays for a batch.
 
         Raises
         ------
@@ -485,10 +487,11 @@ class CollisionChecker:
 
         Notes
         -----
-        The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians of the witnesses as
-        points of their links. Where the nearest pair or its witnesses are not unique (two pairs tie, or faces or edges
-        are parallel), the distance has a kink, and the derivative for one choice is returned. The derivative with
-        respect to a quaternion is taken through its rotation, so its component along the quaternion is 0.
+        The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians J of the witnesses,
+        regarded as points fixed to their links. Where the nearest pair or its witnesses are not unique (two pairs tie,
+        or faces or edges are parallel), the distance has a kink; the derivative for one of the choices is then
+        returned. The derivative with respect to a quaternion is taken through its rotation, so its component along the
+        quaternion is 0.
 
         Examples
         --------
@@ -520,15 +523,15 @@ class CollisionChecker:
         ----------
         Q : array_like, shape (..., dof)
         softness : float
-            In metres. The bound is below the least gap by at most this value times the logarithm of the number of pairs
-            of pieces; a smaller value gives a tighter bound with sharper bends.
+            In metres. The bound lies below the least gap by at most the softness times the logarithm of the number of
+            pairs of pieces; a smaller softness gives a tighter bound with sharper bends.
         gradient : bool
-            Also compute the derivative with respect to the configuration.
+            Also compute the derivative of the bound with respect to the configuration.
 
         Returns
         -------
         clearance : float or ndarray, shape (...)
-            In metres; negative where outer ellipsoids overlap. Margins are ignored.
+            In metres; negative if outer ellipsoids overlap. Margins are ignored.
         gradient : ndarray, shape (..., dof)
             In metres per radian or metre; only if requested.
 
@@ -541,15 +544,15 @@ class CollisionChecker:
 
         See Also
         --------
-        distance : The exact distance, which has kinks.
+        distance : The exact distance, a function with kinks.
 
         Notes
         -----
         The gap of two ellipsoids is the distance between their supporting planes perpendicular to their contact normal,
         n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed distance,
         and analytic except where centers coincide. The result is -softness log Σ exp(-g / softness) over the gaps g
-        between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Static surfaces and clouds
-        contribute up to 128 ellipsoids each, around parts of them, unless one of them is a solid. Where the centers of
+        between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each static surface or cloud
+        contributes up to 128 ellipsoids around its parts, unless one of the surfaces is a solid. Where the centers of
         two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient
         is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
 
@@ -571,20 +574,20 @@ class CollisionChecker:
         return (values, slopes.reshape(checked.shape)) if gradient else values
 
     def distance_by_pair(self, Q: ArrayLike, *, within: float, gradient: bool = False) -> PairDistances:
-        """Compute exact distances of all pairs that come within a distance of each other.
+        """Compute the exact distance of every pair whose bodies are within a given distance of each other.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
         within : float
-            In metres, >= 0; pairs in contact are always listed. Margins are ignored.
+            The given distance, in metres, >= 0; pairs in contact are always listed. Margins are ignored.
         gradient : bool
             Also compute the derivatives of the distances with respect to the configuration.
 
         Returns
         -------
         PairDistances
-            One entry for each pair and each configuration at which it is within this distance, in the order of the
+            One entry for each configuration and each pair within this distance there, in the order of the
             configurations.
 
         Raises
@@ -614,7 +617,7 @@ class CollisionChecker:
     # -- inside -------------------------------------------------------------------------------
 
     def _exact(self, Q: Floats) -> Verdicts:
-        """Verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
+        """Decide verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
         ready, flat = self._ready(), edges.flat(Q)
         found = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))
@@ -622,7 +625,7 @@ class CollisionChecker:
         return found
 
     def _learn(self, ready: Problem, count: int) -> None:
-        """Put the pairs that hit most often first, now and then."""
+        """Reorder the pairs from time to time, so that pairs that collided most often come first."""
         self._seen += count
         if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen
@@ -630,7 +633,7 @@ class CollisionChecker:
             self._prepared = ordered.version, ordered.single, ordered
 
     def _ready(self) -> Problem:
-        """What the kernel takes, made anew if the scene has changed."""
+        """Return the prepared pairs, prepared again if the scene has changed."""
         ready: Problem | None = self._prepared[2]
         if ready is not None and ready.version == self._scene.version:
             return ready
@@ -646,5 +649,5 @@ class CollisionChecker:
 
 
 def prepared_of(checker: CollisionChecker) -> Problem:
-    """Return the pairs of a checker in its scene's current state, for several queries of the same state."""
+    """Return a checker's pairs, prepared for the current state of its scene, for several queries of that state."""
     return checker._ready()

@@ -1,9 +1,9 @@
-"""Motions that begin or end in contact, by the rules of `Scene.leave` and `Scene.reach`.
+"""Prove motions that begin or end in contact, as the rules of `Scene.leave` and `Scene.reach` allow.
 
 Two convex pieces that touch are separated, or nearly separated, by the plane perpendicular to their contact normal. If
-this plane is moved back by their depth and by the tolerance, one piece is in front of it, and while it stays in front
-the two are no deeper in each other than at the start. The space behind the plane is treated as a body, so the proof of
-motions also settles whether the piece stays in front: docs/certified.md, "Contact that has to end".
+this plane is moved back by their depth and by the tolerance, one piece lies in front of it. As long as that piece stays
+in front, the two do not penetrate each other deeper than at the start. The space behind the plane is treated as a body,
+so the proof of motions also settles whether the piece stays in front; see docs/certified.md, "Contact that has to end".
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ TOUCHING = 1e-9
 
 
 def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[int, float]:
-    """Settle a motion for one pair that may be in contact at its start, or at its end.
+    """Settle a motion for one pair that may be in contact at the motion's start or end.
 
     Parameters
     ----------
     ready : Problem
     pair : int
-        Index of the pair, which is in `ready.leaving` or `ready.reaching`.
+        Index of the pair, for which `ready.leaving` or `ready.reaching` is true.
     a, b : ndarray, shape (dof,)
-        The motion, as `motions.settle` takes it.
+        The start and the end of the straight motion.
     tolerance : float
         Distance in metres by which the contact may get deeper.
 
     Returns
     -------
     verdict : int
-        FREE, COLLIDING where the two are deeper in each other than at the start, else AMBIGUOUS.
+        FREE; COLLIDING if the two get deeper into each other than allowed; else AMBIGUOUS.
     fraction : float
-        Fraction of the motion; NaN where FREE.
+        Fraction of the motion; NaN if FREE.
     """
     middle = ready.robot.between(a, b, 0.5)
     # Stretches from the end where contact is allowed, with the fractions of the motion at which they begin and end. The
@@ -81,9 +81,9 @@ def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) ->
 
 
 def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
-    """First row of a path where a pair is in deeper contact than a rule allows at the ends of the path, and the pair.
+    """Find the first row of a path at which a pair is in deeper contact than its rules allow, and the pair.
 
-    Each motion of a path may get deeper by the tolerance; all of them together may not.
+    On each motion of a path a contact may get deeper by the tolerance, but not by more along the whole path.
     """
     for pair in ready.ruled.tolist():
         allowed = float(ready.margins[pair])
@@ -100,9 +100,10 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
 def _leaves(
     ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
 ) -> tuple[list[float], float]:
-    """Fraction at which a motion may not be free for a pair that may start in contact, and a critical distance.
+    """Find fractions at which a motion may not be free for a pair that may start in contact, and a critical distance.
 
-    At a smaller signed distance the two collide there: it is their margin, or their distance at the start.
+    The critical distance is the pair's margin or its distance at the start. If the signed distance at a fraction is no
+    larger, the pair collides there.
     """
     off = OFF * np.maximum(np.maximum(np.abs(a), np.abs(b)), 1.0)[None]
     alone = ready.only(np.array([pair]))
@@ -132,22 +133,22 @@ def _leaves(
 
 
 def _distance(ready: Problem, pair: int, q: Floats) -> float:
-    """Signed distance of the two bodies at a configuration."""
+    """Compute the signed distance of a pair of bodies at a configuration."""
     i, j = (int(k) for k in ready.pairs[pair])
     T = ready.poses(q[None])[0]
     return float(queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance)
 
 
 def _reach(ready: Problem, pair: int, a: Floats, b: Floats) -> float:
-    """How far points of the robot get from the second body of a pair on a motion, at most."""
+    """Bound how far points of the robot get from the second body of a pair during a motion."""
     T = ready.poses(a[None])[0, ready.pairs[pair, 1]]
     return float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[:3, 3]).sum())
 
 
 def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[Problem, float]:
-    """The pieces of the first body against planes in front of which they begin, instead of pieces that they touch.
+    """Pair the pieces of the first body with planes in front of which they begin, in place of the touched pieces.
 
-    Also returns the tolerance of the proof that they stay in front. The plane of touching pieces leaves most of the
+    Also return the tolerance for the proof that they stay in front. The plane of touching pieces leaves most of the
     tolerance; the plane of separate pieces leaves only their margin.
     """
     i, j = (int(k) for k in ready.pairs[pair])
@@ -196,7 +197,7 @@ def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: f
 
 
 def _pieces(ready: Problem, body: int) -> Bodies:
-    """The pieces of a body as bodies of one piece each."""
+    """Make a body of each piece of a body."""
     packed = ready.packed
     at: Ints = np.arange(packed.piece_start[body], packed.piece_start[body + 1])
     return bodies_of(some(packed, at, starts(np.ones(len(at), dtype=np.int64))).packed())

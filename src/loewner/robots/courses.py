@@ -1,4 +1,4 @@
-"""Courses: motions as arrays of control points, shape (N, degree + 1, dof); see `motion_path`."""
+"""Courses, that is, motions as arrays of control points, shape (N, degree + 1, dof); see `motion_path`."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from loewner.robots.robot import Robot, interpolated, on_the_way
 
 
 def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
-    """The straight motions between configurations a and b, shape (N, dof) each, as `Robot.between` takes them."""
+    """Make courses of the straight motions between configurations a and b, shape (N, dof); see `Robot.between`."""
     courses = np.empty((len(a), 2, robot.dof))  # for one motion, `np.stack` takes four times as long
     courses[:, 0], courses[:, 1] = a, on_the_way(robot, a, b)
     return courses
 
 
 def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
-    """One configuration on each course, shape (N, dof), at fractions of shape (N,)."""
+    """Evaluate each course at a fraction of its own, shape (N,): configurations of shape (N, dof)."""
     degree = courses.shape[1] - 1
     if degree == 1:
         return interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])

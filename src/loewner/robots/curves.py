@@ -1,4 +1,4 @@
-"""Curves in time as courses, one for each segment: SciPy's piecewise polynomials, and what registers with `form_of`."""
+"""Convert curves in time to courses, one per segment: SciPy's piecewise polynomials, and types added to `form_of`."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Curve(NamedTuple):
     Attributes
     ----------
     names : tuple of str or None
-        The columns, if they are named.
+        Names of the columns; None if the curve does not name them.
     times : ndarray, shape (n + 1,)
-        Times at which segments begin and end [s].
+        Times at which the segments begin and end [s].
     courses : ndarray, shape (n, degree + 1, dof)
     off : ndarray, shape (n, dof)
-        Bounds on the rounding of values.
+        Bounds on the rounding error of each value.
     """
 
     names: tuple[str, ...] | None
@@ -53,22 +53,22 @@ class Curve(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CertifiedTrajectory:
-    """Whether a curve is free at every real time.
+    """Whether a curve is free of collisions at every instant.
 
     Attributes
     ----------
     verdict : Verdict
-        FREE: it is proven that every pair is farther apart than its margin at every time. COLLIDING: at ``time``, which
-        may be rounded, the robot collides. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
+        FREE: every pair is proven to be farther apart than its margin at every instant. COLLIDING: the robot collides
+        at ``time``, which may be rounded. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
         arithmetic could not settle it; treat it as not free.
     time : float
-        Seconds; NaN where FREE. The robot may collide earlier as well.
+        Seconds; NaN if FREE. If COLLIDING, the robot may also collide earlier.
     names : tuple of str
-        The pair of bodies; empty where FREE.
+        The pair of bodies; empty strings if FREE.
     times : ndarray, shape (n + 1,)
         Times at which the segments begin and end.
     segments : CertifiedMotions
-        Results for each of the n segments, with fractions of a segment instead of times.
+        Results for the n segments, with fractions of a segment instead of times.
 
     Examples
     --------
@@ -91,7 +91,7 @@ class CertifiedTrajectory:
 
 
 def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error: Floats) -> list[CertifiedTrajectory]:
-    """Prove which curves are free, together with all configurations that are off by no more than `joint_error`."""
+    """Prove which curves are free, including all configurations that deviate by no more than `joint_error`."""
     degrees = np.array([curve.courses.shape[1] for curve in curves])
     found: list[CertifiedTrajectory | None] = [None] * len(curves)
     for degree in np.unique(degrees):
@@ -115,7 +115,7 @@ def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error
 
 
 def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
-    """The result of a curve, from the earliest of its worst segments."""
+    """Make the result of a curve from the earliest of its worst segments."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         for k in np.flatnonzero(segments.verdict == verdict)[:1]:
             time = times[k] + segments.fraction[k] * (times[k + 1] - times[k])
@@ -128,20 +128,20 @@ def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajecto
 
 
 def curves_of(robot: Robot, given: Any) -> list[Curve]:
-    """The courses of one curve, or of each curve in a list; errors as for `curve_of`."""
+    """Return the courses of one curve, or of each curve in a list; errors as for `curve_of`."""
     if isinstance(given, (list, tuple)):
         return [curve_of(robot, one, f"curve {k}") for k, one in enumerate(given)]
     return [curve_of(robot, given, "curve")]
 
 
 def curve_of(robot: Robot, given: Any, name: str) -> Curve:
-    """The courses of a user's curve.
+    """Check a user's curve and return its courses.
 
     Raises
     ------
     InputError
-        If it has another type, other columns than the robot, numbers that are not finite, times that do not increase, a
-        degree above 7, or a jump.
+        If the curve is of the wrong type, its columns are not the robot's, a number is not finite, times do not
+        increase, the degree is above 7, or the curve jumps.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)
@@ -173,9 +173,9 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
 
 @singledispatch
 def form_of(given: Any, name: str) -> Curve | None:
-    """The courses of a curve as its type defines them, unchecked; None if it is no curve.
+    """Return the courses of a curve as its type defines them, unchecked; None if the object is not a curve.
 
-    Types of planners register here, since their modules are above this one.
+    Types of the planners register themselves here, since this module may not import theirs.
     """
     interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
     if interpolate is None or not isinstance(given, (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)):
@@ -198,7 +198,7 @@ def form_of(given: Any, name: str) -> Curve | None:
 
 
 def _of_powers(times: Floats, powers: Floats) -> Curve:
-    """The curve whose segments are sums of `powers`, shape (degree + 1, n, ...), times powers of the time passed."""
+    """Make a curve from coefficients, shape (degree + 1, n, ...), of powers of the time since each segment began."""
     degree = len(powers) - 1
     terms = powers * np.diff(times).reshape(-1, *[1] * (powers.ndim - 2)) ** np.arange(degree + 1).reshape(
         -1, *[1] * (powers.ndim - 1)
@@ -208,7 +208,7 @@ def _of_powers(times: Floats, powers: Floats) -> Curve:
 
 
 def _of_b_spline(knots: Floats, c: Floats, degree: int, name: str) -> Curve:
-    """Control points of each span, by de Boor's scheme with the span's ends as arguments."""
+    """Compute the control points of each span, by de Boor's scheme with the span's ends as arguments."""
     if not (np.diff(knots) >= 0).all():
         raise InputError(f"{name}: expected knots that increase, found others")
     spans = degree + np.flatnonzero(np.diff(knots[degree : len(knots) - degree]) > 0)
@@ -228,7 +228,7 @@ def _of_b_spline(knots: Floats, c: Floats, degree: int, name: str) -> Curve:
 
 
 def _elevated(points: Floats, by: int) -> Floats:
-    """The same courses as polynomials of a higher degree."""
+    """Raise the degree of courses without changing their motions."""
     for _ in range(by):
         degree = points.shape[1] - 1
         share = (np.arange(1, degree + 1) / (degree + 1))[:, None]
@@ -238,7 +238,7 @@ def _elevated(points: Floats, by: int) -> Floats:
 
 
 def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
-    """The curve with the robot's columns, which are matched by name if the curve has names."""
+    """Put the curve's columns in the robot's order, matched by name if the curve names them."""
     wanted = robot.configuration_names
     if curve.names is None or curve.names == wanted:
         return curve
@@ -277,7 +277,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 
 
 def joint_errors(robot: Robot, given: ArrayLike) -> Floats:
-    """Allowed deviation of each value, shape (dof,), from one number or one for each."""
+    """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
     array = _validate.finite_array(given, "joint_error", ("...",))
     if array.shape not in ((), (robot.dof,)) or (array < 0).any():
         raise InputError(

@@ -1,4 +1,4 @@
-"""Distances of a robot from obstacles and from itself: the nearest pair, all near pairs, and their gradients."""
+"""Compute distances of a robot from obstacles and from itself, of the nearest or all near pairs, with gradients."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from loewner.robots.problem import LEAST_SHARE, Problem
 
 @dataclass(frozen=True, eq=False)
 class StateDistance(Generic[Exact, Vector]):
-    """Signed distance of a robot from contact, at one configuration or many; in metres, a negative value is a depth.
+    """Signed distance of a robot from contact, in metres, at one or many configurations; a negative value is a depth.
 
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids: the minimum over all checked pairs.
+        Certified bounds from the ellipsoids, each the minimum over all checked pairs.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest pair.
     names : tuple of str, or ndarray of str, shape (..., 2), or None
-        Names of this pair.
+        Names of the bodies of this pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
-        Its witnesses and normal; see `Distance`.
+        Witnesses and normal of this pair; see `Distance`.
     gradient : ndarray, shape (..., dof), or None
         With ``gradient=True``: the derivative of the distance with respect to the configuration.
 
@@ -61,7 +61,7 @@ class StateDistance(Generic[Exact, Vector]):
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
-    """Pairs of bodies that are near each other, one entry per pair.
+    """Pairs of bodies that are near each other, one entry per pair and configuration.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class PairDistances:
 
 
 def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool) -> StateDistance:
-    """Distances of the nearest pairs at configurations, shape (..., dof): see `CollisionChecker.distance`."""
+    """Compute the nearest pair and its distance at each configuration; see `CollisionChecker.distance`."""
     batch, Q = configurations.shape[:-1], flat(configurations)
     _expect_pairs(ready, "distance")
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
@@ -126,7 +126,7 @@ def _expect_pairs(ready: Problem, query: str) -> None:
 
 
 def _nearest(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
-    """Columns without the gradient, and with indices of bodies instead of names."""
+    """Compute the columns of `nearest` without the gradient, with indices of bodies instead of names."""
     n, m, pack = len(Q), len(Q) * exact, ready.packed
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))
     pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
@@ -152,7 +152,7 @@ def _nearest(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
 
 
 def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
-    """Configurations and pairs that balls and boxes leave within a distance, in that order."""
+    """List, as (configuration, pair), the pairs that balls and boxes do not prove farther apart than a distance."""
     listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
     memory = workspace(ready.memory_of_nearest)
     while True:
@@ -166,7 +166,7 @@ def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
 
 
 def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
-    """Derivatives of exact distances of pairs of bodies with respect to the configuration, one per pair."""
+    """Differentiate the exact distances of pairs of bodies with respect to the configuration, one gradient per pair."""
     slopes = np.empty((len(Q), ready.robot.dof))
 
     def run(first: int, last: int) -> None:
@@ -180,7 +180,7 @@ def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: 
 
 
 def by_pair(ready: Problem, Q: Floats, within: float, gradient: bool) -> PairDistances:
-    """Exact distances of all pairs that come within a distance: see `CollisionChecker.distance_by_pair`."""
+    """Compute exact distances of all pairs within a distance; see `CollisionChecker.distance_by_pair`."""
     listed = near_pairs(ready, Q, within)
     _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
     distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]
@@ -202,7 +202,7 @@ def by_pair(ready: Problem, Q: Floats, within: float, gradient: bool) -> PairDis
 
 
 def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
-    """Smooth lower bounds and their gradients, see `CollisionChecker.clearance`.
+    """Compute smooth lower bounds on distances, and their gradients; see `CollisionChecker.clearance`.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
 
 
 def _nearest_with_care(ready: Problem, q: Floats) -> tuple[Any, ...]:
-    """The nearest pair at a configuration where the fast searches did not find it, by pairs one at a time."""
+    """Find the nearest pair, one pair at a time, at a configuration where the fast searches failed."""
     T = ready.poses(q[None])[0]
     a, b = ready.pairs.T
     bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])

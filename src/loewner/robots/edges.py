@@ -1,4 +1,4 @@
-"""Motions as rows of their ends, and the order in which a motion is sampled: its ends, its middle, then ever finer.
+"""Sample motions, given by rows of their ends, in the order: the ends, the middle, then ever finer.
 
 Collisions tend to be found early in this order.
 """
@@ -39,7 +39,7 @@ def steps(lengths: float, step: float) -> int: ...
 @overload
 def steps(lengths: Floats, step: float) -> Ints: ...
 def steps(lengths: float | Floats, step: float) -> int | Ints:
-    """Number of steps no longer than `step` into which edges of these lengths are divided.
+    """Count the steps, no longer than `step`, into which edges of these lengths are divided.
 
     Raises
     ------
@@ -57,21 +57,21 @@ def steps(lengths: float | Floats, step: float) -> int | Ints:
 
 
 def nearly_whole(quotients: Floats) -> Ints:
-    """Indices of quotients that rounding may move across a whole number, or that overflowed."""
+    """Find quotients that overflowed, or that rounding may have moved across a whole number."""
     with np.errstate(invalid="ignore"):
         far = np.abs(quotients - np.rint(quotients)) > NEARLY_WHOLE * (1.0 + quotients)
     return np.flatnonzero(~far)
 
 
 def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
-    """Yield edges and fractions at which to check them, coarsest first; an edge that is not `valid` is skipped.
+    """Yield edges and the fractions at which to check them, coarsest first; edges that are not `valid` are skipped.
 
     Parameters
     ----------
     parts : ndarray of int64
         Number of steps into which each edge is divided.
     valid : ndarray of bool
-        It may change between two rounds.
+        Whether each edge is still to be checked; the caller may change it between two rounds.
     """
     done, more = 0, max(2, AT_LEAST // max(1, len(parts)))
     while True:
@@ -90,7 +90,7 @@ def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats
 
 @lru_cache(maxsize=256)
 def coarse_first(parts: int) -> Floats:
-    """0, 1, then the multiples of 1 / parts between: the middle, the quarters, and so on."""
+    """Return 0, 1, and then the multiples of 1 / parts between them: the middle, the quarters, and so on."""
     digits = max(1, (parts - 1).bit_length())
     numbers = np.arange(1, 2**digits)
     reversed_bits = np.zeros_like(numbers)
@@ -100,7 +100,7 @@ def coarse_first(parts: int) -> Floats:
 
 
 def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Ends of motions, checked and broadcast together, in one column each, and the shape of the motions."""
+    """Check and broadcast the ends of motions; return each as rows of configurations, and the shape of the motions."""
     a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
     if a.ndim == b.ndim == 1:
         return a[None], b[None], ()
@@ -115,5 +115,5 @@ def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tu
 
 
 def flat(Q: Floats) -> Floats:
-    """All configurations in one column; this also works for a robot without joints, where NumPy cannot infer -1."""
+    """Flatten configurations to rows, also for a robot without joints, for which NumPy cannot infer -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

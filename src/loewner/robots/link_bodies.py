@@ -1,4 +1,4 @@
-"""Bodies in the frames of their links, from the collision shapes of a URDF; fits of meshes are kept on disk."""
+"""Make bodies, in the frames of their links, from collision shapes of a URDF; fits of meshes are kept on disk."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _PRIMITIVES: dict[str, Callable[..., Body]] = {
 
 @dataclass(frozen=True, eq=False)
 class _Mesh:
-    """The parts of a mesh that `Body.from_mesh` needs."""
+    """Those parts of a mesh that `Body.from_mesh` needs."""
 
     vertices: Floats
     faces: meshes.Triangles
@@ -77,7 +77,7 @@ def link_bodies(
     package_dirs : iterable of path
         Folders of packages, or packages themselves.
     model : str
-        Representation of a mesh, one of `MODELS`.
+        Representation of meshes, one of `MODELS`.
     tol : float
         As for `Body.from_mesh`.
     cache : bool
@@ -88,8 +88,8 @@ def link_bodies(
     Raises
     ------
     FileError
-        If a mesh cannot be found or read (the message names the link and the places that were searched), or if one of
-        `package_dirs` is not a folder.
+        If a mesh cannot be found or read, in which case the message names the link and the places searched; or if one
+        of `package_dirs` is not a folder.
     GeometryError
         If a mesh is flat or empty.
 
@@ -119,7 +119,7 @@ def link_bodies(
 
 
 def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
-    """Reasons to doubt that bodies are in metres, by body."""
+    """Collect reasons to doubt that bodies are in metres, keyed by body."""
     for name, body in made.items():
         rows = packed_of(body).kernel.table
         if len(rows):
@@ -160,13 +160,13 @@ def _body(
 
 
 def primitive(shape: Shape) -> Body:
-    """Body of a shape that is not a mesh, at its pose in the link."""
+    """Make the body of a shape other than a mesh, at its pose in the link."""
     body = _PRIMITIVES[shape.kind](*shape.sizes)
     return body if np.array_equal(shape.origin, np.eye(4)) else body.transformed(shape.origin)
 
 
 def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
-    """Vertices and triangles of a mesh, at its pose in the link."""
+    """Return the vertices and triangles of a mesh, at its pose in the link."""
     vertices, triangles = meshes.load(file)
     if shape.scale.prod() < 0:  # a mirrored mesh would otherwise be inside out
         triangles = triangles[:, ::-1]
@@ -180,7 +180,7 @@ def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
 
 @cache
 def _code() -> str:
-    """Hash of the code that makes bodies, so that bodies of another version, perhaps a faulty one, are not reused."""
+    """Hash the code that makes bodies, so that bodies made by a different, perhaps faulty, version are not reused."""
     import hashlib  # it loads OpenSSL, which only robots with meshes need
 
     digest = hashlib.sha256(_sources.source_hash().encode())
@@ -192,7 +192,7 @@ def _code() -> str:
 
 
 def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
-    """Hash of everything that determines a fit: contents of the file, pose, options of the fit, and code."""
+    """Hash everything that determines a fit: the contents of the file, pose, options of the fit, and code."""
     import hashlib
 
     digest = hashlib.sha256(repr((_code(), file.suffix.lower(), model, tol)).encode())
@@ -202,7 +202,7 @@ def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
 
 
 def _union(parts: list[Body]) -> Body:
-    """One body from all shapes of a link, with the covering of their meshes."""
+    """Make one body from all shapes of a link, with the covering of their meshes."""
     body = Body.union(parts)
     known = [part.covering for part in parts if part.covering is not None]
     if not known:
@@ -244,7 +244,7 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
 
 
 def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
-    """Places where a mesh may be: the given packages, ROS's packages, then the folders above the URDF, upwards."""
+    """List the places where a mesh may be: the given packages, ROS's packages, then the URDF's parent folders."""
     scheme, separator, rest = name.rpartition("://")
     home = Path(os.path.realpath(urdf)).parent
     given = [Path(folder) for folder in folders]
@@ -260,7 +260,7 @@ def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]
 
 
 def _ros_folders() -> Iterator[Path]:
-    """Folders of packages that a sourced ROS workspace names."""
+    """List the package folders of a sourced ROS workspace."""
     for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
         for entry in os.environ.get(variable, "").split(os.pathsep):
             if entry:

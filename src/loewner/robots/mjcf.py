@@ -1,4 +1,4 @@
-"""MuJoCo models as trees of links and joints."""
+"""Convert MuJoCo models to trees of links and joints."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
 
 
 def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
-    """Links and joints of a model, and the bodies of the links.
+    """Read the links and joints of a model, and the bodies of the links.
 
-    Each body is a link, in its own frame. If several joints move a body, or its anchor is not its origin, a chain of
-    links without bodies is inserted above it. Each further part of a body is a link that is fixed to it.
+    Each body of the model is a link in its own frame. If several joints move it, or its joint's anchor is not its
+    origin, a chain of links without bodies is inserted above it. Each additional part of a body is a link fixed to it.
     """
     above: dict[str, Joint] = {}
     joints: dict[str, Joint] = {}
@@ -50,7 +50,7 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
 
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
-    """Keyframes as states, and all pairs of links that MuJoCo skips as disabled."""
+    """Return keyframes as states, and the pairs of links that MuJoCo skips as disabled pairs."""
     states = {}
     for name, qpos in model.keyframes.items():
         state: State = ("", {})
@@ -65,10 +65,10 @@ def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
 
 
 def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
-    """The joints between a body and its parent, starting at the parent.
+    """List the joints between a body and its parent, starting at the parent.
 
-    A hinge and a ball turn about their anchor, so the link below has its origin there, and the next frame is moved
-    back.
+    Hinges and balls turn about their anchor. The link below such a joint therefore has its origin at the anchor, and
+    the next frame is moved back.
     """
     T_above_body = body.T_parent_body  # the body's frame so far, relative to the last link
     if body.joints and body.joints[0].kind == "free":  # its values are the pose in the world

@@ -1,9 +1,9 @@
-"""Distances of bodies from the joints that turn them: input from robot and scene for the proof of a motion.
+"""Compute how far bodies are from the joints that turn them, for the proofs of motions.
 
-A ball about a body is carried along the tree of joints, starting with the joint next to the body: a joint that turns
-sweeps it around its axis, and a ball about the swept region continues to the next joint. Sliding joints are at 0 here;
-their travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md,
-"Motions".
+A ball about a body is carried along the tree of joints, starting at the joint next to the body. A joint that turns
+sweeps the ball around its axis, and a ball about the swept region is carried on to the next joint. Sliding joints are
+at 0 here; their travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in
+docs/certified.md, "Motions".
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def motion_tables(
     ----------
     tree : Tree
     packed : Packed
-        Pieces of all bodies, the moving ones first.
+        Pieces of all bodies, moving bodies first.
     link, balls, pairs
         As in `Problem`.
     standing : ndarray, shape (bodies, BOUNDS)
@@ -40,7 +40,7 @@ def motion_tables(
     poses : ndarray, shape (bodies, 16)
         Poses of the static bodies.
     rows : ndarray, shape (pieces, HOT)
-        Their ellipsoids in world coordinates.
+        Ellipsoids of the static bodies in world coordinates.
     """
     start, links = _paths(tree)
     moving = _reaches(tree, link, balls[:, :3], balls[:, 3])
@@ -60,14 +60,14 @@ def motion_tables(
 
 
 def _farthest(packed: Packed) -> Floats:
-    """Largest distance of each body's points from its origin."""
+    """Compute the largest distance of each body's points from the body's origin."""
     table, start = packed.kernel.table, packed.piece_start
     far = [table[i:j, columns.REACH].max(initial=0.0) for i, j in zip(start[:-1], start[1:], strict=True)]
     return np.array(far, dtype=np.float64)
 
 
 def _paths(tree: Tree) -> tuple[Ints, Ints]:
-    """Joints between the world and each link, in the form of `records.MotionTables`."""
+    """List the joints between the world and each link, in the form of `records.MotionTables`."""
     paths: list[list[int]] = []
     for link, (above, kind) in enumerate(zip(tree.parent.tolist(), tree.kind.tolist(), strict=True)):
         paths.append((paths[above] if above >= 0 else []) + ([link] if kind != columns.FIXED else []))
@@ -76,7 +76,7 @@ def _paths(tree: Tree) -> tuple[Ints, Ints]:
 
 
 def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
-    """Largest distances of balls from the joints, shape (balls, links); the link of static bodies is -1."""
+    """Compute the largest distances of balls from the joints, shape (balls, links); static bodies have the link -1."""
     count, links = len(link), len(tree.parent)
     reach = np.zeros((count, links))
     # The ball in the frame of each link, with the world's frame last; filled in as it becomes known.
@@ -105,7 +105,7 @@ def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
 
 
 def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Floats, Floats, Floats]:
-    """Distances of balls from a joint's axis, and balls about the regions they sweep when it turns."""
+    """Compute the farthest reach of balls from a joint's axis, and balls about the regions swept as the joint turns."""
     if kind in (columns.FIXED, columns.PRISMATIC):
         return np.zeros(len(radius)), center, radius
     # A floating or ball joint may turn about any axis through its origin: its own is 0.
@@ -115,7 +115,7 @@ def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Flo
 
 
 def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
-    """Rotation and translation of a joint at 0, and the unit axis of its rotation, in the frame that it moves."""
+    """Return the rotation and translation of a joint at 0, and its unit axis in the frame that the joint moves."""
     row = tree.constants[link]
     fixed = row[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
     R = fixed + row[columns.COSINE : columns.COSINE + 9].reshape(3, 3)
@@ -127,7 +127,7 @@ def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _longest(tree: Tree, link: Ints, far: Floats) -> float:
-    """Length of the longest chain of links, from the world's origin to a body's farthest point."""
+    """Compute the length of the longest chain of links, from the world's origin to a body's farthest point."""
     lengths = np.linalg.norm(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3], axis=1)
     for k, above in enumerate(tree.parent):
         lengths[k] += lengths[above] if above >= 0 else 0.0
@@ -135,7 +135,7 @@ def _longest(tree: Tree, link: Ints, far: Floats) -> float:
 
 
 def _bend(tree: Tree) -> float:
-    """Bound on the departure of all links' rotations together from orthonormality, from their constants."""
+    """Bound, from the joints' constants, how far the product of all rotations departs from orthonormality."""
     total = 0.0
     for row, kind in zip(tree.constants, tree.kind, strict=True):
         fixed, sine, cosine = (

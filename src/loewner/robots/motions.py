@@ -1,4 +1,4 @@
-"""Proven motions: the results of `CollisionChecker.certify_edges`, and the calls of its kernel."""
+"""Call the kernel that proves motions, and hold the results of `CollisionChecker.certify_edges`."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ NO_STRAYS = np.empty((0, 0))
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotions:
-    """Whether motions are free at every one of their configurations.
+    """Whether motions are free of collisions everywhere along the motion.
 
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
-        FREE: it is proven that every pair is farther apart than its margin at every real fraction from 0 to 1.
-        COLLIDING: the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and
-        the tolerance, or arithmetic could not settle it; treat it as not free.
+        FREE: every pair is proven to be farther apart than its margin at every real fraction from 0 to 1. COLLIDING:
+        the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the
+        tolerance, or arithmetic could not settle it; treat it as not free.
     fraction : float or ndarray
-        Fraction of the motion, as `Robot.between` takes it; NaN where FREE. Where COLLIDING, the configuration there
-        collides, but is not necessarily the first to do so.
+        Fraction of the motion, as in `Robot.between`; NaN if FREE. If COLLIDING, the configuration at this fraction
+        collides, but it is not necessarily the first that does.
     names : tuple of str, or ndarray of str, shape (..., 2)
-        The pair that collides or is ambiguous there; empty where FREE.
+        The pair that is COLLIDING or AMBIGUOUS at this fraction; empty strings if FREE.
     poses, searches : int or ndarray of int64
-        Work of the proof: configurations at which the robot was placed, and searches on single pairs of pieces.
+        Work of the proof: the number of configurations at which the robot was placed, and the number of searches on
+        pairs of pieces.
 
     Examples
     --------
@@ -75,7 +76,7 @@ class Found(NamedTuple):
     pairs : ndarray of int64, shape (N,)
         Indices of the pairs; -1 for none.
     work : ndarray of int64, shape (N, 2)
-        Numbers of poses and searches.
+        Numbers of poses and of searches.
     """
 
     verdicts: NDArray[np.int8]
@@ -98,7 +99,7 @@ class Found(NamedTuple):
             )
 
     def of_shape(self, shape: tuple[int, ...], ready: Problem) -> CertifiedMotions:
-        """The same as users see it: of one motion, whose shape is (), no arrays."""
+        """Convert to the result for users: arrays of this shape, or single values if the shape is ()."""
         if not shape:
             pair = int(self.pairs[0])
             names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
@@ -113,7 +114,7 @@ class Found(NamedTuple):
 
 
 def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
-    """Have the kernel settle motions along courses.
+    """Let the kernel settle motions along courses.
 
     Parameters
     ----------
@@ -123,11 +124,11 @@ def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof), optional
-        How far values may deviate from the course at the same fraction: FREE holds for all such configurations.
+        How far each value may deviate from the course at any fraction; FREE covers all such deviations.
 
     Notes
     -----
-    Where `ready.starts_matter`, FREE presupposes that the motion is free at its start.
+    If `ready.starts_matter`, FREE presupposes that the motion is free at its start.
     """
     ready = ready.in_parts
     total = len(courses)

@@ -1,7 +1,7 @@
-"""Pairs of bodies to check, at one state of the scene, as the arrays that kernels read.
+"""Prepare the pairs of bodies to check, at one state of the scene, as arrays for the kernels.
 
-Work that is the same for every query is done here, once: balls about moving bodies, bounds and ellipsoids of static
-bodies in world coordinates, and what proofs of motions need besides.
+Work that is the same for every query is done once, here: balls about moving bodies, bounds and ellipsoids of static
+bodies in world coordinates, and the additional data for proofs of motions.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class PreparedMotions(NamedTuple):
 
 
 class OfMargin(NamedTuple):
-    """Pairs with the same margin, as `loewner._settle.settle` takes them."""
+    """Pairs with the same margin, in the form that `loewner._settle.settle` takes."""
 
     margin: float
     at: Ints  # their places among all
@@ -64,26 +64,27 @@ class OfMargin(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The pairs to check, at one state of the scene, as arrays for the kernels; derived values are made when needed.
+    """The pairs to check, at one state of the scene, as arrays for the kernels; other data is derived when needed.
 
     Attributes
     ----------
     robot : Robot
     version, structure_version : int
-        Versions of the scene to which this belongs.
+        Versions of the scene's state.
     names : tuple of str
         Names of all bodies: first the bodies that move with links, then the static ones.
     bodies : Bodies
         The bodies in the same order, packed; moving bodies in the frame of their link.
     body : callable
-        From an index to this body, packed by itself when it is first requested: a cloud takes milliseconds.
+        Maps an index to the body, packed by itself when it is first requested, since packing a cloud takes
+        milliseconds.
     link, balls, pairs, margins, order, standing_bounds, standing_rows, standing_poses : ndarray
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
-        Pairs that may be in contact where a motion starts, or ends: see `Scene.leave` and `Scene.reach`.
+        Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
-        Number of collisions found, by pair: the only array that changes. Threads may lose each other's counts, which
-        only determine the order of pairs.
+        Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
+        these affect only the order of the pairs.
     """
 
     robot: Robot
@@ -117,7 +118,7 @@ class Problem:
         leaving: Bools,
         reaching: Bools,
     ) -> Problem:
-        """Pairs of bodies, with the version and structure version of the scene; `with_poses` places static bodies."""
+        """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses."""
         packed = packed_of(bodies)
         start = packed.piece_start[len(link) :]
         return cls(
@@ -137,7 +138,7 @@ class Problem:
     # -- other problems with the same bodies --------------------------------------------------
 
     def only(self, pairs: Ints) -> Problem:
-        """A subset of the pairs, by index."""
+        """Select pairs by index."""
         chosen = replace(
             self, pairs=self.pairs[pairs], margins=self.margins[pairs], leaving=self.leaving[pairs],
             reaching=self.reaching[pairs], order=np.arange(len(pairs)), hits=np.zeros(len(pairs), dtype=np.int64),
@@ -146,14 +147,14 @@ class Problem:
         return chosen
 
     def with_order(self, order: Ints) -> Problem:
-        """The pairs in another order for configurations; proofs of motions have an order of their own."""
+        """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
         ordered = replace(self, order=order)
         Problem.cut.hand_on(self, ordered)
         Problem.motions.hand_on(self, ordered)
         return ordered
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
-        """The static bodies at other poses, shape (bodies, 4, 4), which the scene has at a version."""
+        """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
         start = self.packed.piece_start[len(self.link) :]
         flat = np.ascontiguousarray(poses.reshape(-1, 16))
         # New arrays, since another thread may be reading the old ones; most of their entries still hold.
@@ -189,22 +190,22 @@ class Problem:
 
     @kept
     def memory(self) -> int:
-        """Scratch bytes for verdicts."""
+        """Scratch memory for verdicts."""
         return int(entries.memory_size(self.packed.handle, self.handle, self.robot.dof))
 
     @kept
     def memory_of_nearest(self) -> int:
-        """Scratch bytes for distances."""
+        """Scratch memory for distances."""
         return int(entries.memory_of_nearest(self.packed.handle, self.handle, self.robot.dof))
 
     @kept
     def memory_of_clearances(self) -> int:
-        """Scratch bytes for smooth clearances."""
+        """Scratch memory for smooth clearances."""
         return int(entries.memory_of_clearances(self.packed.handle, self.handle, self.robot.dof))
 
     @kept
     def single(self) -> Any:
-        """Queries of one configuration or motion, see `loewner._native.singles`."""
+        """Fast queries of a single configuration or motion; see `loewner._native.singles`."""
         piece_pairs = int(np.diff(self.packed.piece_start)[self.pairs].prod(axis=1).sum())
         plain = self.robot._watch.range if self.robot.runs_straight else None
         held = self.arrays, self.packed
@@ -230,9 +231,9 @@ class Problem:
 
     @kept
     def cut(self) -> Problem | None:
-        """The same with static surfaces in parts; None if there are none.
+        """The problem with its static surfaces cut into parts; None if there are no such surfaces.
 
-        Static bodies are in the world or attached to links that are fixed to the root.
+        Static bodies are bodies in the world, or attached to links that are fixed to the root.
         """
         packed = in_parts(self.packed, self._stand)
         if packed is self.packed:
@@ -250,23 +251,23 @@ class Problem:
 
     @property
     def in_parts(self) -> Problem:
-        """The problem for proofs of motions: with static surfaces in parts, if there are any.
+        """The problem for proofs of motions, with any static surfaces cut into parts.
 
-        Parts of a solid cover only its surface: a motion that is free of them is free if it is free at its start, since
-        a body outside can only enter through the surface. `starts_matter` is true if there are such parts.
+        Parts of a solid cover only its surface. A motion that is free of them is free if its start is free, since a
+        body outside can only enter through the surface. `starts_matter` is true if there are such parts.
         """
         return self.cut or self
 
     @kept
     def starts_matter(self) -> bool:
-        """Whether motions that are free of all parts have to be free at their starts as well."""
+        """Whether a motion that is free of all parts is proven free only if its start is free as well."""
         solid = self.packed.layout[:, columns.KIND] == columns.SOLID
         stands = np.repeat(self._stand, np.diff(self.packed.piece_start))
         return self.cut is not None and bool((solid & stands).any())
 
     @property
     def _stand(self) -> Bools:
-        """Which bodies are at one pose in all configurations."""
+        """Mark the bodies that have the same pose at all configurations."""
         stand = np.ones(len(self.bodies), dtype=bool)
         rigid = rigid_with(self.robot)
         stand[: len(self.link)] = rigid[self.link] == rigid[0]
@@ -284,7 +285,7 @@ class Problem:
 
     @kept
     def ruled(self) -> Ints:
-        """Indices of the pairs that may be in contact where a motion starts or ends."""
+        """Indices of the pairs that may be in contact at the start or the end of a motion."""
         return np.flatnonzero(self.leaving | self.reaching)
 
     @kept
@@ -295,7 +296,7 @@ class Problem:
     # -- poses --------------------------------------------------------------------------------
 
     def fingerprint(self) -> str:
-        """A checksum of everything on which a verdict depends: joint tree, bodies, pairs, margins, poses."""
+        """A checksum of everything on which a verdict depends: the joint tree, bodies, pairs, margins and poses."""
         arrays = {
             **self.robot.tree._asdict(), **arrays_of(self.packed), "link": self.link, "pairs": self.pairs,
             "margins": self.margins, "standing_poses": self.standing_poses,
@@ -303,7 +304,7 @@ class Problem:
         return _archives.digest(arrays)
 
     def poses(self, Q: Floats) -> Floats:
-        """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""
+        """Compute the world poses of all bodies, shape (N, bodies, 4, 4), at checked configurations."""
         moving = link_poses(self.robot, Q)[:, self.link]
         standing = self.standing_poses.reshape(-1, 4, 4)
         # In C order, which the kernels take for granted; NumPy may choose another.
@@ -312,14 +313,14 @@ class Problem:
         )
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield the poses of all bodies for blocks of configurations, with the index of the first configuration."""
+        """Yield the poses of all bodies for one block of configurations after another, and each block's first index."""
         each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
         for first in range(0, len(Q), each):
             yield first, self.poses(Q[first : first + each])
 
 
 def rigid_with(robot: Robot) -> Ints:
-    """Links that are rigidly joined are one thing: for each link, its first one."""
+    """Return for each link the first link with which it is rigidly joined."""
     parent, kind = robot.tree.parent, robot.tree.kind
     return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
 
@@ -328,7 +329,7 @@ def rigid_with(robot: Robot) -> Ints:
 
 
 def _ball(packed: Packed, k: int) -> tuple[float, ...]:
-    """Center and radius of a ball about all pieces of a body, and the farthest it reaches from the origin."""
+    """Compute the center and radius of a ball about a body, and the ball's largest distance from the origin."""
     first, last = packed.piece_start[k], packed.piece_start[k + 1]
     centers = packed.kernel.table[first:last, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     # The kernel takes a single piece and its outer ellipsoid to have the same center.
@@ -338,9 +339,9 @@ def _ball(packed: Packed, k: int) -> tuple[float, ...]:
 
 
 def _bounds(packed: Packed, first: int, placed: Floats, T: Floats) -> Floats:
-    """Center of a box along the axes of the world about a placed body, radius of a ball about it, half the box's sides.
+    """Bound a placed body in the world: center and half sides of an axis-aligned box, and radius of a ball.
 
-    Its pieces begin with the `first` one; `placed` are their `_placed_rows` at the pose T.
+    The body's pieces begin at the index `first`; `placed` are their `_placed_rows` at the pose T.
     """
     last = first + len(placed)
     lower, upper = _box(packed, first, last, T, placed)
@@ -353,7 +354,7 @@ def _bounds(packed: Packed, first: int, placed: Floats, T: Floats) -> Floats:
 
 
 def _placed_rows(hot: Floats, T: Floats) -> Floats:
-    """The ellipsoids of pieces in world coordinates, as rows of the certificate."""
+    """Express the ellipsoids of pieces in world coordinates, as rows for the certificate."""
     R, t = T[:3, :3], T[:3, 3]
     rows = hot.copy()
     for at in (columns.OUTER_CENTER, columns.INNER_CENTER):
@@ -366,15 +367,15 @@ def _placed_rows(hot: Floats, T: Floats) -> Floats:
 
 
 def _single(rows: Floats) -> NDArray[np.float32]:
-    """The same in single precision; numbers that are too large are infinite there, and certify nothing."""
+    """Convert rows to single precision; numbers that are too large become infinite and certify nothing."""
     with np.errstate(over="ignore"):
         return rows.astype(np.float32)
 
 
 def _box(packed: Packed, first: int, last: int, T: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Corners of a box along the axes of the world about some placed pieces, up to rounding.
+    """Compute the corners of a world-aligned box about placed pieces, up to rounding.
 
-    The box of a piece is no larger than the box of its ellipsoid, and than the box of its corners.
+    The box of a piece is no larger than the box of its ellipsoid or the box of its corners.
     """
     center = rows[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     Q = rows[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]]
@@ -388,7 +389,7 @@ def _box(packed: Packed, first: int, last: int, T: Floats, rows: Floats) -> tupl
 
 
 def _farthest(packed: Packed, first: int, last: int, T: Floats, center: Floats) -> float:
-    """Distance of the farthest point of some placed pieces from a point of the world, or more; up to rounding."""
+    """Bound from above, up to rounding, the distance from a point to the farthest point of placed pieces."""
     corners, _, polytopes = _corners(packed, first, last, T)
     others = packed.kernel.table[first:last][~polytopes]
     middles = others[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3] @ T[:3, :3].T + T[:3, 3]
@@ -397,7 +398,7 @@ def _farthest(packed: Packed, first: int, last: int, T: Floats, center: Floats) 
 
 
 def _corners(packed: Packed, first: int, last: int, T: Floats) -> tuple[Floats, Ints, NDArray[np.bool_]]:
-    """Placed corners of the polytopes among some pieces, the first row of each, and which pieces these are."""
+    """Place the corners of all polytopes among the pieces; also return their first rows, and which pieces they are."""
     layout = packed.layout[first:last]
     polytopes = layout[:, columns.KIND] == columns.POLYTOPE
     begin, end = layout[polytopes, columns.POINTS_FROM], layout[polytopes, columns.POINTS_TO]

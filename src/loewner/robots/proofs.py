@@ -1,4 +1,4 @@
-"""Prove motions: the kernel's planes, confirmed collisions, starts inside solids, contact allowed by a rule."""
+"""Prove motions: run the kernel, confirm collisions, check for starts inside solids, and apply rules of contact."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
     tolerance : float
         In metres.
     off : ndarray, shape (N, dof), optional
-        How far joint values may deviate from the course at the same fraction: FREE holds for all such configurations.
+        How far joint values may deviate from the course at any fraction; FREE covers all such deviations.
 
     Returns
     -------
     Found
-        With the verdict TOO_LONG for motions that would take too many intervals.
+        Results whose verdict is TOO_LONG for motions that would take too many intervals.
     """
     found = motions.settle(ready, courses, tolerance, off)
     _confirm(ready, courses, found)
@@ -40,7 +40,7 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
 def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None) -> Found:
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
-    Pairs of `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error.
+    Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error.
     """
     courses = straight(ready.robot, a, b)
     if joint_error is not None and joint_error.any():
@@ -64,10 +64,10 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
 
 
 def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
-    """Leave as COLLIDING only what collides at the configurations that users get for a fraction.
+    """Keep COLLIDING only for motions that collide at the configuration a user computes from the fraction.
 
-    Values that change linearly agree bit for bit, but polynomials and orientations, for which NumPy's sines differ from
-    the kernel's, may differ in the last place.
+    Values that change linearly agree bit for bit with the kernel's. Polynomials may differ in the last place, and so
+    may orientations, since NumPy's sines differ from the kernel's.
     """
     doubtful = found.verdicts == codes.BY_CARE
     if not (ready.robot.runs_straight and courses.shape[1] == 2):
@@ -80,7 +80,7 @@ def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
 
 
 def _refuse_starts(ready: Problem, a: Floats, found: Found) -> None:
-    """Leave as FREE only motions whose starts are free, where `motions.settle` supposes it."""
+    """Keep FREE only for motions whose starts are free, if the result of `motions.settle` presupposes that."""
     free = np.flatnonzero(found.verdicts == Verdict.FREE) if ready.starts_matter else ready.ruled[:0]
     if len(free) == 0:
         return

@@ -1,4 +1,4 @@
-"""Robots: links connected by joints, with their bodies, and the poses of the links at many configurations."""
+"""Define robots: links connected by joints, their bodies, and the poses of the links at many configurations."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ LEAST_SHARE = 1024
 
 
 def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
-    """The contents of a URDF that is given as a path or a text."""
+    """Return the contents of a URDF given as a path or as a string."""
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
@@ -56,7 +56,7 @@ def _described(path: str | os.PathLike[str] | None, text: str | None) -> Descrip
 
 
 def _model(meshes: str, decompose: bool) -> str:
-    """The representation of meshes, from the two arguments that choose it."""
+    """Return the representation of meshes that the two arguments `meshes` and `decompose` choose."""
     _validate.choice(meshes, "meshes", MODELS)
     if not _validate.flag(decompose, "decompose"):
         return meshes
@@ -75,21 +75,22 @@ class Robot:
     link_names : tuple of str
         Parents before children; the index is the row of `forward_kinematics`.
     joint_names : tuple of str
-        Joints that have values of their own (movable, and not mimicking another one), in the order of the URDF.
+        Joints with values of their own, that is, movable joints that do not mimic another joint, in the order of the
+        URDF.
     configuration_names : tuple of str
         Meaning of the entries of a configuration. A joint with one value (rad or m) appears by its name; a planar joint
         j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
-        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF has, has the last four.
+        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
     lower, upper : ndarray, shape (dof,)
-        Limits, in radians for joints that turn and metres for joints that slide; infinite where there are none.
-        Configurations outside the limits are accepted everywhere; one far outside causes a single warning (see
+        Limits, in radians for joints that turn and metres for joints that slide; infinite for values without limits.
+        All functions accept configurations outside the limits; a configuration far outside causes a single warning (see
         `checked`).
     velocity : ndarray, shape (dof,)
-        The largest rate of each value [rad/s or m/s]: the URDF's limit, or less where a mimic joint would exceed its
-        own. NaN where the URDF gives no positive limit, and for planar and floating joints.
+        The largest rate of each value [rad/s or m/s]: the URDF's limit, or less if a mimic joint would otherwise exceed
+        its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
     bodies : dict
-        Link name to `Body`, in the frame of the link, for links with collision geometry. Here, and in the next two
-        attributes, any other name is an UnknownNameError that lists the known names.
+        Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next two
+        attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
     groups : dict
         Group name to joint names, from the SRDF.
     states : dict
@@ -98,14 +99,15 @@ class Robot:
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
-        Sorted pairs of links with bodies that a joint connects, directly or through links without bodies and at most
-        one moving joint.
+        Sorted pairs of links with bodies that are connected directly by a joint, or through links without bodies and at
+        most one moving joint.
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. For a text, a placeholder name in the current working directory.
+        The file that was read: a URDF or an MJCF. For a description given as a string, a placeholder name in the
+        current working directory.
     package_dirs : tuple of Path
-        Additional folders that are searched for its meshes.
+        Additional folders that were searched for meshes.
 
     Examples
     --------
@@ -163,7 +165,7 @@ class Robot:
         Parameters
         ----------
         path : path, optional
-            URDF file, xacro expanded.
+            A URDF file; xacro must be expanded.
         text : str, optional
             The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
             meshes in it are resolved from the working directory.
@@ -173,15 +175,15 @@ class Robot:
             Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
             environment, and the folders above the URDF, are also searched.
         meshes : {"hull", "pieces", "surface"}
-            Representation of each collision mesh: its convex hull, which contains it; convex pieces (`Body.from_mesh`),
-            into which a non-convex mesh is split once (see `cache`); or its triangles (`Body.from_surface`), including
-            the enclosed space if the mesh is closed.
+            Representation of each collision mesh. "hull": its convex hull, which contains it. "pieces": convex pieces
+            (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
+            (`Body.from_surface`), including the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         tol : float
             Certified log-volume gap of all fits.
         cache : bool
-            Keep the bodies of meshes on disk, by content, so that later calls only read them.
+            Keep the bodies of meshes on disk, keyed by content, so that later calls only read them.
         progress : callable, optional
             Called as ``progress(done, total)`` after each collision shape.
 
@@ -192,23 +194,23 @@ class Robot:
         Raises
         ------
         FileError
-            If a file is missing or cannot be read; for a mesh the message names its link and the places that were
-            searched. If one of `package_dirs` is not a folder.
+            If a file is missing or cannot be read, or one of `package_dirs` is not a folder. For a mesh, the message
+            names its link and the places searched.
         InputError
-            If neither or both of path and text are given; if a path is not a path (but XML text, for instance), the
-            SRDF is a URDF, the links do not form a tree, or a joint is not well defined; GeometryError if a shape is
-            flat or has no size.
+            If neither or both of `path` and `text` are given; if `path` is not a path (but XML, for instance); if the
+            SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined. GeometryError if a shape
+            is flat or has no size.
         UnknownNameError
-            If a joint refers to a name that does not exist, or the SRDF is another robot's.
+            If a joint refers to a name that does not exist, or the SRDF belongs to a different robot.
         MissingExtraError
             If a mesh is to be decomposed and CoACD is not installed.
 
         Warns
         -----
         UserWarning
-            If the SRDF names links or joints that the robot does not have, or none that it has; if it names another
-            robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or an origin not
-            in radians.
+            If the SRDF names links or joints that the robot does not have, or none that it has; if it names a different
+            robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or the angles of
+            an origin are probably not in radians.
 
         Examples
         --------
@@ -281,8 +283,8 @@ class Robot:
     def from_mjcf(cls, path: str | os.PathLike[str], *, tol: float = 1e-4) -> Robot:
         """Read a robot, with the world around it, from an MJCF file, using MuJoCo's compiler.
 
-        A configuration equals MuJoCo's `qpos`, entry by entry. Pairs that MuJoCo does not collide are in
-        `disabled_pairs`, keyframes in `states`. docs/howto/mujoco.md lists the correspondences.
+        A configuration equals MuJoCo's `qpos`, entry by entry. Pairs that MuJoCo does not check for collisions are in
+        `disabled_pairs`, and keyframes are in `states`. docs/howto/mujoco.md lists the correspondences.
 
         Parameters
         ----------
@@ -294,8 +296,8 @@ class Robot:
         Returns
         -------
         Robot
-            The root link is the world, and each colliding geom of the world is a separate link, fixed to it. Every body
-            is a link, in MuJoCo's frame. A link that several joints move has links without bodies above it.
+            The root link is the world, and each colliding geom of the world is a separate link fixed to the root. Every
+            MuJoCo body is a link, in MuJoCo's frame. A link that several joints move has links without bodies above it.
 
         Raises
         ------
@@ -431,7 +433,7 @@ class Robot:
 
     @guarded
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
-        """Poses of all links.
+        """Compute the poses of all links.
 
         Parameters
         ----------
@@ -467,20 +469,20 @@ class Robot:
         return link_poses(self, checked.reshape(count, self.dof)).reshape(*batch, links, 4, 4)
 
     def jacobian(self, Q: ArrayLike, link: str, point: ArrayLike | None = None) -> Floats:
-        """Jacobian of a point of a link: how it moves with the configuration.
+        """Compute the Jacobian of a point of a link with respect to the configuration.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
         link : str
         point : array_like, shape (3,), optional
-            In the frame of the link, metres; None is its origin.
+            In the frame of the link, in metres. Default: the link's origin.
 
         Returns
         -------
         ndarray, shape (..., 6, dof)
-            For each value of the configuration, in the world's axes: the velocity of the point [m], then the angular
-            velocity of the link [rad].
+            In the world's axes, one column per value of the configuration: three rows for the velocity of the point
+            [m], then three for the angular velocity of the link [rad], per unit of that value.
 
         Raises
         ------
@@ -491,8 +493,8 @@ class Robot:
 
         Notes
         -----
-        The columns of a quaternion are derivatives of its rotation: changing only the quaternion's length rotates
-        nothing.
+        The columns of a quaternion are derivatives through the rotation it represents: a change of its length alone
+        rotates nothing.
 
         Examples
         --------
@@ -539,7 +541,8 @@ class Robot:
         UserWarning
             Given once for a robot and its copies, if a value is far outside its limits (an angle by more than a turn,
             or a length by more than a metre and ten times the range of the limits), or if a joint that turns without
-            limits is outside ±50 rad. It names the joint, and suggests that values may be in degrees or millimetres.
+            limits is outside ±50 rad. The warning names the joint, and suggests that values may be in degrees or
+            millimetres.
         """
         # A fast path for a single configuration, whose few entries cost less than NumPy's overhead.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
@@ -594,8 +597,8 @@ class Robot:
         Parameters
         ----------
         values : dict or str, optional
-            Values by joint name or configuration name, or the name of a state. All other joints are at 0 (a quaternion
-            at the identity), even if this is outside their limits.
+            Values keyed by joint name or configuration name, or the name of a state. All other joints are at 0, or at
+            the identity quaternion, even if this is outside their limits.
 
         Returns
         -------
@@ -644,8 +647,8 @@ class Robot:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
         A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
-        one limit is drawn from a range that starts there and has length 2π, or reaches the far end of -π .. π if that
-        is farther. A limit outside ±1e6 counts as none for drawing, but is still respected.
+        one limit is drawn from a range that starts at the limit and has length 2π, or extends to the far end of -π .. π
+        if that is farther. A limit outside ±1e6 does not set the range, but is still respected.
 
         Parameters
         ----------
@@ -660,7 +663,7 @@ class Robot:
         Raises
         ------
         InputError
-            If one is not a non-negative integer, or n configurations do not fit into memory.
+            If `n` or `seed` is not a non-negative integer, or n configurations do not fit into memory.
 
         Examples
         --------
@@ -681,13 +684,13 @@ class Robot:
 
     @guarded
     def usual_range(self, reach: float) -> tuple[Floats, Floats]:
-        """Finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
+        """Return finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
 
         Parameters
         ----------
         reach : float
-            Range for values without a limit (or with a limit outside ±1e6, which some programs write for none): this
-            far from 0, or twice as far from the other limit if that is farther.
+            Sets the bound of a value without a limit, or with a limit outside ±1e6, which some programs write for "no
+            limit". The bound is this far from 0, or twice as far from the value's other limit if that is farther out.
 
         Returns
         -------
@@ -709,7 +712,7 @@ class Robot:
 
     @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> OneOrMany:
-        """Euclidean distances of configurations in the units of the joints, with the angle between orientations.
+        """Compute Euclidean distances of configurations in joint units; orientations count by the angle between them.
 
         Parameters
         ----------
@@ -744,11 +747,11 @@ class Robot:
 
     @kept
     def runs_straight(self) -> bool:
-        """Whether all motions between configurations are straight, since no joint has a quaternion."""
+        """Whether all values change linearly along motions, since no joint has a quaternion."""
         return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
-        """Configurations along a motion: values change linearly, orientations follow the shorter arc.
+        """Compute configurations along a motion: values change linearly, and orientations follow the shorter arc.
 
         Parameters
         ----------
@@ -774,7 +777,7 @@ class Robot:
 
     @kept
     def _quaternions(self) -> dict[str, slice]:
-        """Columns of the quaternions of joints that have one."""
+        """Columns of the quaternion of each joint that has one."""
         widths = {len(VALUES[kind]) for kind in WITH_QUATERNION}
         return {
             joint: slice(at.stop - 4, at.stop) for joint, at in self._columns.items() if at.stop - at.start in widths
@@ -782,7 +785,7 @@ class Robot:
 
 
 def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
-    """Refuse configurations of another width, shape (..., dof)."""
+    """Refuse configurations whose shape is not (..., dof)."""
     if not shape or shape[-1] != robot.dof:
         raise InputError(
             f"{name}: expected shape (..., {robot.dof}), one column each for {', '.join(robot.configuration_names)}; "
@@ -791,12 +794,12 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
 
 
 def source_of(robot: Robot) -> tuple[str, str | None]:
-    """Format of the description from which a robot was made, and its text if that was not in a file."""
+    """Return the format of a robot's description, and its text if that was not in a file."""
     return robot._format, robot._text
 
 
 def link_poses(robot: Robot, Q: Floats) -> Floats:
-    """Poses of all links at checked configurations, shape (N, links, 4, 4)."""
+    """Compute the poses of all links at checked configurations, shape (N, links, 4, 4)."""
     total, links = len(Q), len(robot.link_names)
     out = np.empty((total, links, 4, 4))
     in_shares(lambda first, last: entries.link_poses(*robot.tree, Q, first, last, out), total, LEAST_SHARE)
@@ -804,7 +807,7 @@ def link_poses(robot: Robot, Q: Floats) -> Floats:
 
 
 def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
-    """Configurations between checked ones, see `Robot.between`; fractions have one axis more, of length 1."""
+    """Interpolate between checked configurations, see `Robot.between`; fractions have a final axis of length 1."""
     Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
     for quaternion in robot._quaternions.values():
         p = a[..., quaternion]
@@ -821,7 +824,7 @@ def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
 
 
 def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
-    """The ends b, with the sign of quaternions with which `between` goes to them: at half a turn, rounding chooses."""
+    """Return the ends b with the signs of quaternions that `between` uses; at half a turn, rounding decides."""
     if robot.runs_straight:
         return b
     ends = b.copy()
@@ -831,7 +834,7 @@ def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
 
 
 def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:
-    """The largest rates of configuration values; NaN where unknown."""
+    """Compute the largest rates of configuration values; NaN if a rate is unlimited or not given."""
     velocity = np.full(dof, np.nan)
     for joint in robot.joints.values():
         moved, multiplier = (joint.name, 1.0) if joint.mimic is None else (joint.mimic.joint, joint.mimic.multiplier)
@@ -842,6 +845,6 @@ def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> F
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """The nearer of the quaternions q and -q to p, and the cosines of the angles between the two."""
+    """Return the nearer to p of the quaternions q and -q, and the cosine of its angle to p."""
     cosine = (p * q).sum(axis=-1, keepdims=True)
     return np.where(cosine < 0, -q, q), np.abs(cosine)

@@ -1,4 +1,4 @@
-"""Find, by sampling, pairs of links that need no check."""
+"""Find pairs of links that need no check, by sampling configurations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def pairs_by_sampling(
     known_free: ArrayLike | None = None,
     always: float = 0.95,
 ) -> dict[Pair, str]:
-    """Find pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant does.
+    """Find pairs of links that need no check, as MoveIt's setup assistant does; meant for robots without an SRDF.
 
     Parameters
     ----------
@@ -34,22 +34,22 @@ def pairs_by_sampling(
         Number of random configurations within the limits; see `Robot.random_configurations`.
     seed : int
     known_free : array_like, shape (..., dof), optional
-        Configurations at which the robot is known to be free, for instance its current one: pairs that collide there
-        only do so because bodies are larger than the real links.
+        Configurations at which the robot is known to be free, for instance its current one. Pairs that collide there do
+        so only because the bodies are larger than the real links.
     always : float
-        Fraction of the samples, above 0 and at most 1, at which two links must collide to count as always colliding.
+        Fraction of the samples, above 0 and at most 1, at which two links have to collide to count as always colliding.
 
     Returns
     -------
     dict
-        Sorted pairs of links with a reason: "adjacent" if a joint connects them; "default" if they collide at
-        `known_free`; "always", or "never", if they collide at all samples or at none. Rigidly joined links are never
-        checked and are not listed.
+        Maps sorted pairs of links to a reason: "adjacent" if a joint connects them; "default" if they collide at
+        `known_free`; "always" if they collide at no less than the fraction `always` of the samples; "never" if they
+        collide at no sample. Rigidly joined links are never checked and are not listed.
 
     Raises
     ------
     InputError
-        If the robot has no collision geometry, or an argument has a wrong type or value.
+        If the robot has no collision geometry, or an argument has the wrong type or value.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""SRDF files, read for a robot: groups, states and disabled pairs."""
+"""Read SRDF files for a robot: groups, states and disabled pairs."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Semantics:
 
 
 class _Names:
-    """Looks names up in the URDF and counts hits, which are few for an SRDF of another robot."""
+    """Look names up in the URDF and count the hits, since few hits mean that the SRDF is for a different robot."""
 
     def __init__(self, robot: Description, without_values: Collection[str]) -> None:
         self.robot = robot
@@ -70,7 +70,7 @@ class _Names:
         return self._of("joint", element, "name", self.robot.joints)
 
     def group(self, element: Element, attribute: str, groups: Collection[str]) -> str | None:
-        """Name of a group, if this file has such a group."""
+        """Return the name of a group if this file has such a group."""
         name = element.text(attribute)
         if name in groups:
             return name
@@ -86,7 +86,7 @@ class _Names:
         return None
 
     def settle(self, path: Path) -> None:
-        """Refuse the SRDF of another robot; warn of ignored names, which a larger variant of this robot may have."""
+        """Refuse a different robot's SRDF; warn of ignored names, which a larger variant of this robot may have."""
         if not self.unknown:
             return
         foreign = [key for key in self.unknown if key[0] != "group"]
@@ -114,14 +114,14 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     FileError, InputError
         As for `read_urdf`.
     UnknownNameError
-        If hardly any of the links and joints that it names belong to this robot.
+        If hardly any of the links and joints that the SRDF names belong to this robot.
 
     Warns
     -----
     UserWarning
-        If some do not (an SRDF is often shared with a larger variant of the robot), or it names a group that it does
-        not contain; if it names nothing of this robot, is for a robot of another name, or has elements that are not
-        defined in SRDF.
+        If some of the links and joints do not belong to this robot (an SRDF is often shared with a larger variant), or
+        the SRDF names a group that it does not contain; if it names no link or joint of this robot, is for a robot of a
+        different name, or has elements that are not defined in SRDF.
     """
     root = read_xml(path, "an SRDF")
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
@@ -138,7 +138,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
 
 
 def _oddities(root: Element, names: _Names) -> Iterator[str]:
-    """Warnings about content of an SRDF that is allowed but probably a mistake."""
+    """Collect warnings about contents of an SRDF that are allowed but probably a mistake."""
     robot, name = names.robot, root.attributes.get("name", "")
     if name and name != robot.name:
         yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
@@ -174,7 +174,7 @@ def _sorted_pair(a: str, b: str) -> Pair:
 
 
 def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
-    """Driven joints of each group, in the order of the URDF."""
+    """List the driven joints of each group, in the order of the URDF."""
     elements = by_name(root.all("group"))
     place = {joint: k for k, joint in enumerate(names.robot.driven)}
     depth: dict[str, int] = {}
@@ -208,7 +208,7 @@ def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
 
 
 def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> list[str]:
-    """Joints of an entry of a group: a joint, the joint above a link, or the joints between two links."""
+    """List the joints of an entry of a group: one joint, the joint above a link, or the joints between two links."""
     if element.tag == "joint":
         joint = names.joint(element)
         return [] if joint is None else [joint]
@@ -221,7 +221,7 @@ def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> lis
 
 
 def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) -> list[str]:
-    """Order groups such that each comes after the groups inside it."""
+    """Order groups so that each follows the groups that it contains."""
     order: list[str] = []
     done: set[str] = set()
     for start in elements:
@@ -244,7 +244,7 @@ def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) 
 
 
 def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str | None) -> list[str]:
-    """Joints between two links."""
+    """List the joints between two links."""
     found: list[str] = []
     if base is None or tip is None:
         return found

@@ -1,4 +1,4 @@
-"""The joint tree of a robot in the form that kernels take, and its pairs of adjacent links."""
+"""Make the joint tree of a robot in the form that kernels take, and find pairs of adjacent links."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS = {
 
 
 def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
-    """Columns of each driven joint, and the number of columns."""
+    """Return the columns of each driven joint, and the number of columns."""
     slices, at = {}, 0
     for name in robot.driven:
         slices[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
@@ -35,10 +35,10 @@ def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
 
 
 def adjacent_pairs(robot: Description) -> frozenset[Pair]:
-    """Pairs of links with shapes, joined by a joint or a path over links without shapes with at most one moving joint.
+    """Find pairs of links with shapes that are joined by one joint, or over links without shapes.
 
-    MoveIt's setup assistant allows any number of moving joints on such a path. But links separated by two moving joints
-    may well collide, and a pair that is not checked is never found.
+    The path over links without shapes may have at most one moving joint. MoveIt's setup assistant allows any number,
+    but links separated by two moving joints may well collide, and a collision of an unchecked pair is never found.
     """
     # Rigidly joined links without shapes form one place, named by its topmost link. Fixed and moving joints lead from
     # each place to links with shapes.
@@ -79,7 +79,7 @@ def adjacent_pairs(robot: Description) -> frozenset[Pair]:
 
 
 def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
-    """Flatten the robot for kernels."""
+    """Flatten the robot into arrays for kernels."""
     count = len(robot.shapes)
     parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     multiplier, offset = np.ones(count), np.zeros(count)
@@ -110,7 +110,7 @@ def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
 
 
 def placed_tree(tree: Tree, T: Floats) -> Tree:
-    """The tree with its root link at the pose T instead of the world's origin."""
+    """Place the root link of a tree at the pose T instead of the world's origin."""
     constants = tree.constants.copy()
     on_base = np.flatnonzero(tree.parent < 0)
     R, t = T[:3, :3], T[:3, 3]
@@ -124,7 +124,7 @@ def placed_tree(tree: Tree, T: Floats) -> Tree:
 
 
 def _joint_constants(joint: Joint, T: Floats) -> Floats:
-    """Constants of a movable joint whose own frame is at T."""
+    """Compute the constants of a movable joint whose own frame is at T."""
     R, axis = T[:3, :3], joint.axis
     rotation, sine, cosine, across, along = R, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     if joint.kind in ("revolute", "continuous", "planar"):  # Rodrigues: n nᵀ + sin q [n]× + cos q (1 - n nᵀ)
@@ -140,7 +140,7 @@ def _joint_constants(joint: Joint, T: Floats) -> Floats:
 
 
 def _from_z(axis: Floats) -> Floats:
-    """Shortest rotation that takes the z axis to a unit vector."""
+    """Compute the smallest rotation that takes the z axis to a unit vector."""
     x, y, z = axis
     if z < 0 and x * x + y * y < 1e-24:  # half a turn about any perpendicular axis: x
         return np.diag([1.0, -1.0, -1.0])

@@ -1,6 +1,6 @@
 """Read URDF files: links, joints and shapes, checked to form a tree.
 
-Visual geometry is only for the viewer; see `read_visuals`.
+Only the viewer uses visual geometry; see `read_visuals`.
 """
 
 from __future__ import annotations
@@ -56,11 +56,12 @@ class Shape:
     kind : str
         "mesh", "box", "sphere", "cylinder" or "capsule" (along z; its length is the length of the straight part).
     sizes : tuple of float
-        Edge lengths of a box; radius; radius and length. In metres; empty for meshes.
+        In metres: the edge lengths of a box, the radius of a sphere, or the radius and length of a cylinder or capsule;
+        empty for meshes.
     file_name : str
-        As given in the URDF; empty for other kinds.
+        The mesh file, as given in the URDF; empty for other kinds.
     scale : ndarray, shape (3,)
-        For a mesh, along its own axes; negative entries mirror.
+        Scale of a mesh along its own axes; negative entries mirror it.
     origin : ndarray, shape (4, 4)
         Pose in the link.
     line : int
@@ -77,7 +78,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Mimic:
-    """A joint follows another one: its value is multiplier * (value of the other joint) + offset."""
+    """The rule of a joint that follows another: its value is multiplier * (value of the other joint) + offset."""
 
     joint: str
     multiplier: float
@@ -86,10 +87,10 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF.
+    """A joint: `kind` is URDF's type, and the unit vector `axis` and the pose `origin` are in URDF's frames.
 
-    `velocity` is the largest rate of its value [rad/s or m/s], or NaN if the URDF gives no positive one. The child is
-    at `origin` if the value is `reference`.
+    `velocity` is the largest rate of the joint's value [rad/s or m/s], or NaN if the URDF gives no positive one. The
+    child is at `origin` when the value is `reference`.
     """
 
     name: str
@@ -115,11 +116,12 @@ class Description:
     name : str
     path : Path
     shapes : dict
-        Link name to its collision shapes, for all links; parents before children, siblings as in the file.
+        Maps every link name to the link's collision shapes; parents come before children, siblings are in the file's
+        order.
     joints : dict
-        Joint name to joint, as in the file. No joint mimics another mimic joint: such chains are resolved.
+        Maps joint names to joints, in the file's order. No joint mimics another mimic joint: such chains are resolved.
     joint_above : dict
-        Link name to the joint above it, for all links except the root.
+        Maps each link name except the root's to the joint above the link.
     only_visual : tuple of str
         Links with visual geometry and no collision shapes.
     """
@@ -133,12 +135,12 @@ class Description:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Joints that have values of their own: movable, and not mimicking."""
+        """Joints with values of their own: movable joints that do not mimic another."""
         return tuple(j.name for j in self.joints.values() if VALUES[j.kind] and j.mimic is None)
 
 
 def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Description:
-    """Read a URDF file, or a text as if it were the contents of that file.
+    """Read a URDF file, or a string as if it were the contents of that file.
 
     Raises
     ------
@@ -188,9 +190,9 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
     Returns
     -------
     shapes : dict
-        Link name to its visual shapes, for links that have any.
+        Maps link names to visual shapes, for links that have any.
     faults : list of str
-        Faults of shapes that were omitted: visual geometry affects no query, so a broken shape is not an error.
+        Faults of the shapes that were omitted: visual geometry affects no query, so a broken shape is not an error.
 
     Raises
     ------
@@ -258,7 +260,7 @@ def _joint(element: Element, links: Collection[str]) -> Joint:
 
 
 def _axis(joint: Element, kind: str) -> Floats:
-    """Axis of a joint, as a unit vector.
+    """Read the axis of a joint, as a unit vector.
 
     The default is x, but z for a planar joint, as in MoveIt and pinocchio.
     """
@@ -276,7 +278,7 @@ def _axis(joint: Element, kind: str) -> Floats:
 
 
 def _limits(joint: Element, kind: str) -> tuple[float, float]:
-    """Limits of the values [rad or m]."""
+    """Read the limits of a joint's values [rad or m]."""
     if kind not in ("revolute", "prismatic"):
         return -math.inf, math.inf
     element = joint.first("limit")
@@ -292,7 +294,7 @@ def _limits(joint: Element, kind: str) -> tuple[float, float]:
 
 
 def _velocity(joint: Element, kind: str) -> float:
-    """Velocity limit of a joint with one value; many files write 0 for none."""
+    """Read the velocity limit of a joint with one value; many files write 0 for "no limit"."""
     element = joint.first("limit")
     if element is None or VALUES[kind] != ("",):
         return math.nan
@@ -310,7 +312,7 @@ def _mimic(joint: Element, kind: str) -> Mimic | None:
 
 
 def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
-    """Give joints that mimic a missing joint a value of their own, as MoveIt and pinocchio do, with a warning."""
+    """Give each joint that mimics a missing joint a value of its own, with a warning, as MoveIt and pinocchio do."""
     lost = {j.name: j for j in joints.values() if j.mimic is not None and j.mimic.joint not in joints}
     for count, joint in enumerate(lost.values()):
         if count == LISTED:
@@ -343,7 +345,7 @@ def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
 
 
 def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
-    """If the joint that is followed itself mimics a third one, let this joint follow the third."""
+    """If the followed joint itself mimics a third joint, let this joint follow the third."""
     own = joint.mimic
     assert own is not None
     if VALUES[followed.kind] != ("",):
@@ -365,7 +367,7 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
 
 
 def _doubt_angles(root: Element) -> None:
-    """Warn, once for all origins, if the origins of a URDF seem to be in degrees."""
+    """Warn, once for all origins, if their angles seem to be in degrees."""
     for owner in (*root.all("joint"), *(e for link in root.all("link") for e in link.all("collision"))):
         origin = owner.first("origin")
         doubt = "" if origin is None else doubt_about_rpy(origin.finite("rpy", 3, "0 0 0"))
@@ -375,7 +377,7 @@ def _doubt_angles(root: Element) -> None:
 
 
 def _origin(element: Element) -> Floats:
-    """Pose of an <origin>: fixed-axis roll, pitch, yaw [rad], then translation [m]."""
+    """Read the pose of an <origin>: fixed-axis roll, pitch, yaw [rad], then translation [m]."""
     T = np.eye(4)
     origin = element.first("origin")
     if origin is None:
@@ -386,7 +388,7 @@ def _origin(element: Element) -> Floats:
 
 
 def _shape(owner: Element) -> Shape:
-    """Shape of a <collision> or <visual>."""
+    """Read the shape of a <collision> or <visual> element."""
     geometry = owner.the("geometry")
     known = [c for c in geometry.children if c.tag == "mesh" or c.tag in SIZES]
     if len(known) != 1 or len(geometry.children) != 1:

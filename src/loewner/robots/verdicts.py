@@ -1,4 +1,4 @@
-"""Verdicts of configurations and of sampled motions; AMBIGUOUS is returned, and only the checker raises for it."""
+"""Compute verdicts of configurations and sampled motions; the checker, not this module, raises for AMBIGUOUS."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from loewner.scenes import Contact
 
 @dataclass(frozen=True)
 class Settled:
-    """Number of configurations that each tier settled.
+    """Numbers of configurations, by the tier that settled them.
 
     Attributes
     ----------
     free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
-        Free configurations, by the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids;
-        planes between the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact
-        search.
+        Numbers of free configurations, by the costliest test that any pair needed. The tests are, in this order:
+        bounding spheres and boxes; outer ellipsoids; planes between the pieces themselves, perpendicular to the contact
+        normal of the ellipsoids; and the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
-        Colliding configurations, found by inner ellipsoids or by the exact search.
+        Numbers of colliding configurations, found by inner ellipsoids or by the exact search.
 
     Examples
     --------
@@ -74,9 +74,9 @@ class Verdicts(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (N,)
-        AMBIGUOUS where nothing could be proven, or in mode EXACT where arithmetic could not settle it.
+        AMBIGUOUS if nothing could be proven; in mode EXACT, only if arithmetic could not settle the configuration.
     tiers : ndarray of int8, shape (N,)
-        The costliest test that was needed, as numbered in `codes`.
+        The costliest test that each configuration needed, as numbered in `codes`.
     """
 
     verdicts: NDArray[np.int8]
@@ -97,7 +97,7 @@ class Verdicts(NamedTuple):
 
 
 def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
-    """Verdicts of configurations, shape (N, dof), in mode `codes.CERTIFY` or `codes.EXACT`."""
+    """Compute verdicts of configurations, shape (N, dof), in mode `codes.CERTIFY` or `codes.EXACT`."""
     total = len(Q)
     if total > LEAST_SHARE:
         _validate.fits_memory(2 * total, f"{total} configurations")
@@ -125,18 +125,18 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
 
 
 def free(ready: Problem, Q: Floats) -> Bools:
-    """Which configurations, shape (N, dof), are proven free; unsettled ones are not."""
+    """Return which configurations, shape (N, dof), are proven free; an unsettled one is not."""
     return np.asarray(classified(ready, codes.EXACT, Q).verdicts == Verdict.FREE)
 
 
 def is_free(ready: Problem, q: Floats) -> bool:
-    """Whether one configuration, shape (dof,), is proven free: the fastest way to find out."""
+    """Return, in the fastest way, whether one configuration, shape (dof,), is proven free."""
     collides = ready.single.collide(q)
     return bool(free(ready, q[None].copy())[0]) if collides is None else not collides
 
 
 def is_sampled_free(ready: Problem, a: Floats, b: Floats, step: float) -> bool:
-    """Whether one motion is proven free at samples no farther apart than `step`; an unsettled motion is not."""
+    """Return whether one motion is proven free at samples at most `step` apart; an unsettled motion is not."""
     settled = ready.single.motion(a, b, step, edges.coarse_first)
     if settled is None:
         return bool(sampled(ready, a[None], b[None], step)[0][0] == Verdict.FREE)
@@ -144,7 +144,7 @@ def is_sampled_free(ready: Problem, a: Floats, b: Floats, step: float) -> bool:
 
 
 def expect_settled(ready: Problem, Q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """Raise an error if one verdict is AMBIGUOUS.
+    """Raise an error if any verdict is AMBIGUOUS.
 
     Raises
     ------
@@ -156,14 +156,14 @@ def expect_settled(ready: Problem, Q: Floats, verdicts: NDArray[np.int8]) -> Non
 
 
 def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[np.int8], Floats]:
-    """Verdicts of motions between configurations a and b, shape (N, dof) each, at samples no farther apart than `step`.
+    """Compute verdicts of motions between configurations a and b, shape (N, dof) each, at samples at most `step` apart.
 
     Returns
     -------
     verdicts : ndarray of int8, shape (N,)
         FREE if all samples are free.
     fractions : ndarray, shape (N,)
-        Fraction of the motion at which a sample is not free; NaN where FREE.
+        Fraction of the motion at which a sample is not free; NaN if FREE.
 
     Raises
     ------
@@ -183,13 +183,13 @@ def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[
 
 
 def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
-    """Verdict of every pair at a configuration, shape (dof,); see `pair_verdicts`."""
+    """Compute the verdict of every pair at a configuration, shape (dof,); see `pair_verdicts`."""
     T = ready.poses(q[None])[0]
     return pair_verdicts(ready, T)
 
 
 def pair_verdicts(ready: Problem, T: Floats) -> NDArray[np.int8]:
-    """Verdict of every pair where the bodies are at T; AMBIGUOUS if none was found, or T is bent by overflow."""
+    """Compute the verdict of every pair with the bodies at T; AMBIGUOUS if unsettled, or if overflow distorts T."""
     pack, verdicts = ready.packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
     for margin, at, plan, rows in ready.by_margin:
         found = np.empty(len(at), dtype=np.int8)
@@ -199,7 +199,7 @@ def pair_verdicts(ready: Problem, T: Floats) -> NDArray[np.int8]:
 
 
 def collisions_by_pair(ready: Problem, Q: Floats) -> Bools:
-    """Whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if one is unsettled."""
+    """Return whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if unsettled."""
     _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
     for first, poses in ready.poses_in_turn(Q):
@@ -211,7 +211,7 @@ def collisions_by_pair(ready: Problem, Q: Floats) -> Bools:
 
 
 def expect_pairs_settled(ready: Problem, q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """Raise an error if one pair's verdict at a configuration is AMBIGUOUS.
+    """Raise an error if any pair's verdict at a configuration is AMBIGUOUS.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def expect_pairs_settled(ready: Problem, q: Floats, verdicts: NDArray[np.int8]) 
 
 
 def unsettled(ready: Problem, pair: int, q: Floats) -> str:
-    """Message about a pair that could not be settled at a configuration."""
+    """Make the message for a pair that could not be settled at a configuration."""
     a, b = (ready.names[k] for k in ready.pairs[pair])
     return (
         f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat it "
@@ -232,7 +232,7 @@ def unsettled(ready: Problem, pair: int, q: Floats) -> str:
 
 
 def contacts(ready: Problem, q: Floats) -> tuple[tuple[Contact, ...], str]:
-    """Return the pairs that collide at a configuration, and a message if a pair could not be settled."""
+    """Return the pairs that collide at a configuration, and a message if any pair could not be settled."""
     T = ready.poses(q[None])[0]
     verdicts = pair_verdicts(ready, T)
     a, b = ready.pairs[verdicts == Verdict.COLLIDING].T
@@ -243,7 +243,7 @@ def contacts(ready: Problem, q: Floats) -> tuple[tuple[Contact, ...], str]:
 
 
 def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
-    """Lengths of motions; where the last bit decides the number of steps, computed as if each motion were alone."""
+    """Compute lengths of motions; where the last bit decides the number of steps, one motion at a time."""
     found = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):
@@ -254,7 +254,7 @@ def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
 
 
 def _worst(verdicts: NDArray[np.int8]) -> int:
-    """Verdict of a configuration, from the verdicts of its pairs."""
+    """Combine the verdicts of all pairs into the verdict of the configuration."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         if (verdicts == verdict).any():
             return int(verdict)
@@ -262,7 +262,7 @@ def _worst(verdicts: NDArray[np.int8]) -> int:
 
 
 def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
-    """Indices of AMBIGUOUS verdicts, with a fast path for none."""
+    """Find the indices of AMBIGUOUS verdicts, with a fast path if there are none."""
     if not (verdicts[0] == codes.AMBIGUOUS if len(verdicts) == 1 else (verdicts == codes.AMBIGUOUS).any()):
         return _NOWHERE
     return np.flatnonzero(verdicts == codes.AMBIGUOUS)
@@ -272,5 +272,5 @@ _NOWHERE = np.empty(0, dtype=np.int64)
 
 
 def collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
-    """Whether configurations collide, from their verdicts."""
+    """Convert verdicts of configurations to whether each collides."""
     return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])

@@ -1,4 +1,4 @@
-"""Values of configurations that no computation can take, or that are mostly a slip: degrees for radians."""
+"""Detect values of configurations that cannot be computed with, or are probably a slip, such as degrees for radians."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ LARGEST_VALUE = 1e200
 
 
 class Watch:
-    """Finds values of configurations that no computation can take, and values far outside the limits.
+    """Find values of configurations that cannot be computed with, and values far outside the limits.
 
     Parameters
     ----------
     robot : str
-        Its name, for the warning.
+        The robot's name, for the warning.
     names : sequence of str
         The entries of a configuration.
     lower, upper : ndarray, shape (dof,)
@@ -38,16 +38,16 @@ class Watch:
     turns : sequence of bool
         Which entries are angles.
     free : sequence of bool
-        Which entries belong to joints without limits in any unit: planar and floating ones.
+        Which entries belong to planar and floating joints, which have no limits in any unit.
 
     Attributes
     ----------
     range : ndarray, shape (2, dof)
-        Least and largest values that need no warning; the array stays, and its entries may move outwards.
+        Least and largest values that need no warning. The array object stays the same, but its range may widen.
 
     Notes
     -----
-    It warns once and then looks for numbers that cannot be taken only. Copies of a robot share it.
+    After one warning, only values that cannot be computed with are looked for. Copies of a robot share one watch.
     """
 
     def __init__(
@@ -76,21 +76,21 @@ class Watch:
         self._least, self._most = self.range.tolist()
 
     def passes_one(self, values: list[float]) -> bool:
-        """Whether one configuration needs no warning."""
+        """Return whether one configuration needs no warning."""
         return all(map(le, self._least, values)) and all(map(le, values, self._most))  # neither holds for NaN
 
     def passes(self, Q: Floats) -> bool:
-        """Whether none of many configurations, shape (..., dof), needs a warning."""
+        """Return whether no configuration of a batch, shape (..., dof), needs a warning."""
         least, most = self.range
         return bool((least <= Q).all() and (most >= Q).all())
 
     def refused(self, Q: Floats) -> tuple[int, ...] | None:
-        """Where the first entry is that no computation can take."""
+        """Return the index of the first entry that cannot be computed with; None if there is none."""
         wrong = ~(np.abs(Q) <= LARGEST_VALUE)
         return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
     def tell(self, Q: Floats, name: str) -> None:
-        """Warn about the configurations that did not pass, and never again."""
+        """Warn about the first configuration that did not pass, and never warn again."""
         least, most = self.range
         *row, k = (int(i) for i in np.argwhere((least > Q) | (most < Q))[0])
         value, (lower, upper) = Q[(*row, k)], self._limits

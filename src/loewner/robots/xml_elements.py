@@ -1,7 +1,7 @@
-"""Elements of robot descriptions in XML, with line numbers for error messages.
+"""Read the XML elements of robot descriptions, with line numbers for error messages.
 
-The standard library's reader is used: it records the line of every element, and elements that are not needed
-(materials, sensors and transmissions) are ignored, even if broken.
+The standard library's reader is used, since it records the line of every element. Elements that are not needed
+(materials, sensors and transmissions) are ignored, even if they are broken.
 """
 
 from __future__ import annotations
@@ -46,29 +46,29 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Children with this tag."""
+        """Return the children with this tag."""
         return (c for c in self.children if c.tag == tag)
 
     def first(self, tag: str) -> Element | None:
-        """The first child with this tag, if there is one."""
+        """Return the first child with this tag, or None."""
         return next(self.all(tag), None)
 
     def the(self, tag: str) -> Element:
-        """The first child with this tag, which must exist."""
+        """Return the first child with this tag, which must exist."""
         found = self.first(tag)
         if found is None:
             self.fault(f"a <{tag}> in <{self.tag}>", "none")
         return found
 
     def text(self, attribute: str) -> str:
-        """An attribute that must exist and not be empty."""
+        """Return an attribute, which must exist and not be empty."""
         found = self.attributes.get(attribute, "").strip()
         if not found:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
         return found
 
     def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """The required number of numbers in an attribute; infinity is a number, NaN is not."""
+        """Read an attribute that must contain a given count of numbers; infinity is allowed, NaN is not."""
         text = self.attributes.get(attribute, default)
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
@@ -81,7 +81,7 @@ class Element:
         return values
 
     def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """The required numbers, none larger than `LARGEST`."""
+        """Read an attribute that must contain a given count of numbers, none larger than `LARGEST`."""
         values = self.numbers(attribute, count, default)
         if not all(abs(v) <= LARGEST for v in values):
             found = cut(self.attributes[attribute])
@@ -89,12 +89,12 @@ class Element:
         return values
 
     def fault(self, expected: str, found: str, kind: type[Exception] = InputError) -> NoReturn:
-        """Refuse the file, with the position."""
+        """Raise an error that names the position in the file."""
         raise kind(f"{self.path}, line {self.line}: expected {expected}, found {found}")
 
 
 def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -> Element:
-    """Root element of a robot description: of a file, or of a text, to which messages refer by the path."""
+    """Read the root element of a robot description, from a file or a string; messages name the path in both cases."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text{ITS_TEXT.get(what, '; write it to a file first')}")
     path = _validate.path(path, "path", wanted=f"a path to {what}")
@@ -139,7 +139,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
 
 
 def _bytes_of(text: str, what: str) -> bytes:
-    """The bytes of a text, as they would be in a file."""
+    """Encode a string as it would be in a file."""
     try:
         data = text.encode()
     except UnicodeEncodeError:
@@ -150,7 +150,7 @@ def _bytes_of(text: str, what: str) -> bytes:
 
 
 def by_name(elements: Iterable[Element]) -> dict[str, Element]:
-    """Elements by name; each name may occur once."""
+    """Key elements by name; each name may occur only once."""
     named: dict[str, Element] = {}
     for element in elements:
         name = element.text("name")
@@ -161,18 +161,18 @@ def by_name(elements: Iterable[Element]) -> dict[str, Element]:
 
 
 def known(names: Iterable[str]) -> str:
-    """Names for messages."""
+    """Format names for messages."""
     listed = some(sorted(names))
     return f"known are {listed}" if listed else "there are none"
 
 
 def some(names: Iterable[str]) -> str:
-    """Names for messages, without repeats and limited to a readable number."""
+    """Format names for messages, without repeats and limited to a readable number."""
     once = list(dict.fromkeys(names))
     more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
     return ", ".join(once[:LISTED]) + more
 
 
 def cut(text: str) -> str:
-    """A text of a file for a message."""
+    """Shorten a string from a file for a message."""
     return repr(text) if len(text) <= 80 else f"{text[:80]!r} and more"

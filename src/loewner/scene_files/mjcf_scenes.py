@@ -1,4 +1,4 @@
-"""MuJoCo models as scenes: static bodies at their poses in the model."""
+"""Convert MuJoCo models to scenes of static bodies at their poses in the model."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
 def mjcf_scene(file: Path) -> Scene:
-    """Scene of all colliding geoms, with joints at their references; pairs that MuJoCo does not collide may touch."""
+    """Make a scene of all colliding geoms, with joints at their references; pairs that MuJoCo skips may touch."""
     model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
     for body in model.bodies:
         for part in body.parts:

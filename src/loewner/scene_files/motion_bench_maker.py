@@ -1,4 +1,4 @@
-"""The planning problems of MotionBenchMaker in JSON; `docs/scenes.md` describes the format."""
+"""Read planning problems of MotionBenchMaker in JSON; `docs/scenes.md` describes the format."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Problem:
     group : str
         The family of the problem, such as "bookshelf_thin".
     index : int
-        Number of the problem in its family, as in the file.
+        Number of the problem within its family, as in the file.
     robot : str
         Name of the robot.
     joint_names : tuple of str
@@ -62,7 +62,7 @@ class Problem:
     scene : Scene
         Obstacles, in the frame of the robot's base.
     valid : bool or None
-        The file's own claim that the problem is valid, which is not checked here; None if there is none.
+        Whether the file claims that the problem is valid, which is not checked here; None if the file claims nothing.
 
     Examples
     --------
@@ -88,12 +88,12 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     Parameters
     ----------
     path : path
-        A file with ``robot``, ``joints``, and ``problems``: lists of problems by group.
+        A file with the keys ``robot``, ``joints`` and ``problems``; the last maps each group to a list of problems.
 
     Returns
     -------
     tuple of Problem
-        In the order of the file. Obstacles of equal sizes share one `Body`.
+        The problems, in the order of the file. Obstacles of equal sizes share one `Body`.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
 
 
 def _json_text(file: Path) -> str:
-    """Text of a JSON file, which must not be nested too deeply."""
+    """Read the text of a JSON file, which must not be nested too deeply."""
     data = read_regular(file, "problems in JSON", MOST_BYTES)
     text = data.decode(json.detect_encoding(data))
     if text.startswith("\ufeff"):
@@ -150,7 +150,7 @@ def _json_text(file: Path) -> str:
 
 
 def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Make a mapping from pairs; JSON allows duplicate keys, whose first values would be lost, so they are refused."""
+    """Make a mapping from pairs; refuse duplicate keys, which JSON allows, since only the last value would remain."""
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
@@ -159,14 +159,14 @@ def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class JsonNode(Node):
-    """A place in a JSON file; the reader of JSON records no line numbers."""
+    """A place in a JSON file; the JSON reader records no line numbers."""
 
     @property
     def line(self) -> None:
-        """Unknown."""
+        """The line is unknown."""
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a plain value."""
+        """Check the kind of the place and return its content: mapping pairs, sequence entries, or a plain value."""
         raw = self.raw
         found = "mapping" if isinstance(raw, dict) else "sequence" if isinstance(raw, list) else "scalar"
         if found != kind:
@@ -174,7 +174,7 @@ class JsonNode(Node):
         return raw.items() if isinstance(raw, dict) else raw
 
     def described(self) -> str:
-        """Description of the content, for messages."""
+        """Describe the content, for messages."""
         if isinstance(self.raw, dict | list):
             return f"a {'mapping' if isinstance(self.raw, dict) else 'sequence'} of {len(self.raw)}"
         return cut(repr(self.raw) if isinstance(self.raw, str) else reprlib.repr(self.raw))
@@ -186,20 +186,20 @@ class JsonNode(Node):
         return self.raw
 
     def text(self) -> str:
-        """A name."""
+        """Read a name."""
         return str(self._plain(str, "a name"))
 
     def number(self) -> float:
-        """A finite number; whole ones may be too large for a float."""
+        """Read a finite number; integers may be too large for a float."""
         value = self.raw if isinstance(self.raw, float) else self._plain(int, "a number")
         return self.finite(float(value) if abs(value) <= sys.float_info.max else math.nan)
 
     def whole(self) -> int:
-        """A whole number."""
+        """Read a whole number."""
         return int(self._plain(int, "a whole number"))
 
     def flag(self) -> bool:
-        """True or false."""
+        """Read a boolean."""
         return bool(self._plain(bool, "true or false"))
 
 
@@ -239,7 +239,7 @@ def _obstacle(kind: str, *sizes: float) -> Body:
 
 
 def _pose(keys: dict[str, JsonNode]) -> Floats:
-    """Pose of an obstacle."""
+    """Read the pose of an obstacle."""
     T = np.eye(4)
     T[:3, 3] = keys["position"].numbers(3)
     if "orientation_quat_xyzw" in keys:

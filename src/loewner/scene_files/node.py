@@ -1,7 +1,7 @@
-"""Places in a file of nested mappings and sequences: their expected contents, and their names in messages.
+"""Read places in a file of nested mappings and sequences, check their contents, and name them in messages.
 
-A file is read completely or refused: a robot would drive into an obstacle that was skipped. Every key must therefore be
-known, and every fault is reported with its place.
+A file is read completely or refused, since a robot would drive into an obstacle that was skipped. Every key must
+therefore be known, and every fault is reported with its place.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Node(ABC):
     key : str
         The keys that lead here, joined by "/"; empty at the top.
     raw : object
-        The value of the place as the format's reader returned it.
+        The value of the place, as returned by the format's reader.
     """
 
     file: Path
@@ -43,30 +43,30 @@ class Node(ABC):
     @property
     @abstractmethod
     def line(self) -> int | None:
-        """Line at which the place begins, if the reader records it."""
+        """Line at which the place begins, if the reader records lines."""
 
     @abstractmethod
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a scalar's value."""
+        """Check the kind of the place and return its content: mapping pairs, sequence entries, or a scalar's value."""
 
     @abstractmethod
     def described(self) -> str:
-        """Description of the content, for messages."""
+        """Describe the content, for messages."""
 
     @abstractmethod
     def text(self) -> str:
-        """A name."""
+        """Read a name."""
 
     @abstractmethod
     def number(self) -> float:
-        """A finite number."""
+        """Read a finite number."""
 
     @abstractmethod
     def flag(self) -> bool:
-        """True or false."""
+        """Read a boolean."""
 
     def error(self, text: str) -> FileError:
-        """Make the error about this place."""
+        """Make an error about this place."""
         line = "" if self.line is None else f", line {self.line}"
         return FileError(f"{self.file}{line}:{f' {self.key}:' if self.key else ''} {text}")
 
@@ -79,7 +79,7 @@ class Node(ABC):
             raise self.error(str(error)) from None
 
     def mapping(self, known: tuple[str, ...] | None, required: tuple[str, ...] = ()) -> dict[str, Self]:
-        """Places by key; unknown keys (None: all are known), missing keys and duplicate keys are errors."""
+        """Return places by key; missing and duplicate keys are errors, and unknown ones unless `known` is None."""
         found: dict[str, Self] = {}
         for raw_key, raw in self.expect("mapping", "a mapping"):
             at_key = type(self)(self.file, self.key, raw_key)
@@ -95,7 +95,7 @@ class Node(ABC):
         return found
 
     def items(self, *lengths: int) -> list[Self]:
-        """Places of a sequence of one of these lengths (none given: any)."""
+        """Return the places of a sequence, which has one of these lengths, or any length if none is given."""
         wanted = f"a sequence of {' or '.join(map(str, lengths))}" if lengths else "a sequence"
         entries = self.expect("sequence", wanted)
         if lengths and len(entries) not in lengths:
@@ -103,34 +103,34 @@ class Node(ABC):
         return [type(self)(self.file, f"{self.key}[{i}]", raw) for i, raw in enumerate(entries)]
 
     def finite(self, number: float) -> float:
-        """Check that a number read here is finite; it is NaN if none could be read."""
+        """Check that a number read here is finite; NaN means that none could be read."""
         if not math.isfinite(number):
             raise self.error(f"expected a finite number, found {self.described()}")
         return number
 
     def length(self) -> float:
-        """A non-negative length in metres."""
+        """Read a non-negative length in metres."""
         number = self.number()
         if number < 0:
             raise self.error(f"expected a number of metres >= 0, found {number:g}")
         return number
 
     def numbers(self, length: int) -> list[float]:
-        """A given number of finite numbers."""
+        """Read a given count of finite numbers."""
         return [item.number() for item in self.items(length)]
 
     def rows(self, length: int) -> list[list[float]]:
-        """Any number of rows with a given number of finite numbers."""
+        """Read rows, each of a given count of finite numbers."""
         return [row.numbers(length) for row in self.items()]
 
 
 def some(names: Iterable[str]) -> str:
-    """Names for messages, shortened to a readable number."""
+    """Format names for messages, limited to a readable number."""
     listed = list(names)
     more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
     return ", ".join(map(cut, listed[:LISTED])) + more
 
 
 def cut(text: str) -> str:
-    """A text of a file for a message."""
+    """Shorten a string from a file for a message."""
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,4 +1,4 @@
-"""Shapes of scene files for sensor data: point clouds, voxels, terrain, and unions of balls and boxes."""
+"""Read the shapes of scene files for sensor data: point clouds, voxels, terrain, and unions of balls and boxes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ SENSOR_SHAPES: dict[str, Callable[[Node], Recipe]] = {
 
 
 def _file(entry: Node) -> Path:
-    """A file beside the scene's."""
+    """Return the path of a file that is given relative to the scene's file."""
     name = entry.text()
     with entry.blamed():
         return entry.file.parent / _validate.path(name, "file")
@@ -88,12 +88,12 @@ def read_array(path: Path) -> Any:
     Parameters
     ----------
     path : Path
-        In `.csv` files commas separate the numbers; in other text files spaces may do so instead.
+        In `.csv` files commas separate the numbers; in other text files spaces or commas do.
 
     Raises
     ------
     FileError
-        If the file is missing, too large or of another kind, or lacks a number.
+        If the file is missing, too large or of the wrong kind, or lacks a number.
     """
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".xyz", ".txt", ".csv"):

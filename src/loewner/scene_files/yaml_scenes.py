@@ -1,4 +1,4 @@
-"""Scenes in YAML, read and written; `docs/scenes.md` describes the format."""
+"""Read and write scenes in YAML; `docs/scenes.md` describes the format."""
 
 from __future__ import annotations
 
@@ -61,8 +61,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Parameters
     ----------
     path : path
-        Paths in it are relative to its folder. A name that ends in ``.xml`` or ``.mjcf`` is read as a MuJoCo model: all
-        colliding geoms, with joints at their references. Use `Robot.from_mjcf` for parts that move.
+        Paths in the file are relative to its folder. A file with the extension ``.xml`` or ``.mjcf`` is read as a
+        MuJoCo model: all its colliding geoms, with joints at their references. Use `Robot.from_mjcf` for parts that
+        move.
 
     Returns
     -------
@@ -71,16 +72,16 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Raises
     ------
     FileError
-        If the file, or one that it names, is missing or malformed. The message gives line and key.
+        If the file, or a file that it names, is missing or malformed. The message gives the line and the key.
     MissingExtraError
-        If PyYAML is not installed, or MuJoCo for a model, or a package that a mesh needs.
+        If PyYAML is not installed, or MuJoCo if the file is a model, or a package that a mesh needs.
     InputError, GeometryError
         As for `Robot.from_mjcf`, if a colliding geom of a model cannot be read.
 
     Warns
     -----
     UserWarning
-        If a body is probably not in metres, or an angle not in radians.
+        If a body is probably not in metres, or an angle is probably not in radians.
 
     Examples
     --------
@@ -111,7 +112,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
 
 
 def _set_margin(scene: Scene, entry: YamlNode) -> None:
-    """Set the margin of one entry: ``[a, 0.02]``, ``[a, b, 0.02]``, or a mapping with all options of `set_margin`."""
+    """Set the margin of an entry: ``[a, 0.02]``, ``[a, b, 0.02]``, or a mapping with the options of `set_margin`."""
     options: dict[str, Any] = {}
     if entry.raw.id != "mapping":
         *items, last = entry.items(2, 3)
@@ -133,7 +134,7 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 
 @guarded
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
-    """Write a scene to YAML, such that `load_scene` reads a scene with the same verdicts.
+    """Write a scene to YAML, so that `load_scene` returns a scene with the same verdicts.
 
     Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
     next to the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
@@ -142,7 +143,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     ----------
     scene : Scene
     path : path
-        Written under a temporary name and then renamed, after the files of its bodies.
+        The files of the bodies are written first; then this file is written under a temporary name and renamed.
 
     Raises
     ------
@@ -172,7 +173,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 
 
 def _document(scene: Scene, file: Path) -> dict[str, Any]:
-    """Contents of the file for a scene; bodies that it cannot express are saved beside it."""
+    """Make the contents of the file for a scene; bodies that YAML cannot express are saved next to the file."""
     saved: dict[int, str] = {}
     bodies = {}
     for name in scene:
@@ -194,7 +195,7 @@ def _document(scene: Scene, file: Path) -> dict[str, Any]:
 
 
 def _margin_entry(key: MarginKey, margin: float, lower: bool) -> list[Any] | dict[str, Any]:
-    """The entry of a margin, as `_set_margin` reads it."""
+    """Make the entry of a margin, as `_set_margin` reads it."""
     names = [name for name in key if name is not None]
     if len(names) == len(key) and not lower:
         return [*names, margin]
@@ -214,7 +215,7 @@ def _yaml() -> Any:
 
 
 def _composed(file: Path) -> Any:
-    """Root node of a YAML file; nodes record their lines, and nothing in the file is executed or constructed."""
+    """Read the root node of a YAML file; nodes record their lines, and nothing in the file is executed."""
     data = read_regular(file, "a scene in YAML", MOST_BYTES)
     root = _parsed(data, file, _yaml().compose)
     if root is None:
@@ -223,7 +224,7 @@ def _composed(file: Path) -> Any:
 
 
 def yaml_data(data: bytes, file: Path) -> Any:
-    """Mappings, lists, numbers and texts of a YAML file, as from `json.loads`; a FileError names the line."""
+    """Read a YAML file as mappings, lists, numbers and strings, as `json.loads` does; a FileError names the line."""
     return _parsed(data, file, _yaml().load)
 
 
@@ -247,12 +248,12 @@ def _parsed(data: bytes, file: Path, parse: Callable[..., Any]) -> Any:
 
 @functools.cache
 def _loader() -> Any:
-    """The class that reads YAML, made when PyYAML is first needed."""
+    """Make the class that reads YAML, when PyYAML is first needed."""
     yaml = _yaml()
     parent: Any = yaml.SafeLoader
 
     class Loader(parent):  # type: ignore[misc]
-        """Counts the nodes that it composes, so that neither depth nor nested aliases exceed the limits on a file."""
+        """A YAML loader that counts nodes, so that neither depth nor nested aliases exceed the limits on a file."""
 
         def __init__(self, data: bytes) -> None:
             super().__init__(data)
@@ -289,11 +290,11 @@ class YamlNode(Node):
 
     @property
     def line(self) -> int:
-        """Line at which the place begins."""
+        """Line at which the place begins in the file."""
         return int(self.raw.start_mark.line) + 1
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a scalar's text."""
+        """Check the kind of the place and return its content: mapping pairs, sequence entries, or a scalar's text."""
         if self.raw.tag not in YAML_TAGS:
             raise self.error(f"expected {wanted}, found the tag {self.raw.tag}")
         if self.raw.id != kind:
@@ -301,20 +302,20 @@ class YamlNode(Node):
         return self.raw.value
 
     def described(self) -> str:
-        """Description of the content, for messages."""
+        """Describe the content, for messages."""
         if self.raw.id == "scalar":
             return cut(repr(self.raw.value)) if self.raw.value else "nothing"
         return f"a {self.raw.id} of {len(self.raw.value)}"
 
     def text(self) -> str:
-        """A name, even where YAML reads a number."""
+        """Read a name, even one that YAML would read as a number."""
         value: str = self.expect("scalar", "a name")
         if not value:
             raise self.error("expected a name, found nothing")
         return value
 
     def number(self) -> float:
-        """A finite number; YAML 1.1 reads 1e-3 as text, which counts as a number here unless it is quoted."""
+        """Read a finite number; 1e-3, which YAML 1.1 reads as text, counts as a number unless it is quoted."""
         value = self.expect("scalar", "a number")
         try:
             plain = self.raw.style is None and value.isascii() and "_" not in value
@@ -323,7 +324,7 @@ class YamlNode(Node):
             return self.finite(math.nan)
 
     def flag(self) -> bool:
-        """True or false."""
+        """Read a boolean."""
         value = str(self.expect("scalar", "true or false")).lower()
         if value not in ("true", "false"):
             raise self.error(f"expected true or false, found {self.described()}")
@@ -331,7 +332,7 @@ class YamlNode(Node):
 
 
 def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> None:
-    """Add one body of a file to the scene; `made` keeps the bodies made so far, by their recipes."""
+    """Add one body of a file to the scene; `made` keeps the bodies made so far, keyed by recipe."""
     keys = entry.mapping(None)
     shapes = [key for key in keys if key in SHAPES]
     if len(shapes) != 1:
@@ -360,7 +361,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
-    """A key that identifies equal bodies, and a function that makes the body."""
+    """Return a key that identifies equal bodies, and a function that makes the body."""
     entry = keys[shape]
     if shape in AXIS_SHAPES:
         axes = entry.numbers(3)
@@ -393,7 +394,7 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
 
 
 def _model(keys: dict[str, YamlNode]) -> str:
-    """The model of a mesh, from the keys that select it; checks keys that only apply to surfaces."""
+    """Return the model of a mesh that the keys select, after checking keys that apply only to surfaces."""
     if "decompose" in keys and "model" in keys:
         raise keys["model"].error("expected either model or decompose, found both")
     model = "pieces" if "decompose" not in keys or keys["decompose"].flag() else "hull"
@@ -415,7 +416,7 @@ def _scale(entry: YamlNode) -> list[float]:
 
 
 def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
-    """Pose of a body, with the identity for parts that are not given."""
+    """Read the pose of a body; parts that are not given are the identity."""
     given = [key for key in POSE_KEYS if key in keys]
     if "pose" in given and len(given) > 1:
         raise entry.error(f"expected either pose or position and a rotation, found {' and '.join(given)}")
@@ -445,7 +446,7 @@ def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
 
 
 def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[str, Any]:
-    """The entry of a body; a body that no shape describes is saved next to the file, unless `saved` contains it."""
+    """Make the entry of a body; a body that no shape describes is saved next to the file, unless it is in `saved`."""
     shape = _primitive_of(body)
     if shape is not None:
         return shape
@@ -459,7 +460,7 @@ def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[
 
 
 def _primitive_of(body: Body) -> dict[str, Any] | None:
-    """The shape and sizes that make exactly this body, if there are any."""
+    """Find the shape and sizes that make exactly this body, if there are any."""
     number = int(packed_of(body).layout[0, columns.KIND])
     if len(packed_of(body).layout) != 1 or body.covering is not None or number < columns.POLYTOPE:
         return None
@@ -477,12 +478,12 @@ def _primitive_of(body: Body) -> dict[str, Any] | None:
 
 
 def _same(a: Body, b: Body) -> bool:
-    """Whether two bodies are the same to the last bit."""
+    """Return whether two bodies are the same to the last bit."""
     return all(np.array_equal(getattr(packed_of(a), name), getattr(packed_of(b), name)) for name in ARRAYS)
 
 
 def _place_of(scene: Scene, name: str) -> dict[str, Any]:
-    """Pose and attachment, without rounding: a pure translation is written as a position, other poses as matrices."""
+    """Express pose and attachment without rounding, a pure translation as a position, any other pose as a matrix."""
     held = scene.attachments.get(name)
     T = scene.pose(name) if held is None else held.T_link_body
     place: dict[str, Any] = {}

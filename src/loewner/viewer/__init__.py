@@ -1,6 +1,6 @@
-"""A 3-D page in the browser (viser): two bodies, or a robot in a scene, with their verdicts while they move.
+"""Show two bodies, or a robot in a scene, in the browser (viser), with their verdicts while they move.
 
-By default only this machine can open the page (see `host`), which loads nothing from other addresses.
+By default only this machine can open the page (see `host`). The page loads nothing from any other address.
 """
 
 from loewner.viewer.pair import PairViewer, show_pair

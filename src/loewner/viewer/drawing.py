@@ -1,7 +1,7 @@
-"""Draw bodies on the page: original mesh, pieces and ellipsoids, each sent once, when it is first shown.
+"""Draw bodies on the page: original meshes, pieces and ellipsoids, each sent once, when it is first shown.
 
-Most pieces are drawn as triangles, in one node per body. Point clouds are drawn as points, and many balls or ellipsoids
-as copies of one ball: ten thousand of them would be millions of triangles.
+Most pieces are drawn as triangles, in one node per body. Point clouds are drawn as points, and large numbers of balls
+or ellipsoids as copies of one ball, since ten thousand of them would be millions of triangles.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ AMBIENT = 1.2
 
 
 def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
-    """Add triangles to the page's scene, without shadows, which would require a second drawing of everything."""
+    """Add triangles to the page's scene, without shadows, for which everything would have to be drawn twice."""
     vertices, triangles = mesh
     return scene.add_mesh_simple(
         name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
@@ -76,7 +76,7 @@ def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
 
 @dataclass(frozen=True)
 class Triangles:
-    """Triangles: vertices (v, 3) [m] and indices of vertices (t, 3)."""
+    """Triangles, as vertices (v, 3) [m] and indices of vertices (t, 3)."""
 
     vertices: Floats
     triangles: Any
@@ -98,7 +98,7 @@ class Points:
     radius: float
 
     def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
-        """Add them to the page's scene, where the size of a point is its radius."""
+        """Add the balls to the page's scene, where the size of a point is its radius."""
         return scene.add_point_cloud(
             name, self.points.astype(np.float32), look["color"], point_size=self.radius, point_shape="circle",
             precision="float32",
@@ -111,7 +111,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Copies:
-    """Images c + F u of the unit ball: centers (n, 3) and factors (n, 3, 3) [m]."""
+    """Images c + F u of the unit ball, as centers (n, 3) and factors (n, 3, 3) [m]."""
 
     centers: Floats
     factors: Floats
@@ -136,7 +136,7 @@ Part = Triangles | Points | Copies
 
 
 class Drawing:
-    """The nodes that show one body below a node of the page's scene.
+    """The nodes that show one body, below a given node of the page's scene.
 
     Parameters
     ----------
@@ -150,8 +150,9 @@ class Drawing:
     shown : dict
         Visibility of each layer, by name.
     mesh : callable, optional
-        Returns the triangles from which the body was made, in its frame, or None if there are none; called when they
-        are first shown. A body without a mesh shows its pieces instead, so it does not vanish from the page.
+        Returns the triangles from which the body was made, in its frame, or None if there are none. It is called when
+        the mesh is first shown. A body without a mesh shows its pieces instead, so that it does not vanish from the
+        page.
     """
 
     def __init__(
@@ -185,11 +186,11 @@ class Drawing:
                     _paint(self._nodes[name], colour)
 
     def box(self, T: Floats) -> Floats:
-        """Lowest and highest corner of the pieces at a pose, shape (2, 3), in metres."""
+        """Return the lowest and highest corner of the pieces at a pose, shape (2, 3), in metres."""
         return spanned(part.box(T) for part in self._pieces)
 
     def show(self, shown: dict[str, bool]) -> None:
-        """Switch layers on and off; pieces become transparent for the layers inside them."""
+        """Switch layers on and off; pieces become transparent if layers inside them are shown."""
         wanted = {layer for layer in LABELS if shown.get(layer, False)}
         if "meshes" in wanted and not self._made("meshes"):
             wanted = wanted - {"meshes"} | {"pieces"}
@@ -219,7 +220,7 @@ class Drawing:
         return [] if mesh is None or not len(mesh[1]) else [Triangles(*mesh)]
 
     def _made(self, layer: str) -> list[str]:
-        """Names of the nodes of a layer, made when they are first needed; empty if there is nothing to draw."""
+        """Return the names of a layer's nodes, made when they are first needed; empty if there is nothing to draw."""
         if layer not in self._layers:
             look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
             if layer == "pieces" and any(piece.kind in ("surface", "solid") for piece in self._body.pieces):
@@ -239,7 +240,7 @@ class Drawing:
 
 
 class NearPoints:
-    """Two points, and the line between them: the points where two bodies are nearest, or deepest in each other."""
+    """Marks at the two points where bodies are nearest, or deepest in each other, and the line between the points."""
 
     def __init__(self, scene: Any, size: float) -> None:
         dot = size / 120
@@ -260,7 +261,7 @@ class NearPoints:
 
 
 def _paint(node: Any, colour: Rgb) -> None:
-    """Set the colour of a node, which is a property of triangles, points or copies."""
+    """Set the colour of a node, which may consist of triangles, points or copies."""
     for name in ("color", "colors", "batched_colors"):
         if hasattr(node, name):
             setattr(node, name, colour if name == "color" else np.array(colour, dtype=np.uint8))
@@ -268,7 +269,7 @@ def _paint(node: Any, colour: Rgb) -> None:
 
 
 def spanned(boxes: Iterable[Floats]) -> Floats:
-    """Lowest and highest corner of some boxes, shape (2, 3)."""
+    """Return the lowest and highest corner of several boxes together, shape (2, 3)."""
     corners = np.array(list(boxes))
     return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
@@ -278,7 +279,7 @@ def _box(points: Floats, around: Floats | float) -> Floats:
 
 
 def parts(body: Body) -> list[Part]:
-    """Shapes that draw a body's pieces: all triangles as one, the points of each cloud, and large sets of balls."""
+    """Make the shapes for a body's pieces: one for all triangles, one per point cloud, one per large set of balls."""
     packed = packed_of(body)
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
@@ -301,13 +302,13 @@ def parts(body: Body) -> list[Part]:
 
 
 def _is_cloud(packed: Packed, number: int) -> bool:
-    """Whether all triangles of a surface are single points, with balls around them."""
+    """Return whether all triangles of a surface are single points, with balls around them."""
     corners = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]
     return bool(packed.frames[number, 0] > 0 and (corners == corners[:, :1]).all())
 
 
 def outlines(body: Body, which: str) -> list[Part]:
-    """Shapes that draw all inner, or all outer, ellipsoids of a body; inner ones that are points are omitted."""
+    """Make the shapes for all inner, or all outer, ellipsoids of a body; inner ones that are points are omitted."""
     centers, factors = ellipsoids_of(packed_of(body), which)
     if len(centers) > MANY_PIECES:
         drawn = factors.any(axis=(1, 2))
@@ -317,17 +318,17 @@ def outlines(body: Body, which: str) -> list[Part]:
 
 
 def pieces(body: Body) -> Mesh:
-    """Surface triangles of all pieces of a body, in its frame."""
+    """Return the surface triangles of all pieces of a body, in its frame."""
     return joined(of_pieces(packed_of(body)))
 
 
 def ellipsoids(body: Body, which: str) -> Mesh:
-    """Triangles of all inner, or all outer, ellipsoids of a body, in its frame; points are omitted."""
+    """Return the triangles of all inner, or all outer, ellipsoids of a body, in its frame; points are omitted."""
     return joined(of_ellipsoids(packed_of(body), which).values())
 
 
 def quaternions(rotations: Floats) -> Floats:
-    """Unit quaternions wxyz, shape (..., 4), of rotation matrices, shape (..., 3, 3)."""
+    """Convert rotation matrices, shape (..., 3, 3), to unit quaternions wxyz, shape (..., 4)."""
     xyzw = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
     return np.asarray(np.roll(xyzw, 1, axis=-1).reshape(*rotations.shape[:-2], 4))
 
@@ -338,7 +339,7 @@ def place(node: Any, T: Floats) -> None:
 
 
 def light(scene: Any) -> None:
-    """Light the scene with lamps only: reflections of the surroundings would double the cost of drawing."""
+    """Light the scene only with lamps, since reflections of the surroundings would double the cost of drawing."""
     scene.configure_environment_map(None)
     scene.configure_default_lights(cast_shadow=False)
     scene.add_light_ambient("/light", intensity=AMBIENT)

@@ -1,4 +1,4 @@
-"""The camera's first view, and the grid on the ground: both follow the size of the scene."""
+"""Set the camera's first view, and the grid on the ground, to suit the size of the scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ON_GROUND = 0.1
 
 
 def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
-    """Box of the camera's view: the main object, and the objects near it that are not much larger.
+    """Compute the box of the camera's view: the main object, and nearby objects that are not much larger.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
         Lowest and highest corner.
     others : iterable of ndarray, shape (2, 3)
     most : float
-        A box, such as a floor's, is omitted if it would make the diagonal more than this many times as long.
+        A box, such as a floor's, is left out if it would make the diagonal longer by more than this factor.
 
     Returns
     -------
@@ -38,12 +38,12 @@ def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
 
 
 def diagonal(box: Floats) -> float:
-    """Length of the diagonal of a box, in metres."""
+    """Return the length of a box's diagonal, in metres."""
     return float(np.linalg.norm(box[1] - box[0]))
 
 
 def aim(server: Any, box: Floats) -> None:
-    """Let the camera start with a view of a box from the front, right and above, placed left of the panel."""
+    """Let the camera start with a view of a box from the front, the right and above; the box is left of the panel."""
     size = diagonal(box)
     middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle
@@ -54,7 +54,7 @@ def aim(server: Any, box: Floats) -> None:
 def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
     """Add a grid below the scene, and return the edge length of its cells [m].
 
-    It is at z = 0 if the scene rests there, and otherwise at its lowest point.
+    The grid is at z = 0 if the scene rests there, otherwise at the scene's lowest point.
     """
     size = diagonal(box)
     cell = round_length(GRID_SIDE * size / LEAST_CELLS)
@@ -71,6 +71,6 @@ def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
 
 
 def round_length(most: float) -> float:
-    """Largest length of 1, 2 or 5 times a power of ten that is at most this one."""
+    """Round a length down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(most))
     return max((step * power for step in (1, 2, 5) if step * power <= most), default=power)

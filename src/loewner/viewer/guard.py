@@ -1,8 +1,9 @@
-"""Access control of the page: checks each request, for the page or its websocket, before viser receives it.
+"""Control access to the page: check each request, for the page or its websocket, before viser receives it.
 
-viser serves any client that can reach its port. These are not only users of this machine: a page of any site, open in a
-browser here, can reach 127.0.0.1 as well (by a websocket to it, or a name that resolves to it). Such requests name that
-site as their Origin or their Host, which no script in a browser can change, so they can be refused.
+viser serves any client that can reach its port. Such clients are not only users of this machine: a page of any site,
+opened in a browser here, can reach 127.0.0.1 as well, by a websocket to this address or by a name that resolves to it.
+Requests of such a page name its site as their Origin or Host, which no script in a browser can change, so they can be
+refused.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Listening:
     Attributes
     ----------
     host : str
-        As given by the caller.
+        The host, as given by the caller.
     address : str
         Numeric address of the host, on which the server listens.
     family : socket.AddressFamily
@@ -64,7 +65,7 @@ class Listening:
 
     @property
     def everywhere(self) -> bool:
-        """Whether the address means all addresses of this machine."""
+        """Whether the address stands for all addresses of this machine."""
         return ipaddress.ip_address(self.address).is_unspecified
 
     @property
@@ -75,7 +76,7 @@ class Listening:
         return "::1" if self.family == socket.AF_INET6 else "127.0.0.1"
 
     def url(self, port: int, token: str | None, name: str | None = None) -> str:
-        """Address to type into a browser on this machine, or on another machine that reaches it by `name`."""
+        """Address to type into a browser on this machine, or on a second machine that reaches this one by `name`."""
         if name is None:
             name = "localhost" if self.own_address == "127.0.0.1" else self.host if not self.everywhere else "::1"
         host = f"[{name}]" if ":" in name else name
@@ -83,7 +84,7 @@ class Listening:
 
 
 def listening(host: Any) -> Listening:
-    """Find the one address of a host; InputError if there is none."""
+    """Find the address of a host; InputError if it has none."""
     if not isinstance(host, str):
         raise InputError(f"host: expected an address or the name of a host as a str, found {type(host).__name__}")
     if not host:
@@ -102,14 +103,14 @@ def listening(host: Any) -> Listening:
 
 
 class Guard:
-    """Decides about each request by its headers and its address.
+    """Accept or refuse each request, by its headers and its path.
 
     Parameters
     ----------
     where : Listening
     port : int
     token : str or None
-        The secret that a client must send; None requires none.
+        The secret that a client must send; None if no secret is required.
     title : str
         Title of the browser's tab.
     """
@@ -123,7 +124,7 @@ class Guard:
             self._names |= {socket.gethostname().lower(), socket.gethostname().lower().partition(".")[0]}
 
     def refusal(self, path: str, headers: Any) -> str | None:
-        """Why a request is refused; None if it is accepted.
+        """Return the reason why a request is refused; None if it is accepted.
 
         Parameters
         ----------
@@ -143,11 +144,12 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add the title, the token for the websocket and the allowed connections to a page that is sent.
+        """Add the title, the token for the websocket and the policy on connections to a page that is sent.
 
-        viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address, and shows the content as its
-        own: a link to this server with such parameters would be an attack. The policy allows connections to this server
-        only. It also keeps pages of other machines from framing this one to collect clicks unnoticed.
+        viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address and shows the content as its
+        own, so a link to this server with such parameters could be used in an attack. The policy allows connections
+        only to this server. It also keeps pages of foreign machines from framing this page in order to collect clicks
+        unnoticed.
         """
         self._entitle(response)
         response.headers["Content-Security-Policy"] = (
@@ -160,7 +162,7 @@ class Guard:
             response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _entitle(self, response: Any) -> None:
-        """Write the title into the page in place of viser's name; a page of another version of viser is not changed."""
+        """Replace viser's name by the title in the page; a page of an unknown version of viser is left unchanged."""
         packed = response.headers.get("Content-Encoding") == "gzip"
         content = gzip.decompress(response.body) if packed else response.body
         if VISERS_TITLE in content:
@@ -207,15 +209,15 @@ def new_token() -> str:
 def install(server: Any, guard: Guard) -> None:
     """Put the guard before a viser server that has just been started, and check that it works.
 
-    viser has no hook for this, so the guard is installed in the websockets server on which viser is built, which is
-    reached through one of its connections, opened for this purpose. Earlier clients are disconnected in the same turn
-    of the server's loop, during which no client can connect; the page is still empty then. If the internals of viser or
-    websockets differ, this step or the check fails, and no page is left open.
+    viser has no hook for this, so the guard is installed in the websockets server on which viser is built. That server
+    is reached through one of its own connections, opened for this purpose. Earlier clients are disconnected in the same
+    turn of the server's loop, during which no client can connect and the page is still empty. If the internals of viser
+    or websockets differ from the expected ones, this step or the check fails, and no page is left open.
 
     Raises
     ------
     MissingExtraError
-        If this viser cannot be guarded.
+        If the installed viser cannot be guarded.
     """
     import viser
 
@@ -292,7 +294,7 @@ def _ask(
     token: str | None = "",
     upgrade: bool = False,
 ) -> tuple[int, http.client.HTTPConnection]:
-    """Send a request to the server, with the right token or none, and return the status of the answer."""
+    """Send a request to the server, with the right token or without one, and return the status of the answer."""
     import viser
 
     headers = {"Host": f"{host}:{port}"}

@@ -1,4 +1,4 @@
-"""The page itself: its server, the thread that answers user actions, and the parts shared by both kinds of page."""
+"""Define the page: its server, the thread that answers user actions, and the parts shared by both kinds of page."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ class Viewer:
     """An open page; made by `show_pair` or `show_robot`.
 
     `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. If several moves are
-    waiting, only the last is answered, so the page never lags behind the mouse.
+    waiting, only the last of them is answered, so that the page does not lag behind the mouse.
 
     Attributes
     ----------
     server : viser.ViserServer
-        The server, for drawing more on the same page.
+        The server, which can be used to draw more on the same page.
     lock : threading.RLock
         Other threads must hold this lock while they change the scene that the page shows.
     answered : int
-        Number of updates of the page.
+        Number of updates of the page so far.
     seconds : float
         Duration of the last update.
     verdict : Verdict
@@ -101,7 +101,7 @@ class Viewer:
             self.server.stop()
 
     def wait(self) -> None:
-        """Return when `close` or a keyboard interrupt closes the page."""
+        """Wait until `close` or a keyboard interrupt closes the page."""
         try:
             self._closed.wait()
         except KeyboardInterrupt:
@@ -121,7 +121,7 @@ class Viewer:
         self.close()
 
     def _warning(self) -> str:
-        """Warning about who can open a page that is not restricted to this machine."""
+        """Return the warning that a page not restricted to this machine can be opened by others."""
         where, port = self._guard.where, self._guard.port
         reach = "any of this machine's addresses" if where.everywhere else where.host
         address = where.url(port, self._guard.token, socket.gethostname() if where.everywhere else where.host)
@@ -140,7 +140,7 @@ class Viewer:
         raise NotImplementedError
 
     def _take(self, done: dict[str, Any]) -> None:
-        """Apply the actions on the page: the last value of each control, by name."""
+        """Apply the actions on the page, given as the last value of each control, keyed by name."""
         raise NotImplementedError
 
     def _answer(self) -> None:
@@ -148,24 +148,24 @@ class Viewer:
         raise NotImplementedError
 
     def _changed(self) -> bool:
-        """Whether Python has changed the contents of the page without notifying it."""
+        """Return whether Python code has changed the contents of the page without notifying it."""
         return False
 
     def _look_every(self) -> float:
-        """Seconds until the next check for changes, if nothing happens."""
+        """Return the seconds until the next check for changes, if nothing happens before."""
         return LOOK_EVERY
 
     def _tell(self, name: str, value: Any = None) -> None:
-        """Note that a control of the page was used; may be called from any thread."""
+        """Record that a control of the page was used; may be called from any thread."""
         self._events.put((name, value))
 
     def _watch(self, handle: Any, name: str) -> Any:
-        """Note whenever a user changes a control; changes by Python have no client, and are ignored."""
+        """Record each change of a control by a user; changes by Python have no client and are ignored."""
         handle.on_update(lambda event: self._tell(name) if event.client is not None else None)
         return handle
 
     def _show_verdict(self, name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> None:
-        """Fill the panel's first block; texts are escaped here, since names come from files."""
+        """Fill the panel's first block; strings are escaped here, since names come from files."""
         content = _block(name, colour, rows, notes)
         if self._verdict.content != content:
             self._verdict.content = content
@@ -215,7 +215,7 @@ class Viewer:
 
 
 class Mover:
-    """Controls that move one body on the page: a gizmo to drag, and its position and rotation as numbers.
+    """The controls that move one body on the page: a gizmo to drag, and position and rotation as numbers.
 
     The gizmo's node has the body's pose, so that the browser moves the body with the mouse.
     """
@@ -229,11 +229,11 @@ class Mover:
         page._watch(self.gizmo, f"drag {name}")
 
     def fit(self, box: Floats, most: float) -> None:
-        """Make the gizmo large enough for a body in this box, but no larger than `most` [m]."""
+        """Make the gizmo large enough for a body with this box, but no larger than `most` [m]."""
         self.gizmo.scale = min(GIZMO * float(np.ptp(box, axis=0).max()), most)
 
     def show(self, on: bool) -> None:
-        """Show the handles of the gizmo, or only the body."""
+        """Show or hide the handles of the gizmo."""
         if self.gizmo.disable_axes == on:
             self.gizmo.disable_axes = self.gizmo.disable_sliders = self.gizmo.disable_rotations = not on
 
@@ -252,7 +252,7 @@ class Mover:
 
 
 class PoseInputs:
-    """A pose as numbers on the panel: position in metres; roll, pitch and yaw in degrees."""
+    """A pose as numbers on the panel: position in metres, and roll, pitch and yaw in degrees."""
 
     def __init__(self, page: Viewer, name: str, step: float) -> None:
         gui = page.server.gui
@@ -268,7 +268,7 @@ class PoseInputs:
         return T
 
     def show(self, T: Floats) -> None:
-        """Write a pose, in numbers that fit the panel."""
+        """Show a pose, rounded to numbers that fit the panel."""
         with np.errstate(all="ignore"):
             turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         self.position.value = tuple(np.round(T[:3, 3], 5).tolist())
@@ -276,7 +276,7 @@ class PoseInputs:
 
 
 def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> str:
-    """The verdict as HTML: a coloured bar, a table, and lines of text, all escaped."""
+    """Format the verdict as HTML: a coloured bar, a table, and lines of text, all escaped."""
     cells = "".join(
         f'<tr><td style="padding-right:0.8em;opacity:0.7;white-space:nowrap">{escape(key)}</td>'
         f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums">{escape(text)}</td></tr>'
@@ -291,7 +291,7 @@ def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]
 
 
 def note_lines(notes: list[str]) -> str:
-    """Lines of text as escaped HTML."""
+    """Format lines of text as escaped HTML."""
     return f'<div style="{TEXT};overflow-wrap:anywhere">{_lines(notes)}</div>'
 
 

@@ -1,4 +1,4 @@
-"""The page for two bodies: drag one towards the other and watch their verdict."""
+"""Define the page for two bodies, where one is dragged towards the other while the verdict is shown."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ def show_pair(
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Initial poses; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies must keep.
+        Distance in metres that the bodies have to keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
-        The meshes from which the bodies were made, in their frames. They form a separate layer, hidden at first,
-        because the pieces are checked, not the meshes. A body without a mesh shows its pieces in that layer.
+        The meshes from which the bodies were made, in the frames of the bodies. They form a separate layer, hidden at
+        first, because the pieces are checked and not the meshes. A body without a mesh shows its pieces in that layer.
     host : str
         Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With
-        any other host, others can open the page and move the bodies if they have its address, which ends in a random
-        token and is printed once. "0.0.0.0" means all addresses of this machine.
+        any other host, other people can open the page and move the bodies if they have the page's address; it ends in a
+        random token and is printed once. "0.0.0.0" stands for all addresses of this machine.
     port : int
         0 means any free port.
     block : bool
-        Return only when the page is closed, or on a keyboard interrupt.
+        Return only after the page is closed, or on a keyboard interrupt.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def show_pair(
     Raises
     ------
     MissingExtraError
-        If viser is not installed, or is a version that cannot be kept from answering foreign requests.
+        If viser is not installed, or its version cannot be kept from answering foreign requests.
     InputError
         If an operand is not a body, the margin is negative, the host does not belong to this machine, or the port is
         taken; PoseError if a pose is not a rigid motion.

@@ -1,4 +1,4 @@
-"""Paths that a page plays: the robot's position at each time, and where it collides along the path."""
+"""Play paths on a page: find the robot's position at each time, and where it collides along the path."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MOST_STRETCHES = 4
 
 
 class Path:
-    """A path of configurations with times: the speed is constant between two of them.
+    """A path of timed configurations, with constant speed from each configuration to the next.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Path:
     Attributes
     ----------
     duration : float
-        Seconds from the first to the last; 0 if they are all equal.
+        Seconds from the first configuration to the last; 0 if all are equal.
     """
 
     def __init__(self, robot: Robot, rows: Floats) -> None:
@@ -62,7 +62,7 @@ class Path:
         self.duration = float(self._times[-1])
 
     def positions(self, t: Any) -> Floats:
-        """Configurations at times from 0 to `duration`, shape (..., dof)."""
+        """Return the configurations at times from 0 to `duration`, shape (..., dof)."""
         at = np.asarray(t, dtype=float)
         if not ((at >= 0.0) & (at <= self.duration)).all():
             raise InputError(f"t: expected seconds from 0 to {self.duration:g}, found {at.tolist()}")
@@ -73,7 +73,7 @@ class Path:
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | None:
-    """The path to play, from the two parameters; InputError if both are given, or it belongs to another robot."""
+    """Return the path to play, from two parameters; InputError if both are given, or it is for a different robot."""
     if path is not None and trajectory is not None:
         raise InputError("path, trajectory: expected one of the two, found both")
     if isinstance(path, Trajectory):
@@ -98,14 +98,14 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory:
 
 
 def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
-    """FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spread from start to end."""
+    """Return FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spaced from start to end."""
     Q = way.positions(np.linspace(0.0, way.duration, LOOKS))
     found, _ = classified(prepared_of(checker), codes.EXACT, np.ascontiguousarray(Q))
     return SEEN[found]
 
 
 def strip(found: Ints, duration: float) -> str:
-    """A bar in the colours of the answers along the path, as HTML, and a text about the stretches that are not free."""
+    """Format the answers along the path as a coloured HTML bar, and describe the stretches that are not free."""
     bars = "".join(
         f'<div data-loewner="along {NAMES[kind]}" style="flex:{end - start};background:rgb{COLOURS[kind]}"></div>'
         for kind, start, end in _stretches(found)
@@ -125,6 +125,6 @@ def strip(found: Ints, duration: float) -> str:
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:
-    """Runs of equal answers: the answer, the first index, and one past the last."""
+    """List the runs of equal answers, each as the answer, the first index, and the index after the last."""
     cuts = [0, *(np.flatnonzero(np.diff(found)) + 1).tolist(), len(found)]
     return [(int(found[start]), start, end) for start, end in zip(cuts[:-1], cuts[1:], strict=True)]

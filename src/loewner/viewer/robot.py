@@ -1,4 +1,4 @@
-"""The page for a robot in a scene: move joints and bodies, and see which of them touch."""
+"""Define the page for a robot in a scene, where joints and bodies are moved and contacts are shown."""
 
 from __future__ import annotations
 
@@ -70,20 +70,20 @@ def show_robot(
     port: int = 0,
     block: bool = False,
 ) -> RobotViewer:
-    """Open a page that shows a robot in its scene, lists the bodies that touch, and has sliders for the joints.
+    """Open a page that shows a robot in its scene, with sliders for the joints and a list of the bodies that touch.
 
     Parameters
     ----------
     checker : CollisionChecker
         Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration; default: all joints at 0, or the start of the path.
+        The first configuration. Default: the start of the path or, without a path, all joints at 0.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, and a bar that
-        shows where the robot collides along the path. A path without times is played at 1 rad/s or m/s, measured by
-        `Robot.distances`.
+        shows where the robot collides along the path. A path without times is played at a speed of 1 rad/s or m/s in
+        terms of `Robot.distances`.
     trajectory : planners.Trajectory, optional
-        A trajectory instead of a path; give either this or `path`.
+        A trajectory instead of a path; give either `trajectory` or `path`.
     host, port, block
         As for `show_pair`.
 
@@ -96,8 +96,8 @@ def show_robot(
     MissingExtraError
         If viser is not installed, or is a version that cannot be kept from answering foreign requests.
     InputError
-        If the configuration or the path does not fit, both `path` and `trajectory` are given, there is nothing to
-        check, the host does not belong to this machine, or the port is taken.
+        If the configuration or the path does not fit the robot, both `path` and `trajectory` are given, there is
+        nothing to check, the host does not belong to this machine, or the port is taken.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def show_robot(
 
 @dataclass
 class _Shown:
-    """One body on the page: its drawing, and its placement."""
+    """One body on the page: its drawing and its placement."""
 
     body: Body
     drawing: Drawing
@@ -142,10 +142,10 @@ class RobotViewer(Viewer):
     colliding : bool
         The exact answer; True if there is none.
     contacts : tuple of Contact
-        Pairs that touch, or come within their margin.
+        The pairs that touch or come within their margin.
     bounds : StateDistance
-        Certified bounds on the distance of the nearest pair, the exact distance, and its witnesses; only bounds if the
-        exact search cannot settle it.
+        Certified bounds on the distance of the nearest pair, its exact distance and its witnesses; only the bounds if
+        the exact search cannot settle the distance.
 
     Examples
     --------
@@ -282,7 +282,7 @@ class RobotViewer(Viewer):
         Raises
         ------
         InputError
-            If the page is closed, or the body is attached to a link: it moves with the link.
+            If the page is closed, or the body is attached to a link, with which it moves.
         UnknownNameError, PoseError
             As for `Scene.move`.
         """
@@ -334,7 +334,7 @@ class RobotViewer(Viewer):
         self._frame(links)
 
     def _frame(self, links: Floats) -> None:
-        """Start the camera at the robot and nearby bodies, with a grid below and gizmos of matching size."""
+        """Aim the camera at the robot and nearby bodies, and add a grid below and gizmos of matching size."""
         boxes: dict[bool, list[Floats]] = {True: [], False: []}
         for shown in self._shown.values():
             T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
@@ -379,7 +379,7 @@ class RobotViewer(Viewer):
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
-        """Visual meshes of the links, read when they are first shown, since reading takes a while."""
+        """Return the visual meshes of the links, which are read when they are first shown, since that takes a while."""
         return visual_meshes(self.checker.robot)
 
     def _show_layers(self) -> None:
@@ -393,7 +393,7 @@ class RobotViewer(Viewer):
         self._notes.visible = which["meshes"] and bool(self._notes.content)
 
     def _show_unchecked(self) -> None:
-        """Draw links with visual geometry but no body; report missing visuals and links that are not checked."""
+        """Draw links that have visual geometry but no body; report missing visuals and links that are not checked."""
         robot, (looks, faults) = self.checker.robot, self._visuals
         self._unchecked = {
             name: add_mesh(self.server.scene, f"/robot/{robot.link_names.index(name)}/look", look, **UNCHECKED)
@@ -442,7 +442,7 @@ class RobotViewer(Viewer):
         return mover
 
     def _offer(self, names: tuple[str, ...]) -> None:
-        """List the bodies that can be moved; a removed body is deselected."""
+        """List the bodies that can be moved, and deselect a body that has been removed."""
         if self._chosen.value not in names:
             self._chosen.value = NOTHING
         self._chosen.options = (NOTHING, *names)
@@ -503,7 +503,7 @@ class RobotViewer(Viewer):
         return self._way
 
     def _follow(self, way: Trajectory | Path, done: dict[str, Any]) -> None:
-        """Continue a path that is played; moving a joint by hand stops it."""
+        """Continue a path that is being played; it stops when a joint is moved by hand."""
         if {"state", "random", "joints"} & done.keys():
             self._stop()
         elif "time" in done:
@@ -599,7 +599,7 @@ class RobotViewer(Viewer):
 
 
 def cut_short(lines: list[str]) -> list[str]:
-    """The lines that fit on the panel."""
+    """Keep the lines that fit on the panel."""
     return lines if len(lines) <= MOST_LINES else [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more"]
 
 
@@ -608,7 +608,7 @@ def _identity_or(T: Floats | None) -> Floats:
 
 
 def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
-    """Limits of the joints, and the range of a slider for joints without limits."""
+    """Return the ends of the sliders: the limits of the joints, or a default range for joints without limits."""
     far = np.array([TRAVEL if name.endswith(("/x", "/y", "/z")) else TURN for name in robot.configuration_names])
     low = np.where(np.isfinite(robot.lower), robot.lower, -far)
     high = np.where(np.isfinite(robot.upper), robot.upper, far)
@@ -617,7 +617,7 @@ def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
 
 
 def _with_unit_quaternions(robot: Robot, q: Floats) -> Floats:
-    """Normalise quaternions, whose entries sliders change one by one."""
+    """Normalise quaternions, since sliders change their entries one by one."""
     for k, name in enumerate(robot.configuration_names):
         if name.endswith("/qw"):
             length = np.linalg.norm(q[k : k + 4])

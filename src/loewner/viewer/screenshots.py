@@ -22,21 +22,21 @@ PATIENCE, SETTLED = 60_000, 3_000
 
 
 def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 1280, height: int = 720) -> None:
-    """Write a picture of an open page, as a browser shows it.
+    """Save a picture of an open page, as a browser shows it.
 
     Parameters
     ----------
     page : PairViewer or RobotViewer
         An open page.
     path : path
-        Path that ends in ``.png``; an existing file is replaced.
+        A path that ends in ``.png``; an existing file is replaced.
     width, height : int
         Size of the browser's window, in pixels.
 
     Raises
     ------
     InputError
-        If the name has another suffix, or a size is outside 200 to 4,000.
+        If the path has any other extension, or a size is outside 200 to 4,000.
     MissingExtraError
         If Playwright or a browser for it is not installed.
     FileError
@@ -89,7 +89,7 @@ def _picture(url: str, sizes: dict[str, int], start: Any, error: type[Exception]
 
 
 def _browser(driver: Any, error: type[Exception]) -> Any:
-    """A browser of the system, or Playwright's own."""
+    """Start a browser of the system, or Playwright's own."""
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     flags = list(FLAGS)
     if hasattr(os, "geteuid") and os.geteuid() == 0:

@@ -1,4 +1,4 @@
-"""The appearance of a robot's links: the visual geometry of its URDF, which no query uses."""
+"""Read the appearance of a robot's links, that is, the visual geometry of its URDF, which no query uses."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     Returns
     -------
     meshes : dict
-        Link name to vertices (v, 3) [m] and triangles (t, 3) in the frame of the link.
+        Maps link names to vertices (v, 3) [m] and triangles (t, 3), in the frame of the link.
     faults : list of str
-        Reasons for missing meshes: a picture without them is still worth showing.
+        Reasons why meshes are missing, since a picture without them is still worth showing.
     """
     format, text = source_of(robot)
     if format != "URDF":
