@@ -86,6 +86,14 @@ def test_no_kind_stands_for_an_unknown_one():
             ask()
 
 
+def test_a_kind_without_a_unit_shape_is_not_a_ball(monkeypatch):
+    """A row that says nothing about its unit shape is an error where the piece is meshed, not a ball."""
+    body = Body.cone(1.0, 1.0)
+    monkeypatch.setitem(CURVED, columns.CONE, CURVED[columns.CONE]._replace(top=None))
+    with pytest.raises(ValueError, match="cone: expected a row of CURVED with is_ball, top or core"):
+        of_piece(body._packed, 0)
+
+
 def test_ellipsoids_of_primitives():
     """Known optimal ellipsoids: sphere and ellipsoid are their own; box, cylinder and cone by formula."""
     half3 = 3**0.5

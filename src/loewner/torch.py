@@ -183,7 +183,7 @@ def _functions() -> tuple[Any, Any]:
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
     def kept(ctx: Any) -> tuple[Any, Any]:
-        """Return configurations and gradients; the latter are computed now if they were not expected to be needed."""
+        """Return configurations and gradients. Gradients that were not computed in advance are computed now."""
         Q, gradients = ctx.saved_tensors
         if gradients.shape != Q.shape:
             _, gradients = Asked.apply(Q, ctx.measure, True)

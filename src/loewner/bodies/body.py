@@ -328,7 +328,7 @@ class Body(_Bodies):
         solid: bool | None = None,
         scale: ArrayLike = 1.0,
     ) -> Body:
-        """Make a body of the triangles of a mesh, without a decomposition or an approximation.
+        """Make a body from the triangles of a mesh, without decomposition or approximation.
 
         Every triangle is treated as convex: a flat core with a radius. The mesh may have holes and duplicate, flipped,
         degenerate or self-intersecting triangles. docs/surfaces.md explains when to use this method and when to use

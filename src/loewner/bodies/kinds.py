@@ -11,11 +11,12 @@ from loewner._kernels import columns
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
-    The constructor of `Body` with the same `name` takes `sizes`: the ball's radius and the image's semi-axes, which
-    scene files call `size_names` or give as one vector. A unit cylinder or cone has the radius `top` at its upper end,
-    and a unit shape with an added ball has the half length `core`. `fitted` are the semi-axes of the inner and the
-    outer ellipsoid in the coordinates of the unit shape, and the height of their center; None for kinds with a ball
-    added. The semi-axes have yet to be divided by `divisors`.
+    The `Body` constructor called `name` takes `sizes`, computed from the ball's radius and the image's semi-axes. Scene
+    files give them as separate fields, named by `size_names`, or as one vector. A row states how the unit shape is
+    meshed: `is_ball`, a cylinder or cone with the radius `top` at its upper end, or a segment of half length `core`
+    with a ball added. `fitted` are the semi-axes of the inner and the outer ellipsoid in the coordinates of the unit
+    shape, and the height of their center; None for kinds with a ball added. The semi-axes have yet to be divided by
+    `divisors`.
     """
 
     name: str
@@ -26,11 +27,7 @@ class Kind(NamedTuple):
     fitted: tuple[tuple[float, float, float], tuple[float, float, float], float] | None = None
     divisors: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
     in_mjcf: bool = True
-
-    @property
-    def is_ball(self) -> bool:
-        """Whether a piece is the image of a ball."""
-        return self.top is None and not self.core
+    is_ball: bool = False
 
 
 def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
@@ -44,11 +41,11 @@ _OF_CONE = (2.0**0.5, 2.0**0.5, 1.0), (8.0**0.5, 8.0**0.5, 1.0)
 
 # Indexed by the numbers used in kernels and files.
 CURVED = {
-    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, (), fitted=_BALL),
+    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, (), fitted=_BALL, is_ball=True),
     columns.CYLINDER: Kind("cylinder", _upright, top=1.0, fitted=_CYLINDER),
     columns.CONE: Kind("cone", _upright, top=0.0, fitted=_CONE, divisors=_OF_CONE, in_mjcf=False),
     columns.SEGMENT: Kind("capsule", lambda radius, axes: (radius, 2 * axes[2]), core=1.0),
-    columns.POINT: Kind("sphere", lambda radius, _: (radius,), ("radius",), core=0.0),
+    columns.POINT: Kind("sphere", lambda radius, _: (radius,), ("radius",), core=0.0, is_ball=True),
 }
 FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}
 KIND_NAMES = FLAT | {number: kind.name for number, kind in CURVED.items()}

@@ -96,6 +96,8 @@ def of_piece(packed: Packed, number: int) -> Mesh:
 
 def _curved(kind: Kind, rounding: float, center: Floats, factor: Floats) -> Mesh:
     """Triangulate a curved piece: the image of a unit shape, with a ball added."""
+    if kind.top is None and kind.core is None and not kind.is_ball:
+        raise ValueError(f"{kind.name}: expected a row of CURVED with is_ball, top or core, found none of them")
     unit, triangles = ball(3) if kind.top is None else _cylinder(kind.top)
     if kind.core is None:
         return unit @ factor.T + center, triangles

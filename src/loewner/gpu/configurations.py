@@ -80,8 +80,7 @@ class Checker:
     Raises
     ------
     InputError
-        If `checker` is not a checker, or its robot has joints that neither turn nor slide: planar, floating or ball
-        joints.
+        If `checker` is not a checker, or its robot has planar, floating or ball joints.
 
     Examples
     --------

@@ -175,7 +175,7 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
 def form_of(given: Any, name: str) -> Curve | None:
     """Return the courses of a curve as its type defines them, unchecked; None if the object is not a curve.
 
-    Types of the planners register themselves here, since this module may not import theirs.
+    The planners' types register themselves here, because this module must not import the planner modules.
     """
     interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
     if interpolate is None or not isinstance(given, (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)):

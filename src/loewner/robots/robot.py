@@ -297,7 +297,8 @@ class Robot:
         -------
         Robot
             The root link is the world, and each colliding geom of the world is a separate link fixed to the root. Every
-            MuJoCo body is a link, in MuJoCo's frame. A link that several joints move has links without bodies above it.
+            MuJoCo body is a link, in MuJoCo's frame. If several joints move one link, they are chained through links
+            without bodies.
 
         Raises
         ------

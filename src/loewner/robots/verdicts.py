@@ -1,4 +1,4 @@
-"""Compute verdicts of configurations and sampled motions; the checker, not this module, raises for AMBIGUOUS."""
+"""Compute verdicts for configurations and sampled motions. The checker, not this module, raises for AMBIGUOUS."""
 
 from __future__ import annotations
 

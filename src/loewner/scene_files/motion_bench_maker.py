@@ -1,4 +1,4 @@
-"""Read planning problems of MotionBenchMaker in JSON; `docs/scenes.md` describes the format."""
+"""Read MotionBenchMaker planning problems from JSON; `docs/scenes.md` describes the format."""
 
 from __future__ import annotations
 

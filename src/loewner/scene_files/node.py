@@ -120,7 +120,7 @@ class Node(ABC):
         return [item.number() for item in self.items(length)]
 
     def rows(self, length: int) -> list[list[float]]:
-        """Read rows, each of a given count of finite numbers."""
+        """Read rows, each with a given number of finite values."""
         return [row.numbers(length) for row in self.items()]
 
 
