@@ -1,4 +1,4 @@
-"""Define `plan` and `shorten`, which use the compiled planner by default and OMPL's planners by name."""
+"""Define `plan` and `shorten`, which use the compiled planner, or one of OMPL's planners if it is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sample motions, given by rows of their ends, in the order: the ends, the middle, then ever finer.
+"""Sample motions between given ends: first the ends, then the middle, then successively finer.
 
 Collisions tend to be found early in this order.
 """

@@ -80,7 +80,7 @@ class Watch:
         return all(map(le, self._least, values)) and all(map(le, values, self._most))  # neither holds for NaN
 
     def passes(self, Q: Floats) -> bool:
-        """Return whether no configuration of a batch, shape (..., dof), needs a warning."""
+        """Return True if no configuration in a batch, shape (..., dof), needs a warning."""
         least, most = self.range
         return bool((least <= Q).all() and (most >= Q).all())
 
