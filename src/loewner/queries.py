@@ -80,7 +80,9 @@ class Distance(Generic[Number, Exact, Vector]):
     All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
     pieces a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
     deep, but separating them can take a longer translation, since another pair of pieces may then be in the way. For a
-    surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance.
+    surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance. If the
+    inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the greater depth, while
+    the witnesses and the normal belong to the triangles.
 
     Attributes
     ----------
