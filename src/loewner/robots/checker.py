@@ -68,8 +68,7 @@ class CollisionChecker:
     The scene's margin applies to pairs with a body of the scene; a pair of links has a margin only if
     `Scene.set_margin` sets one for all links, for one of the two, or for the pair (see `Scene.margin_of`).
 
-    If no pair is checked (a robot with only one link; all pairs allowed), every configuration is free: see
-    `checked_pairs`.
+    If no pair is checked (only one link; all pairs allowed), every configuration is free: see `checked_pairs`.
 
     Several threads may use a checker at once, and others may change its scene: each answer refers to one consistent
     state of the scene.
@@ -255,8 +254,7 @@ class CollisionChecker:
         Returns
         -------
         bool, or ndarray of bool, shape (...)
-            True if both ends and all sampled configurations between them are free. Collisions between two samples are
-            not detected.
+            True if both ends and all samples between them are free. Collisions between samples are not detected.
 
         Notes
         -----
@@ -376,8 +374,7 @@ class CollisionChecker:
         tolerance : float
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may deviate from the curve at any time; FREE covers all such
-            deviations.
+            Radians or metres by which each value may deviate from the curve; FREE covers all such deviations.
 
         Returns
         -------
@@ -470,8 +467,7 @@ class CollisionChecker:
         exact : bool
             Also compute the exact distance or depth, with its pair, witnesses and normal.
         gradient : bool
-            Also compute the derivative of the exact distance with respect to the configuration, in metres per radian or
-            metre.
+            Also compute the exact distance's derivative by the configuration, in metres per radian or metre.
 
         Returns
         -------
@@ -587,8 +583,7 @@ class CollisionChecker:
         Returns
         -------
         PairDistances
-            One entry for each configuration and each pair within this distance there, in the order of the
-            configurations.
+            One entry for each configuration and each pair within this distance, ordered by configuration.
 
         Raises
         ------
