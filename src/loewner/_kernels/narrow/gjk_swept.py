@@ -1,7 +1,9 @@
 """GJK between a piece and the hull of another one at two poses: find a plane between them."""
 
+import numpy as np
+
 from loewner._kernels._jit import inline
-from loewner._kernels.codes import APART
+from loewner._kernels.codes import APART, OVERLAPPING, TOUCHING
 from loewner._kernels.linalg3 import dot, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import measuring, result_of, vertices_of
 from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
@@ -25,7 +27,7 @@ _search = measuring(_supports)
 
 
 @inline
-def separated(A, first, last, n, keep, stretch, memory):
+def separated(A, first, last, n, least, keep, stretch, memory):
     """Whether a piece is proven farther than `keep` from the hull of another one at two poses.
 
     Parameters
@@ -34,8 +36,9 @@ def separated(A, first, last, n, keep, stretch, memory):
         The static piece, and the other one at both poses.
     n : tuple of 3 float
         First direction, from A to the hull; any direction is valid.
-    keep : float
-        Distance, >= 0.
+    least, keep : float
+        Distances, 0 <= least <= keep. The search ends where they are certainly more than `keep` or not more than
+        `least` apart; between the two it looks for the plane that is best.
     stretch : float
         Amount by which poses between the two may stretch radii more than these poses do.
     memory : int
@@ -46,13 +49,20 @@ def separated(A, first, last, n, keep, stretch, memory):
     yes : bool
     n : tuple of 3 float
         Unit direction that was reached.
+    gaps : tuple of 2 float
+        Unless proven, lower bounds on the gaps along n at both poses; -inf where there are none above `least`.
     """
     shift = shift_between(A, first), shift_between(A, last)
     error = max(rounding_error(A, first, shift[0]), rounding_error(A, last, shift[1]))
     radii = radius(A) + radius(last)
-    far = keep
+    lost = 0.0
     if radii > 0.0:
-        far += max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
+        lost = max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
     W, result = vertices_of(memory), result_of(memory)
-    status, _, _, n = _search(A, (first, last), shift, W, 0, n, error, keep + radii, far, result)
-    return status == APART, n
+    status, _, _, n = _search(A, (first, last), shift, W, 0, n, error, least + radii, keep + lost, result)
+    gaps = -np.inf, -np.inf
+    if not (status == APART or status == TOUCHING or status == OVERLAPPING):
+        a, b = placed_support(A, n), plus(placed_support(first, negated(n)), shift[0])
+        c = plus(placed_support(last, negated(n)), shift[1])
+        gaps = dot(minus(b, a), n) - (error + lost), dot(minus(c, a), n) - (error + lost)
+    return status == APART, n, gaps

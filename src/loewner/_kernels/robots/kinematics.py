@@ -67,13 +67,29 @@ workspace_size = inline(link_entries)
 
 
 @inline
-def _three(constants, link, k):
+def direction_of(constants, link, k):
+    """Three constants of a link, from column k on."""
     return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
 
 
 @inline
 def _nine(constants, link, k):
-    return _three(constants, link, k) + _three(constants, link, k + 3) + _three(constants, link, k + 6)
+    return direction_of(constants, link, k) + direction_of(constants, link, k + 3) + direction_of(constants, link, k + 6)
+
+
+@inline
+def axis_of(constants, link):
+    """Axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0: ZᵀS is skew."""
+    x = y = z = 0.0
+    for r in range(3):
+        at = 3 * r
+        zero0 = constants[link, ROTATION + at] + constants[link, COSINE + at]
+        zero1 = constants[link, ROTATION + at + 1] + constants[link, COSINE + at + 1]
+        zero2 = constants[link, ROTATION + at + 2] + constants[link, COSINE + at + 2]
+        x += zero2 * constants[link, SINE + at + 1]
+        y += zero0 * constants[link, SINE + at + 2]
+        z += zero1 * constants[link, SINE + at]
+    return broadcast(x), broadcast(y), broadcast(z)
 
 
 @inline
@@ -161,15 +177,15 @@ def place_links(tree, Q, rows, at, W):
         what = kind[link]
         q = behind + column[link] * LANES
         R = _nine(constants, link, ROTATION)
-        t = _three(constants, link, TRANSLATION)
+        t = direction_of(constants, link, TRANSLATION)
         if what == REVOLUTE:
             R = _turned(constants, link, load(W, q) * multiplier[link] + offset[link])
         elif what == PRISMATIC:
-            t = along(t, load(W, q) * multiplier[link] + offset[link], _three(constants, link, ACROSS))
+            t = along(t, load(W, q) * multiplier[link] + offset[link], direction_of(constants, link, ACROSS))
         elif what == PLANAR:
             R = _turned(constants, link, load(W, q + 2 * LANES))
-            t = along(t, load(W, q), _three(constants, link, ACROSS))
-            t = along(t, load(W, q + LANES), _three(constants, link, ALONG))
+            t = along(t, load(W, q), direction_of(constants, link, ACROSS))
+            t = along(t, load(W, q + LANES), direction_of(constants, link, ALONG))
         elif what in (FLOATING, BALL):
             if what == FLOATING:
                 t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))

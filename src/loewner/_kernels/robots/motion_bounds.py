@@ -133,6 +133,26 @@ def _of_course(degree, width, size, first, second):
 
 
 @inline
+def steepest(course, c, order, width):
+    """Bound a derivative of one column of a part of a course, of order 3 or 4."""
+    degree = course.shape[0] - 1
+    if degree < order:
+        return 0.0
+    most, size, factor = 0.0, 0.0, 1.0
+    for k in range(degree + 1):
+        size = max(size, abs(course[k, c]))
+    for k in range(degree + 1 - order):
+        a = course[k + 3, c] - 3.0 * (course[k + 2, c] - course[k + 1, c]) - course[k, c]
+        if order == 4:
+            a = course[k + 4, c] - 3.0 * (course[k + 3, c] - course[k + 2, c]) - course[k + 1, c] - a
+        most = max(most, abs(a))
+    for k in range(order):
+        factor *= (degree - k) / width
+    # Points of a part are rounded, and differences of such order have 16 times their errors, and more of their own.
+    return (most + 16.0 * (PART_ROUNDINGS * degree + 8.0 * UNIT_ROUNDOFF) * size) * factor
+
+
+@inline
 def norm_of_quaternion(course, row, at):
     """Length of the quaternion in the columns at .. at + 4."""
     w, x, y, z = course[row, at], course[row, at + 1], course[row, at + 2], course[row, at + 3]
@@ -303,7 +323,7 @@ def uncertainty(tables, travel, angles, places):
 
 
 @inline
-def _common(tables, a, b):
+def shared_joints(tables, a, b):
     """Number of joints, from the world on, that the paths of two links share."""
     start_a, start_b = tables.path_start[a], tables.path_start[b]
     most = min(tables.path_start[a + 1] - start_a, tables.path_start[b + 1] - start_b)
@@ -330,7 +350,7 @@ def ways_between(tables, rates, body, link, fixed):
     -------
     Ways
     """
-    shared = _common(tables, link, fixed) if link >= 0 and fixed >= 0 else 0
+    shared = shared_joints(tables, link, fixed) if link >= 0 and fixed >= 0 else 0
     up_from = tables.path_start[link] + shared if link >= 0 else 0
     up_to = tables.path_start[link + 1] if link >= 0 else 0
     down_from = tables.path_start[fixed] + shared if fixed >= 0 else 0

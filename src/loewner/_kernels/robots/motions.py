@@ -30,8 +30,9 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
+from loewner._kernels.robots.directed_bends import bend_of_bend, directed_bends
 from loewner._kernels.robots.kinematics import link_entries, place_links
-from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
+from loewner._kernels.robots.motion_bounds import UPWARD, Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import configuration_at, write_part
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
@@ -67,6 +68,9 @@ DECIDED = 0.5
 
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
+
+# Added to the loss by directed bends [m], for the rounding of rates of a course that nearly rests in a part.
+LOST = 1e-13
 
 PARTS = 8  # parts into which an interval is cut at a time
 # A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
@@ -149,6 +153,8 @@ MEMORY = Arena(
     part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
     scratch_points=floats(MOST_POINTS),  # for `write_part`
     configurations=floats(LANES, DOF),  # eight configurations
+    bend_times=floats(LANES),  # eight fractions, and bends at these
+    bends=floats(LANES),
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
     ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
@@ -169,8 +175,8 @@ _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, 
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
 )
-_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
-    "cut_links rates ways swept order off strays"
+_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _bends_of, _bend_times_of = MEMORY.accessors(
+    "cut_links rates ways swept order off strays bends bend_times"
 )
 _size = MEMORY.sizing()
 
@@ -218,22 +224,22 @@ def _relative(poses, fixed, row, to, k):
 
 
 @apart
-def _proven_standing(motion, i, poses, first, last, j, still, row, keep, n):
-    """Whether piece i, at two poses, is apart from the static piece j, and the direction reached from j to i."""
+def _proven_standing(motion, i, poses, first, last, j, still, row, least, keep, n):
+    """Whether piece i, at two poses, is apart from the static piece j; then as `separated`, with n from j to i."""
     pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
     return separated(
-        placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, keep,
+        placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, least, keep,
         2.0 * tables.chain[2], _gjk_of(motion),
     )  # fmt: skip
 
 
 @njit()
-def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, keep, n):
-    """Whether two moving pieces are apart, relative to the body of j, and the direction n in its frame."""
+def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, least, keep, n):
+    """As `_proven_standing` for two moving pieces, relative to the body of j."""
     to = _relative_of(motion)
     _relative(poses, fixed_first, first, to, 1)
     _relative(poses, fixed_last, last, to, 2)
-    return _proven_standing(motion, i, to, 1, 2, j, to, 0, keep, n)
+    return _proven_standing(motion, i, to, 1, 2, j, to, 0, least, keep, n)
 
 
 @apart
@@ -288,6 +294,62 @@ def _off(near, width):
 def _moved(near, width):
     """Largest distance of the hull of both ends from the piece in the middle."""
     return near.speed * width / 2.0 + _off(near, width)
+
+
+@inline
+def _lowest(gaps, loss):
+    """Lower bound of (1 - s) g + s h - loss s (1 - s) for s from 0 to 1, and of its rounding."""
+    g, h = gaps
+    lowest = min(g, h) if abs(h - g) >= loss else g - (loss - (h - g)) ** 2 / (4.0 * loss)
+    return lowest - 16.0 * UNIT_ROUNDOFF * (abs(g) + abs(h) + loss)
+
+
+@apart
+def _clear_of_bend(motion, near, W, times, first, last, n, gaps):
+    """Whether a plane with these gaps at two of eight configurations proves all between them, by directed bends.
+
+    Parameters
+    ----------
+    W : ndarray
+        Poses of the links at eight configurations.
+    times : ndarray
+        Their fractions.
+    first, last : int
+    n : tuple of 3 float
+        Direction from j to i, in the frame of j's body.
+    gaps : tuple of 2 float
+    """
+    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
+    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
+    link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
+    course, bends, block = _course_of(motion), _bends_of(motion), _times_of(motion)
+    width = block[INTERVALS] - block[0]
+    part = course if width == 1.0 or motion.points == 2 else _part_of(motion)
+    fourth = bend_of_bend(problem.tree, tables, _rates_of(motion), part, width, one, link, fixed, near.bend)
+    if not fourth < np.inf:
+        return False
+    directed_bends(problem.tree, tables, pieces.hot, W, course, times, link, fixed, near.i, n, near.bend, bends)
+    most, widest = 0.0, 0.0
+    for k in range(first, last + 1):
+        if not bends[k] <= most:  # a NaN stays
+            most = bends[k]
+        if k > first:
+            widest = max(widest, times[k] - times[k - 1])
+    most += fourth * widest * widest / 8.0
+    width = times[last] - times[first]
+    return _lowest(gaps, 0.5 * width * width * most * UPWARD + LOST) > near.margin + near.slack
+
+
+@njit()
+def _clear_between(motion, near, low, high, n, gaps):
+    """As `_clear_of_bend` for an interval whose ends were placed for this pair only."""
+    problem, W, Q = problem_of(motion.problem), _cut_links_of(motion), _configurations_of(motion)
+    times = _bend_times_of(motion)
+    for k in range(LANES):
+        times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
+        configuration_at(problem.tree, _course_of(motion), times[k], Q, k)
+    _place_at(motion, W)
+    return _clear_of_bend(motion, near, W, times, 0, INTERVALS, n, gaps)
 
 
 @njit()
@@ -431,22 +493,29 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
-            keep = near.margin + near.slack + _off(near, w)
+            least = near.margin + near.slack
+            keep = least + _off(near, w)
             tally[1] += 1
             if stands:
-                proven, m = _proven_standing(motion, near.i, poses, at + a, at + b, near.j, poses, both + a, keep, n)
+                proven, m, gaps = _proven_standing(
+                    motion, near.i, poses, at + a, at + b, near.j, poses, both + a, least, keep, n
+                )  # fmt: skip
             else:
-                proven, m = _proven_moving(
-                    motion, near.i, near.j, poses, both + a, at + a, both + b, at + b, keep, n
+                proven, m, gaps = _proven_moving(
+                    motion, near.i, near.j, poses, both + a, at + a, both + b, at + b, least, keep, n
                 )  # fmt: skip
             if proven:
                 continue
+            if gaps[0] > least and gaps[1] > least:
+                tally[0] += LANES
+                if _clear_between(motion, near, times[depth, a], times[depth, b], m, gaps):
+                    continue
             # A plane that turns with the other body.
-            keep = near.margin + near.slack + back.bend * w * w / 8.0
+            keep = least + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
             tally[1] += 1
-            found, _ = _proven_moving(
-                motion, near.j, near.i, poses, at + a, both + a, at + b, both + b, keep,
+            found, _, _ = _proven_moving(
+                motion, near.j, near.i, poses, at + a, both + a, at + b, both + b, keep, keep,
                 _to_body(poses, at + a, negated(world)),
             )  # fmt: skip
             if found:
@@ -506,18 +575,22 @@ def _halve_waiting(motion, count, found, tally):
 
 
 @inline
-def _proven(motion, near, swept, first, last, keep, n):
-    """Whether a plane proves the intervals from configuration `first` to `last` of the block."""
+def _proven(motion, near, swept, first, last, width, n):
+    """Whether a plane proves the intervals from configuration `first` to `last` of the block, and its direction."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     a, b = one * LANES + first, one * LANES + last
+    least = near.margin + near.slack
+    keep = least + _off(near, width)
     if other >= motion.counts.moving:
-        still = _standing_poses(problem)
-        return _proven_standing(
-            motion, near.i, swept.poses, a, b, near.j, still, other - motion.counts.moving, keep, n
-        )  # fmt: skip
-    o = other * LANES
-    return _proven_moving(motion, near.i, near.j, swept.poses, o + first, a, o + last, b, keep, n)
+        still, row = _standing_poses(problem), other - motion.counts.moving
+        yes, n, gaps = _proven_standing(motion, near.i, swept.poses, a, b, near.j, still, row, least, keep, n)
+    else:
+        o = other * LANES
+        yes, n, gaps = _proven_moving(motion, near.i, near.j, swept.poses, o + first, a, o + last, b, least, keep, n)
+    if not yes and gaps[0] > least and gaps[1] > least:
+        yes = _clear_of_bend(motion, near, swept.links, _times_of(motion), first, last, n, gaps)
+    return yes, n
 
 
 @inline
@@ -577,10 +650,9 @@ def _search(motion, near, live, found, waiting_count, tally):
         while first > 0 and (live >> (first - 1)) & 1 != 0 and _off(near, (last - first + 1) * width) <= MERGED_OFF:
             first -= 1
         n = N[last - 1], N[LANES + last - 1], N[2 * LANES + last - 1]
-        keep = near.margin + near.slack
         if last - first > 1:
             tally[1] += 1
-            proven, n = _proven(motion, near, swept, first, last, keep + _off(near, times[last] - times[first]), n)
+            proven, n = _proven(motion, near, swept, first, last, times[last] - times[first], n)
             if proven:
                 live &= (1 << first) - 1
                 continue
@@ -591,7 +663,7 @@ def _search(motion, near, live, found, waiting_count, tally):
             live &= ~(1 << k)
             w = times[k + 1] - times[k]
             tally[1] += 1
-            proven, n = _proven(motion, near, swept, k, k + 1, keep + _off(near, w), n)
+            proven, n = _proven(motion, near, swept, k, k + 1, w, n)
             if proven:
                 continue
             for end in range(k + 1, k - 1, -1):

@@ -100,21 +100,23 @@ def _load_six(rows, at):
 
 
 @inline
-def _outer_shape(table, p):
+def outer_shape(table, p):
+    """Shape matrix of the outer ellipsoid of a piece, in a table like `Pieces.hot`."""
     k = OUTER_SHAPE
     return table[p, k], table[p, k + 1], table[p, k + 2], table[p, k + 3], table[p, k + 4], table[p, k + 5]
 
 
 @inline
-def _outer_center(table, p):
+def outer_center(table, p):
+    """Center of the outer ellipsoid of a piece."""
     return table[p, OUTER_CENTER], table[p, OUTER_CENTER + 1], table[p, OUTER_CENTER + 2]
 
 
 @inline
 def _place_piece(hot, p, R, t, rows):
     """Write center and shape of a piece, and return both."""
-    center = plus(apply(R, _outer_center(hot, p)), t)
-    Q = rotated_shape(R, _outer_shape(hot, p))
+    center = plus(apply(R, outer_center(hot, p)), t)
+    Q = rotated_shape(R, outer_shape(hot, p))
     _store_three(rows, p * PIECE, center)
     _store_six(rows, p * PIECE + _SHAPE, Q)
     return center, Q
@@ -258,10 +260,10 @@ def near_piece(rows, at, radius, table, q, keep, live, normals):
     normals : ndarray, shape (3 * LANES,)
         Receives directions from the static piece to the moving one.
     """
-    center = _outer_center(table, q)
+    center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)
     if live != 0:
-        Q = _outer_shape(table, q)
+        Q = outer_shape(table, q)
         c0, c1 = minus(_load_three(rows, at), center), minus(_load_three(rows, at + 1), center)
         P0, P1 = _load_six(rows, at + _SHAPE), _load_six(rows, at + _SHAPE + 1)
         r = 0.5 * (c0[0] + c1[0]), 0.5 * (c0[1] + c1[1]), 0.5 * (c0[2] + c1[2])

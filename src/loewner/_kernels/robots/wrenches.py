@@ -17,19 +17,19 @@ from loewner._kernels.columns import (
     ACROSS,
     ALONG,
     BALL,
-    COSINE,
     FIXED,
     FLOATING,
     PLANAR,
     PRISMATIC,
     REVOLUTE,
     ROTATION,
-    SINE,
 )
 from loewner._kernels.linalg3 import along, apply, apply_transposed, cross, dot, image, minus, product, scaled
 from loewner._kernels.records import Tree
 from loewner._kernels.robots.kinematics import (
     POSE,
+    axis_of,
+    direction_of,
     place_links,
     rotation_of_link,
     translation_of_link,
@@ -67,26 +67,6 @@ def _three(array, at):
 
 
 @inline
-def _direction(constants, link, k):
-    return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
-
-
-@inline
-def _axis(constants, link):
-    """Axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0: ZᵀS is skew."""
-    x = y = z = 0.0
-    for r in range(3):
-        at = 3 * r
-        zero0 = constants[link, ROTATION + at] + constants[link, COSINE + at]
-        zero1 = constants[link, ROTATION + at + 1] + constants[link, COSINE + at + 1]
-        zero2 = constants[link, ROTATION + at + 2] + constants[link, COSINE + at + 2]
-        x += zero2 * constants[link, SINE + at + 1]
-        y += zero0 * constants[link, SINE + at + 2]
-        z += zero1 * constants[link, SINE + at]
-    return broadcast(x), broadcast(y), broadcast(z)
-
-
-@inline
 def powers(tree, W, wrenches, dof, slopes):
     """Gradients with respect to the values of eight configurations.
 
@@ -117,19 +97,19 @@ def powers(tree, W, wrenches, dof, slopes):
             if above >= 0:
                 seen = apply_transposed(rotation_of_link(W, above), force)
             if what == REVOLUTE:
-                axis = apply(rotation_of_link(W, link), _axis(constants, link))
+                axis = apply(rotation_of_link(W, link), axis_of(constants, link))
                 _add(slopes, q, multiplier[link] * dot(axis, torque))
             elif what == PRISMATIC:
-                _add(slopes, q, multiplier[link] * dot(_direction(constants, link, ACROSS), seen))
+                _add(slopes, q, multiplier[link] * dot(direction_of(constants, link, ACROSS), seen))
             elif what == PLANAR:
-                _add(slopes, q, dot(_direction(constants, link, ACROSS), seen))
-                _add(slopes, q + LANES, dot(_direction(constants, link, ALONG), seen))
-                axis = apply(rotation_of_link(W, link), _axis(constants, link))
+                _add(slopes, q, dot(direction_of(constants, link, ACROSS), seen))
+                _add(slopes, q + LANES, dot(direction_of(constants, link, ALONG), seen))
+                axis = apply(rotation_of_link(W, link), axis_of(constants, link))
                 _add(slopes, q + 2 * LANES, dot(axis, torque))
             elif what in (FLOATING, BALL):
                 frame = (
-                    _direction(constants, link, ROTATION) + _direction(constants, link, ROTATION + 3)
-                    + _direction(constants, link, ROTATION + 6)
+                    direction_of(constants, link, ROTATION) + direction_of(constants, link, ROTATION + 3)
+                    + direction_of(constants, link, ROTATION + 6)
                 )  # fmt: skip
                 if above >= 0:
                     frame = product(rotation_of_link(W, above), frame)
