@@ -14,7 +14,7 @@ is known. See docs/certified.md, "Directed bends".
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.columns import ACROSS, ALONG, BALL, FLOATING, OUTER_RADIUS, PLANAR, PRISMATIC, ROTATION
+from loewner._kernels.columns import ACROSS, ALONG, BALL, FLOATING, PLANAR, PRISMATIC, REVOLUTE, ROTATION
 from loewner._kernels.ellipsoids.contact import outward_width
 from loewner._kernels.linalg3 import (
     along,
@@ -24,17 +24,19 @@ from loewner._kernels.linalg3 import (
     dot,
     image,
     minus,
-    one_norm,
     plus,
     scaled,
 )
 from loewner._kernels.robots.kinematics import axis_of, direction_of, rotation_of_link, translation_of_link
 from loewner._kernels.robots.motion_bounds import UPWARD, shared_joints, steepest
 from loewner._kernels.robots.sweeps import outer_center, outer_shape
-from loewner._kernels.simd.vectors import broadcast, load, store
+from loewner._kernels.simd.vectors import LANES, broadcast, load, store
 
 # Relative errors of the terms, from rounding and from rotations that are accepted as orthonormal.
 TERMS = 1e-4  # derived 1.1e-5, certified.md B52
+
+# Vectors of a joint at eight configurations: angular velocity and velocity, then their derivatives.
+_TURN, _SLIDE, _TURNING, _SLIDING, RATES = 0, 3 * LANES, 6 * LANES, 9 * LANES, 12 * LANES
 
 # A share of the largest |f''| of f = n · x'': from the second derivatives of a chain's joints, or for constant rates.
 REMAINDER, REMAINDER_STRAIGHT = 6.0, 2.0
@@ -74,75 +76,80 @@ def _turning_vector(course, at):
 
 
 @inline
-def _add_turn(sums, n, x, radius, w, turning, o):
-    """Add a joint that turns at w, with angular acceleration `turning`, about an axis through o."""
-    e, r, value, size = sums
-    own = cross(n, w)
-    k = plus(cross(plus(e, own), w), cross(n, turning))
-    off = minus(x, o)
-    return plus(e, scaled(2.0, own)), plus(r, k), value + dot(k, off), size + one_norm(k) * (one_norm(off) + radius)
-
-
-@inline
-def _add_slide(sums, n, slide):
-    """Add a joint that slides, with its velocity and acceleration."""
-    s, sliding = slide
-    e, r, value, size = sums
-    return e, r, value + (dot(e, s) + dot(n, sliding)), size + one_norm(e) * one_norm(s) + one_norm(sliding)
-
-
-@inline
 def _in_world(W, link, v):
     return apply(rotation_of_link(W, link), v) if link >= 0 else v
 
 
 @inline
-def _slide(tree, W, course, t, link, sign):
-    """Velocity and acceleration with which a joint slides."""
-    kind, at, above, constants = tree.kind[link], tree.column[link], tree.parent[link], tree.constants
-    zero = broadcast(0.0)
-    s, sliding = (zero, zero, zero), (zero, zero, zero)
-    if kind == PRISMATIC:
-        by = sign * tree.multiplier[link]
-        d = _in_world(W, above, direction_of(constants, link, ACROSS))
-        s = scaled(_derivative(course, at, t, 1) * by, d)
-        sliding = scaled(_derivative(course, at, t, 2) * by, d)
-    elif kind == PLANAR:
-        for k in range(2):
-            d = _in_world(W, above, direction_of(constants, link, ACROSS if k == 0 else ALONG))
-            s = along(s, _derivative(course, at + k, t, 1) * sign, d)
-            sliding = along(sliding, _derivative(course, at + k, t, 2) * sign, d)
-    elif kind == FLOATING:
-        for k in range(3):
-            d = (
-                broadcast(constants[link, ROTATION + k]), broadcast(constants[link, ROTATION + 3 + k]),
-                broadcast(constants[link, ROTATION + 6 + k]),
-            )  # fmt: skip
-            d = _in_world(W, above, d)
-            s = along(s, _derivative(course, at + k, t, 1) * sign, d)
-            sliding = along(sliding, _derivative(course, at + k, t, 2) * sign, d)
-    return s, sliding
+def _store_three(V, at, v):
+    store(V, at, v[0])
+    store(V, at + LANES, v[1])
+    store(V, at + 2 * LANES, v[2])
 
 
 @inline
-def _turn(tree, W, course, t, link, sign):
-    """Angular velocity and acceleration with which a joint turns."""
-    kind, at, zero = tree.kind[link], tree.column[link], broadcast(0.0)
-    w, turning = (zero, zero, zero), (zero, zero, zero)
-    if kind in (FLOATING, BALL):
-        v = _turning_vector(course, at + 3 if kind == FLOATING else at)
-        w = scaled(sign, apply(rotation_of_link(W, link), v))
-    elif kind != PRISMATIC:
-        c, by = (at + 2, sign) if kind == PLANAR else (at, sign * tree.multiplier[link])
-        axis = apply(rotation_of_link(W, link), axis_of(tree.constants, link))
-        w = scaled(_derivative(course, c, t, 1) * by, axis)
-        turning = scaled(_derivative(course, c, t, 2) * by, axis)
-    return w, turning
+def _load_three(V, at):
+    return load(V, at), load(V, at + LANES), load(V, at + 2 * LANES)
+
+
+@inline
+def _slide(tree, W, course, t, link, order):
+    """First or second derivative of the place to which a joint slides."""
+    kind, at, above, constants = tree.kind[link], tree.column[link], tree.parent[link], tree.constants
+    zero = broadcast(0.0)
+    slide = zero, zero, zero
+    if kind == PRISMATIC:
+        slide = scaled(_derivative(course, at, t, order) * tree.multiplier[link], direction_of(constants, link, ACROSS))
+    elif kind == PLANAR:
+        slide = scaled(_derivative(course, at, t, order), direction_of(constants, link, ACROSS))
+        slide = along(slide, _derivative(course, at + 1, t, order), direction_of(constants, link, ALONG))
+    elif kind == FLOATING:
+        slide = apply(
+            direction_of(constants, link, ROTATION) + direction_of(constants, link, ROTATION + 3)
+            + direction_of(constants, link, ROTATION + 6),
+            (_derivative(course, at, t, order), _derivative(course, at + 1, t, order),
+             _derivative(course, at + 2, t, order)),
+        )  # fmt: skip
+    return _in_world(W, above, slide)
 
 
 @njit()
-def directed_bends(tree, tables, hot, W, course, times, link, fixed, piece, n, bend, out):
-    """Bound the second derivatives along n of the points of a piece, relative to another body.
+def write_rates(tree, W, course, times, V):
+    """Write how joints turn and slide at eight configurations, in the axes of the world.
+
+    Parameters
+    ----------
+    tree : Tree
+    W : ndarray
+        Poses of the links at these configurations.
+    course : ndarray, shape (degree + 1, dof)
+    times : ndarray, shape (8,)
+        Their fractions.
+    V : ndarray
+        Receives RATES numbers per link. On straight motions the second half of them is neither written nor read.
+    """
+    t = load(times, 0)
+    straight = course.shape[0] == 2
+    for link in range(tree.kind.size):
+        kind, column, at = tree.kind[link], tree.column[link], link * RATES
+        if kind == PRISMATIC or kind == PLANAR or kind == FLOATING:
+            _store_three(V, at + _SLIDE, _slide(tree, W, course, t, link, 1))
+            if not straight:
+                _store_three(V, at + _SLIDING, _slide(tree, W, course, t, link, 2))
+        if kind == REVOLUTE or kind == PLANAR:
+            axis = apply(rotation_of_link(W, link), axis_of(tree.constants, link))
+            c, by = column + (2 if kind == PLANAR else 0), tree.multiplier[link]
+            _store_three(V, at + _TURN, scaled(_derivative(course, c, t, 1) * by, axis))
+            if not straight:
+                _store_three(V, at + _TURNING, scaled(_derivative(course, c, t, 2) * by, axis))
+        elif kind == FLOATING or kind == BALL:
+            v = _turning_vector(course, column + (3 if kind == FLOATING else 0))
+            _store_three(V, at + _TURN, apply(rotation_of_link(W, link), v))
+
+
+@njit()
+def directed_bends(tree, tables, hot, W, V, straight, link, fixed, piece, n, out):
+    """Write the largest second derivatives along n of a piece's points, relative to another body.
 
     Parameters
     ----------
@@ -152,100 +159,103 @@ def directed_bends(tree, tables, hot, W, course, times, link, fixed, piece, n, b
         Outer ellipsoids of pieces, in the frames of their bodies.
     W : ndarray
         Poses of the links at eight configurations.
-    course : ndarray, shape (degree + 1, dof)
-    times : ndarray, shape (8,)
-        The fractions of the course at which they are.
+    V : ndarray
+        The rates of joints there, see `write_rates`.
+    straight : bool
+        Whether the course is straight.
     link, fixed : int
         The piece's link and that of the other body, -1 if it stands.
     piece : int
     n : tuple of 3 float
         Unit normal in the other body's frame.
-    bend : float
-        Bound of `motion_bounds.ways_between`.
     out : ndarray, shape (8,)
-        Receives upper bounds.
+        Receives them, but for `error_of_terms`.
     """
-    t = load(times, 0)
-    normal = broadcast(n[0]), broadcast(n[1]), broadcast(n[2])
+    n = broadcast(n[0]), broadcast(n[1]), broadcast(n[2])
     if fixed >= 0:
-        normal = apply(rotation_of_link(W, fixed), normal)
+        n = apply(rotation_of_link(W, fixed), n)
     zero = broadcast(0.0)
-    center = outer_center(hot, piece)
-    x = broadcast(center[0]), broadcast(center[1]), broadcast(center[2])
-    x = image(rotation_of_link(W, link), translation_of_link(W, link), x)
-    radius = hot[piece, OUTER_RADIUS]
-    sums = (zero, zero, zero), (zero, zero, zero), zero, zero
+    R, center = rotation_of_link(W, link), outer_center(hot, piece)
+    center = broadcast(center[0]), broadcast(center[1]), broadcast(center[2])
+    x = image(R, translation_of_link(W, link), center)
+    e, r, value = (zero, zero, zero), (zero, zero, zero), zero
     shared = shared_joints(tables, link, fixed) if fixed >= 0 else 0
     path, up, down = tables.path_link, tables.path_start[link] + shared, 0
     if fixed >= 0:
         down = tables.path_start[fixed + 1] - tables.path_start[fixed] - shared
     # In the order seen from the other body: its own joints from its end on, backward, then the piece's.
     for k in range(down + tables.path_start[link + 1] - up):
-        sign, at = (1.0, up + k - down) if k >= down else (-1.0, tables.path_start[fixed + 1] - 1 - k)
-        joint = path[at]
-        kind = tree.kind[joint]
-        slides = kind == PRISMATIC or kind == PLANAR or kind == FLOATING
-        if slides and k >= down:
-            sums = _add_slide(sums, normal, _slide(tree, W, course, t, joint, sign))
+        sign, number = (1.0, up + k - down) if k >= down else (-1.0, tables.path_start[fixed + 1] - 1 - k)
+        joint = path[number]
+        kind, at, before = tree.kind[joint], joint * RATES, e
         if kind != PRISMATIC:
-            w, turning = _turn(tree, W, course, t, joint, sign)
-            sums = _add_turn(sums, normal, x, radius, w, turning, translation_of_link(W, joint))
-        if slides and k < down:
-            sums = _add_slide(sums, normal, _slide(tree, W, course, t, joint, sign))
-    _, r, value, size = sums
-    r = apply_transposed(rotation_of_link(W, link), r)
-    width, _ = outward_width(outer_shape(hot, piece), r, dot(r, r))
-    store(out, 0, value + width + TERMS * (size + width + bend))
+            off = minus(x, translation_of_link(W, joint))
+            w = scaled(sign, _load_three(V, at + _TURN))
+            own = cross(n, w)
+            f = cross(plus(e, own), w)
+            if not straight and kind != FLOATING and kind != BALL:
+                f = plus(f, cross(n, scaled(sign, _load_three(V, at + _TURNING))))
+            e, r, value = along(e, 2.0, own), plus(r, f), value + dot(f, off)
+        if kind == PRISMATIC or kind == PLANAR or kind == FLOATING:
+            # Seen from the other body, its own joints turn first, and the piece's slide first.
+            if sign > 0.0:
+                value = value + dot(before, _load_three(V, at + _SLIDE))
+            else:
+                value = value - dot(e, _load_three(V, at + _SLIDE))
+            if not straight:
+                value = value + sign * dot(n, _load_three(V, at + _SLIDING))
+    width, _ = outward_width(outer_shape(hot, piece), apply_transposed(R, r), dot(r, r))
+    store(out, 0, value + width)
 
 
 @njit()
-def bend_of_bend(tree, tables, rates, course, width, body, link, fixed, bend):
-    """Bound the second derivative of what `directed_bends` bounds: the fourth derivative of a body's points.
+def fourth_derivative(tree, tables, rates, course, width, link, fixed, ways):
+    """Bound the fourth derivatives of a body's points on a part of a course.
 
     Parameters
     ----------
     tree, tables
     rates : Rates
-        On the course, or on the part that is considered.
+        On the part.
     course : ndarray
-        Control points of that part.
+        Its control points.
     width : float
         Share of the whole course.
-    body, link, fixed : int
-        As for `motion_bounds.ways_between`, whose bound `bend` is.
-    bend : float
+    link, fixed : int
+        As for `motion_bounds.ways_between`.
+    ways : Ways
 
     Returns
     -------
     float
-        Infinite if it is not bounded: orientations on courses of degree 2 or more.
+        Infinite if they are not bounded: orientations on courses of degree 2 or more.
     """
-    degree = course.shape[0] - 1
+    if course.shape[0] == 2:
+        return REMAINDER_STRAIGHT * ways.bend * ways.turn * ways.turn * UPWARD
     shared = shared_joints(tables, link, fixed) if fixed >= 0 else 0
-    turn = slide = turning = far = third = fourth = slide_third = slide_fourth = 0.0
+    slide = third = fourth = slide_third = slide_fourth = 0.0
     for side in range(2 if fixed >= 0 else 1):
         end = link if side == 0 else fixed
         for k in range(tables.path_start[end] + shared, tables.path_start[end + 1]):
             joint = tables.path_link[k]
-            turn, slide = turn + rates.turn[joint], slide + rates.slide[joint]
-            turning, far = turning + rates.turning[joint], far + rates.far[joint]
             kind, at, by = tree.kind[joint], tree.column[joint], abs(tree.multiplier[joint])
-            if degree == 1:
-                continue
             if kind == FLOATING or kind == BALL:
                 return np.inf
-            count = 3 if kind == PLANAR else 1
-            for c in range(count):
+            slide += rates.slide[joint]
+            for c in range(3 if kind == PLANAR else 1):
                 three, four = by * steepest(course, at + c, 3, width), by * steepest(course, at + c, 4, width)
                 if kind == PRISMATIC or (kind == PLANAR and c < 2):
                     slide_third, slide_fourth = slide_third + three, slide_fourth + four
                 else:
                     third, fourth = third + three, fourth + four
-    if degree == 1:
-        return REMAINDER_STRAIGHT * bend * turn * turn * UPWARD
-    reach = 0.0
-    for k in range(len(tables.path_link)):
-        reach = max(reach, tables.reach[body, tables.path_link[k]])
-    rest = (reach + far) * (8.0 * turn * third + fourth)
-    rest += 4.0 * (slide * third + slide_third * turn) + slide_fourth
-    return (REMAINDER * bend * (turn * turn + turning) + rest) * UPWARD
+    # No point is farther from a joint than all links are long.
+    rest = (tables.chain[1] + ways.travel) * (8.0 * ways.turn * third + fourth)
+    rest += 4.0 * (slide * third + slide_third * ways.turn) + slide_fourth
+    return (REMAINDER * ways.bend * (ways.turn * ways.turn + ways.turning) + rest) * UPWARD
+
+
+@inline
+def error_of_terms(tables, ways, radius):
+    """Bound the error of what `directed_bends` writes for a piece with an outer ellipsoid of this radius."""
+    squares = ways.turn * ways.turn + ways.turning
+    return TERMS * (squares * (tables.chain[1] + ways.travel + radius) + 2.0 * ways.turn * ways.speed + ways.bend)

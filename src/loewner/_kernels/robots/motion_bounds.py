@@ -74,10 +74,15 @@ class Ways(NamedTuple):
     ----------
     bend : norm of the second derivative
     speed : norm of the first derivative
+    turn, turning : sums of the angular velocities and accelerations of the joints between the two
+    travel : sum of the distances of sliding joints from 0
     """
 
     bend: Any
     speed: Any
+    turn: Any
+    turning: Any
+    travel: Any
 
 
 class _Derivatives(NamedTuple):
@@ -356,11 +361,13 @@ def ways_between(tables, rates, body, link, fixed):
     down_from = tables.path_start[fixed] + shared if fixed >= 0 else 0
     down_to = tables.path_start[fixed + 1] if fixed >= 0 else 0
     reach = tables.reach
-    every = 0.0  # rates of the turning joints between here and the reference body
+    every = turning = 0.0  # rates of the turning joints between here and the reference body
     for k in range(up_from, up_to):
         every += rates.turn[tables.path_link[k]]
+        turning += rates.turning[tables.path_link[k]]
     for k in range(down_from, down_to):
         every += rates.turn[tables.path_link[k]]
+        turning += rates.turning[tables.path_link[k]]
     rest, travel, bend, speed = every, 0.0, 0.0, 0.0
     for k in range(up_to - 1, up_from - 1, -1):
         joint = tables.path_link[k]
@@ -383,4 +390,4 @@ def ways_between(tables, rates, body, link, fixed):
         bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
     # Rounding of `rest` by the differences: a few roundings of the whole, for each joint.
-    return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD)
+    return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD, every * UPWARD, turning * UPWARD, travel)

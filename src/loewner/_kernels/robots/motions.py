@@ -30,7 +30,7 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.directed_bends import bend_of_bend, directed_bends
+from loewner._kernels.robots.directed_bends import RATES, directed_bends, error_of_terms, fourth_derivative, write_rates
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import UPWARD, Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import configuration_at, write_part
@@ -53,11 +53,11 @@ from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
-FIRST_OFF = 0.01
+FIRST_OFF = 0.04
 MOST_BLOCKS = MOST_INTERVALS // 7
 
 # One plane is sought for neighbouring intervals together, if points are then within this distance of their chords [m].
-MERGED_OFF = 0.005
+MERGED_OFF = 0.01
 
 # Slightly more than the distance at which `collide` may report touching: a free motion has no such configuration.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
@@ -155,6 +155,9 @@ MEMORY = Arena(
     configurations=floats(LANES, DOF),  # eight configurations
     bend_times=floats(LANES),  # eight fractions, and bends at these
     bends=floats(LANES),
+    fresh=integers(1),  # whether the next field belongs to the block
+    velocities=floats(RATES * LINKS),  # see `directed_bends.write_rates`
+    cut_velocities=floats(RATES * LINKS),
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
     ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
@@ -175,8 +178,8 @@ _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, 
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
 )
-_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _bends_of, _bend_times_of = MEMORY.accessors(
-    "cut_links rates ways swept order off strays bends bend_times"
+_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _bends_of, _bend_times_of, _fresh_of, _velocities_of, _cut_velocities_of = MEMORY.accessors(
+    "cut_links rates ways swept order off strays bends bend_times fresh velocities cut_velocities"
 )
 _size = MEMORY.sizing()
 
@@ -305,13 +308,13 @@ def _lowest(gaps, loss):
 
 
 @apart
-def _clear_of_bend(motion, near, W, times, first, last, n, gaps):
+def _clear_of_bend(motion, near, W, V, times, first, last, n, gaps):
     """Whether a plane with these gaps at two of eight configurations proves all between them, by directed bends.
 
     Parameters
     ----------
-    W : ndarray
-        Poses of the links at eight configurations.
+    W, V : ndarray
+        Poses of the links at eight configurations, and the rates of joints.
     times : ndarray
         Their fractions.
     first, last : int
@@ -322,34 +325,46 @@ def _clear_of_bend(motion, near, W, times, first, last, n, gaps):
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
-    course, bends, block = _course_of(motion), _bends_of(motion), _times_of(motion)
+    course, rates, bends, block = _course_of(motion), _rates_of(motion), _bends_of(motion), _times_of(motion)
     width = block[INTERVALS] - block[0]
     part = course if width == 1.0 or motion.points == 2 else _part_of(motion)
-    fourth = bend_of_bend(problem.tree, tables, _rates_of(motion), part, width, one, link, fixed, near.bend)
+    ways = ways_between(tables, rates, one, link, fixed)
+    fourth = fourth_derivative(problem.tree, tables, rates, part, width, link, fixed, ways)
     if not fourth < np.inf:
         return False
-    directed_bends(problem.tree, tables, pieces.hot, W, course, times, link, fixed, near.i, n, near.bend, bends)
+    directed_bends(problem.tree, tables, pieces.hot, W, V, motion.points == 2, link, fixed, near.i, n, bends)
     most, widest = 0.0, 0.0
     for k in range(first, last + 1):
         if not bends[k] <= most:  # a NaN stays
             most = bends[k]
         if k > first:
             widest = max(widest, times[k] - times[k - 1])
-    most += fourth * widest * widest / 8.0
+    most += error_of_terms(tables, ways, pieces.hot[near.i, OUTER_RADIUS]) + fourth * widest * widest / 8.0
     width = times[last] - times[first]
     return _lowest(gaps, 0.5 * width * width * most * UPWARD + LOST) > near.margin + near.slack
 
 
 @njit()
+def _clear_in_block(motion, near, swept, first, last, n, gaps):
+    """As `_clear_of_bend` for configurations of the block."""
+    V, W, times, fresh = _velocities_of(motion), swept.links, _times_of(motion), _fresh_of(motion)
+    if fresh[0] == 0:
+        write_rates(problem_of(motion.problem).tree, W, _course_of(motion), times, V)
+        fresh[0] = 1
+    return _clear_of_bend(motion, near, W, V, times, first, last, n, gaps)
+
+
+@njit()
 def _clear_between(motion, near, low, high, n, gaps):
     """As `_clear_of_bend` for an interval whose ends were placed for this pair only."""
-    problem, W, Q = problem_of(motion.problem), _cut_links_of(motion), _configurations_of(motion)
+    tree, W, Q, V = problem_of(motion.problem).tree, _cut_links_of(motion), _configurations_of(motion), _cut_velocities_of(motion)
     times = _bend_times_of(motion)
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(problem.tree, _course_of(motion), times[k], Q, k)
+        configuration_at(tree, _course_of(motion), times[k], Q, k)
     _place_at(motion, W)
-    return _clear_of_bend(motion, near, W, times, 0, INTERVALS, n, gaps)
+    write_rates(tree, W, _course_of(motion), times, V)
+    return _clear_of_bend(motion, near, W, V, times, 0, INTERVALS, n, gaps)
 
 
 @njit()
@@ -589,7 +604,7 @@ def _proven(motion, near, swept, first, last, width, n):
         o = other * LANES
         yes, n, gaps = _proven_moving(motion, near.i, near.j, swept.poses, o + first, a, o + last, b, least, keep, n)
     if not yes and gaps[0] > least and gaps[1] > least:
-        yes = _clear_of_bend(motion, near, swept.links, _times_of(motion), first, last, n, gaps)
+        yes = _clear_in_block(motion, near, swept, first, last, n, gaps)
     return yes, n
 
 
@@ -749,6 +764,7 @@ def _settle_block(motion, low, high, found, tally):
         configuration_at(problem.tree, course, times[k], Q, k)
     tally[0] += LANES
     _place_at(motion, swept.links)
+    _fresh_of(motion)[0] = 0
     sweep(problem, pieces, swept)
     widest = 0.0
     for k in range(INTERVALS):
