@@ -53,11 +53,11 @@ from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
-FIRST_OFF = 0.04
+FIRST_OFF = 0.03
 MOST_BLOCKS = MOST_INTERVALS // 7
 
 # One plane is sought for neighbouring intervals together, if points are then within this distance of their chords [m].
-MERGED_OFF = 0.01
+MERGED_OFF = 0.005
 
 # Slightly more than the distance at which `collide` may report touching: a free motion has no such configuration.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
@@ -345,13 +345,13 @@ def _clear_of_bend(motion, near, W, V, times, first, last, n, gaps):
 
 
 @njit()
-def _clear_in_block(motion, near, swept, first, last, n, gaps):
-    """As `_clear_of_bend` for configurations of the block."""
+def _clear_in_block(motion, near, swept, k, n, gaps):
+    """As `_clear_of_bend` for interval k of the block."""
     V, W, times, fresh = _velocities_of(motion), swept.links, _times_of(motion), _fresh_of(motion)
     if fresh[0] == 0:
         write_rates(problem_of(motion.problem).tree, W, _course_of(motion), times, V)
         fresh[0] = 1
-    return _clear_of_bend(motion, near, W, V, times, first, last, n, gaps)
+    return _clear_of_bend(motion, near, W, V, times, k, k + 1, n, gaps)
 
 
 @njit()
@@ -582,6 +582,11 @@ def _halve_waiting(motion, count, found, tally):
         link = problem.link[other] if other < motion.counts.moving else -1
         back = ways_between(tables, rates, other, link, problem.link[one])
         n = ways[e, 0], ways[e, 1], ways[e, 2]
+        least = near.margin + near.slack
+        tally[1] += 1
+        proven, n, gaps = _proven(motion, near, swept, k, k + 1, least, least + _off(near, times[k + 1] - times[k]), n)
+        if proven or (gaps[0] > least and gaps[1] > least and _clear_in_block(motion, near, swept, k, n, gaps)):
+            continue
         verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
         found = _worse(found, verdict, t, pair)
         if _hit(found):
@@ -590,22 +595,16 @@ def _halve_waiting(motion, count, found, tally):
 
 
 @inline
-def _proven(motion, near, swept, first, last, width, n):
-    """Whether a plane proves the intervals from configuration `first` to `last` of the block, and its direction."""
+def _proven(motion, near, swept, first, last, least, keep, n):
+    """As `_proven_standing` for the configurations `first` and `last` of the block."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     a, b = one * LANES + first, one * LANES + last
-    least = near.margin + near.slack
-    keep = least + _off(near, width)
     if other >= motion.counts.moving:
         still, row = _standing_poses(problem), other - motion.counts.moving
-        yes, n, gaps = _proven_standing(motion, near.i, swept.poses, a, b, near.j, still, row, least, keep, n)
-    else:
-        o = other * LANES
-        yes, n, gaps = _proven_moving(motion, near.i, near.j, swept.poses, o + first, a, o + last, b, least, keep, n)
-    if not yes and gaps[0] > least and gaps[1] > least:
-        yes = _clear_in_block(motion, near, swept, first, last, n, gaps)
-    return yes, n
+        return _proven_standing(motion, near.i, swept.poses, a, b, near.j, still, row, least, keep, n)
+    o = other * LANES
+    return _proven_moving(motion, near.i, near.j, swept.poses, o + first, a, o + last, b, least, keep, n)
 
 
 @inline
@@ -665,9 +664,11 @@ def _search(motion, near, live, found, waiting_count, tally):
         while first > 0 and (live >> (first - 1)) & 1 != 0 and _off(near, (last - first + 1) * width) <= MERGED_OFF:
             first -= 1
         n = N[last - 1], N[LANES + last - 1], N[2 * LANES + last - 1]
+        least = near.margin + near.slack
         if last - first > 1:
             tally[1] += 1
-            proven, n = _proven(motion, near, swept, first, last, times[last] - times[first], n)
+            keep = least + _off(near, times[last] - times[first])
+            proven, n, _ = _proven(motion, near, swept, first, last, keep, keep, n)
             if proven:
                 live &= (1 << first) - 1
                 continue
@@ -678,7 +679,8 @@ def _search(motion, near, live, found, waiting_count, tally):
             live &= ~(1 << k)
             w = times[k + 1] - times[k]
             tally[1] += 1
-            proven, n = _proven(motion, near, swept, k, k + 1, w, n)
+            keep = least + _off(near, w)
+            proven, n, _ = _proven(motion, near, swept, k, k + 1, keep, keep, n)
             if proven:
                 continue
             for end in range(k + 1, k - 1, -1):
