@@ -56,7 +56,7 @@ FIRST = (
 
 
 # What the C compiler is told of files that people get.
-RELEASE = ("-O2",)
+RELEASE = ("-O2", "-s")
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 

@@ -30,7 +30,7 @@ from loewner._kernels.linalg3 import (
 from loewner._kernels.robots.kinematics import axis_of, direction_of, rotation_of_link, translation_of_link
 from loewner._kernels.robots.motion_bounds import UPWARD, shared_joints, steepest
 from loewner._kernels.robots.sweeps import outer_center, outer_shape
-from loewner._kernels.simd.vectors import LANES, broadcast, load, store
+from loewner._kernels.simd.vectors import LANES, absolute, broadcast, load, store
 
 # Relative errors of the terms, from rounding and from rotations that are accepted as orthonormal.
 TERMS = 1e-4  # derived 1.1e-5, certified.md B52
@@ -259,3 +259,52 @@ def error_of_terms(tables, ways, radius):
     """Bound the error of what `directed_bends` writes for a piece with an outer ellipsoid of this radius."""
     squares = ways.turn * ways.turn + ways.turning
     return TERMS * (squares * (tables.chain[1] + ways.travel + radius) + 2.0 * ways.turn * ways.speed + ways.bend)
+
+
+@inline
+def error_of_strays(tables, ways, astray, radius, width):
+    """Bound what `directed_strays` leaves out within an interval of this width: its second derivative, and rounding."""
+    size = tables.chain[1] + ways.travel + astray.travel + radius
+    squares = ways.turn * ways.turn + ways.turning
+    between = (astray.turn * size + astray.speed) * squares
+    between += astray.turn * (2.0 * ways.turn * ways.speed + ways.bend)
+    return between * width * width / 8.0 + TERMS * (astray.turn * size + astray.speed)
+
+
+@njit()
+def directed_strays(tree, tables, hot, W, strays, link, fixed, piece, n, out):
+    """Bound how far a piece's points move along n, to first order, if joints deviate from eight configurations.
+
+    Parameters
+    ----------
+    tree, tables, hot, W, link, fixed, piece, n
+        As for `directed_bends`.
+    strays : Rates
+        Deviations of joints, see `motion_bounds.write_strays`.
+    out : ndarray, shape (8,)
+        Receives the bounds [m].
+    """
+    n = broadcast(n[0]), broadcast(n[1]), broadcast(n[2])
+    if fixed >= 0:
+        n = apply(rotation_of_link(W, fixed), n)
+    R, center = rotation_of_link(W, link), outer_center(hot, piece)
+    center = broadcast(center[0]), broadcast(center[1]), broadcast(center[2])
+    x = image(R, translation_of_link(W, link), center)
+    shape, total = outer_shape(hot, piece), broadcast(0.0)
+    shared = shared_joints(tables, link, fixed) if fixed >= 0 else 0
+    for side in range(2 if fixed >= 0 else 1):
+        end = link if side == 0 else fixed
+        for k in range(tables.path_start[end] + shared, tables.path_start[end + 1]):
+            joint = tables.path_link[k]
+            kind, turn, slide = tree.kind[joint], strays.turn[joint], strays.slide[joint]
+            if kind == PRISMATIC:
+                d = _in_world(W, tree.parent[joint], direction_of(tree.constants, joint, ACROSS))
+                total = total + absolute(dot(n, d)) * slide
+            elif turn > 0.0 and (kind == REVOLUTE or kind == PLANAR):
+                m = cross(n, apply(rotation_of_link(W, joint), axis_of(tree.constants, joint)))
+                width, _ = outward_width(shape, apply_transposed(R, m), dot(m, m))
+                total = total + (absolute(dot(m, minus(x, translation_of_link(W, joint)))) + width) * turn
+                total = total + slide
+            else:
+                total = total + (turn * (tables.chain[1] + strays.far[joint]) + slide)
+    store(out, 0, total)

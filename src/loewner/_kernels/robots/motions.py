@@ -30,7 +30,7 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.directed_bends import RATES, directed_bends, error_of_terms, fourth_derivative, write_rates
+from loewner._kernels.robots.directed_bends import RATES, directed_bends, directed_strays, error_of_strays, error_of_terms, fourth_derivative, write_rates
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import UPWARD, Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import configuration_at, write_part
@@ -53,7 +53,7 @@ from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
-FIRST_OFF = 0.03
+FIRST_OFF = 0.025
 MOST_BLOCKS = MOST_INTERVALS // 7
 
 # One plane is sought for neighbouring intervals together, if points are then within this distance of their chords [m].
@@ -65,6 +65,9 @@ CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
 # An interval that fails is AMBIGUOUS once its points move by less than this share of the tolerance; the rest is left
 # for the convergence of the search.
 DECIDED = 0.5
+
+# Where joints may stray, an interval is settled once its points move by less than this share of what they may stray.
+SETTLED_STRAY = 0.125
 
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
@@ -112,8 +115,12 @@ class Near(NamedTuple):
 
     Attributes
     ----------
-    pair : number of the pair of bodies i, j : the pieces; i moves bend, speed : `Ways` of i relative to j margin : m
-    that they must keep slack : bound on rounding, in m
+    pair : number of the pair of bodies
+    i, j : the pieces; i moves
+    bend, speed : `Ways` of i relative to j
+    margin : m that they must keep
+    slack : bound on rounding [m], and on what joints may stray from the course
+    stray : share of the latter
     """
 
     pair: Any
@@ -123,6 +130,7 @@ class Near(NamedTuple):
     speed: Any
     margin: Any
     slack: Any
+    stray: Any
 
 
 # -- memory -----------------------------------------------------------------------------------
@@ -284,7 +292,14 @@ def _to_body(poses, row, n):
 @inline
 def _enough(motion, near):
     """Largest motion of points in an interval that counts as settled [m]; see docs/certified.md."""
-    return DECIDED * max(motion.tolerance - near.slack, near.slack)
+    slack = near.slack - near.stray
+    return DECIDED * max(motion.tolerance - slack, slack, SETTLED_STRAY * near.stray)
+
+
+@inline
+def _least(near):
+    """Distance that pieces must keep [m] where points stay on their side of a plane."""
+    return near.margin + (near.slack - near.stray)
 
 
 @inline
@@ -341,7 +356,26 @@ def _clear_of_bend(motion, near, W, V, times, first, last, n, gaps):
             widest = max(widest, times[k] - times[k - 1])
     most += error_of_terms(tables, ways, pieces.hot[near.i, OUTER_RADIUS]) + fourth * widest * widest / 8.0
     width = times[last] - times[first]
-    return _lowest(gaps, 0.5 * width * width * most * UPWARD + LOST) > near.margin + near.slack
+    least = _least(near)
+    if near.stray > 0.0:
+        least += _stray(motion, near, W, ways, link, fixed, first, last, widest, n)
+    return _lowest(gaps, 0.5 * width * width * most * UPWARD + LOST) > least
+
+
+@njit()
+def _stray(motion, near, W, ways, link, fixed, first, last, widest, n):
+    """Largest distance by which i may stray towards j along n, between two of eight configurations."""
+    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
+    strays, out = _strays_of(motion), _bends_of(motion)
+    one = problem.pairs[near.pair, 0]
+    directed_strays(problem.tree, tables, pieces.hot, W, strays, link, fixed, near.i, n, out)
+    most = 0.0
+    for k in range(first, last + 1):
+        if not out[k] <= most:  # a NaN stays
+            most = out[k]
+    astray = ways_between(tables, strays, one, link, fixed)
+    most += error_of_strays(tables, ways, astray, pieces.hot[near.i, OUTER_RADIUS], widest) + 0.5 * astray.bend
+    return min((1.0 + motion.skew) * most * UPWARD, near.stray)
 
 
 @njit()
@@ -508,8 +542,8 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
-            least = near.margin + near.slack
-            keep = least + _off(near, w)
+            least = _least(near)
+            keep = near.margin + near.slack + _off(near, w)
             tally[1] += 1
             if stands:
                 proven, m, gaps = _proven_standing(
@@ -526,7 +560,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
                 if _clear_between(motion, near, times[depth, a], times[depth, b], m, gaps):
                     continue
             # A plane that turns with the other body.
-            keep = least + back.bend * w * w / 8.0
+            keep = near.margin + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
             tally[1] += 1
             found, _, _ = _proven_moving(
@@ -577,14 +611,15 @@ def _halve_waiting(motion, count, found, tally):
     )  # fmt: skip
     for e in range(count):
         pair, k = waiting[e, 0], waiting[e, 3]
-        near = Near(pair, waiting[e, 1], waiting[e, 2], ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6])
+        near = Near(pair, waiting[e, 1], waiting[e, 2], ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6], ways[e, 7])
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
         back = ways_between(tables, rates, other, link, problem.link[one])
         n = ways[e, 0], ways[e, 1], ways[e, 2]
-        least = near.margin + near.slack
+        least = _least(near)
+        keep = near.margin + near.slack + _off(near, times[k + 1] - times[k])
         tally[1] += 1
-        proven, n, gaps = _proven(motion, near, swept, k, k + 1, least, least + _off(near, times[k + 1] - times[k]), n)
+        proven, n, gaps = _proven(motion, near, swept, k, k + 1, least, keep, n)
         if proven or (gaps[0] > least and gaps[1] > least and _clear_in_block(motion, near, swept, k, n, gaps)):
             continue
         verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
@@ -695,12 +730,13 @@ def _search(motion, near, live, found, waiting_count, tally):
             e = waiting_count
             ways[e, 0], ways[e, 1], ways[e, 2] = n
             ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6] = near.bend, near.speed, near.margin, near.slack
+            ways[e, 7] = near.stray
             waiting_count += 1
     return found, waiting_count
 
 
 @njit()
-def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
+def _settle_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
     """Settle the intervals `live` of a pair of bodies, piece by piece."""
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, scratch, normals, times = _swept_of(motion), _scratch_of(motion), _normals_of(motion), _times_of(motion)
@@ -714,7 +750,7 @@ def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
             see_piece(problem, i, other, swept, scratch)
             rows, at = scratch, 0
         for j in range(start[other], start[other + 1]):
-            near = Near(pair, i, j, bend, speed, margin, slack)
+            near = Near(pair, i, j, bend, speed, margin, slack, stray)
             keep = margin + slack + _off(near, times[1] - times[0])
             if other < moving:
                 left = near_piece(rows, at, hot[i, OUTER_RADIUS], hot, j, keep, live, normals)
@@ -776,11 +812,12 @@ def _settle_block(motion, low, high, found, tally):
     for number in range(len(order)):
         pair = order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
-        slack = motion.rounding + motion.skew * margin
+        slack, stray = motion.rounding + motion.skew * margin, 0.0
         if motion.strays:
             fixed = problem.link[other] if other < moving else -1
             astray = ways_between(tables, _strays_of(motion), one, problem.link[one], fixed).speed
-            slack += (1.0 + motion.skew) * astray
+            stray = (1.0 + motion.skew) * astray
+            slack += stray
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
@@ -798,7 +835,7 @@ def _settle_block(motion, low, high, found, tally):
         if speed == 0.0:
             live &= 1  # the pair is the same everywhere
         if live != 0:
-            found, count = _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally)
+            found, count = _settle_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
                 return found
     return _halve_waiting(motion, count, found, tally)
