@@ -973,6 +973,26 @@ def test_audit_with_a_joint_error(with_end, capsys):
     assert run(capsys, *AUDIT, "--joint-error", -1)[0] == 2
 
 
+def test_audit_draws_a_picture(with_end, capsys, monkeypatch):
+    """The picture names the pair, its verdict and depth, beside the usual output; other formats are refused at once."""
+    Path("moves.csv").write_text(THROUGH)
+    status, out, _ = run(capsys, *AUDIT)
+    assert run(capsys, *AUDIT, "-o", "moves.svg") == (status, out, "") == (1, out, "")
+    assert run(capsys, *AUDIT, "--out", "moves.png")[0] == 1
+    assert Path("moves.png").read_bytes().startswith(b"\x89PNG")
+    drawn = Path("moves.svg").read_text()
+    for text in ("COLLIDING", "ball and wall", "150 mm"):
+        assert f"<!-- {text} -->" in drawn
+    status, _, err = run(capsys, *AUDIT, "-o", "moves.txt")
+    assert status == 2
+    assert "--out: expected a .png or .svg file, found moves.txt" in err
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    status, out, err = run(capsys, *AUDIT, "-o", "more.svg")
+    assert (status, out) == (2, "")
+    assert "loewner[plots]" in err
+    assert not Path("more.svg").exists()
+
+
 @pytest.mark.parametrize(
     "command",
     [

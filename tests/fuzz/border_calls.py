@@ -1120,6 +1120,16 @@ CALLS: dict[str, Call] = {
     "plots.configuration": Call(
         drawing.configuration, {"checker": arg(checker), "q": ONE, "ax": arg(axes_in_space, NONE)}, varies=True
     ),
+    "plots.trajectory": Call(
+        drawing.trajectory,
+        {
+            "checker": arg(checker),
+            "curve": arg(moved),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "ax": arg(flat_axes, NONE),
+        },
+        varies=True,
+    ),
     "plots.tiers": Call(
         drawing.tiers,
         {"counts": arg(lambda: {"a": {"free_by_search": 3}}), "ax": arg(flat_axes, NONE)},
@@ -1321,8 +1331,15 @@ LINES: dict[str, Call] = {
             "OTHERS",
             "--joint-error",
             "ERROR",
+            "--out",
+            "OUT",
         ),
-        {"scene": word("scene.yaml"), "others": word("left"), "error": word("0.01", LINE_NUMBERS)},
+        {
+            "scene": word("scene.yaml"),
+            "others": word("left"),
+            "error": word("0.01", LINE_NUMBERS),
+            "out": word("drawn.svg"),
+        },
     ),
     "loewner plan": Call(
         line(
