@@ -21,7 +21,7 @@ from loewner.robots.proofs import prove_by_rules
 NEAR = 1.02
 
 # The first error that is tried, as a share of the largest; and the factor to the next one. Large errors take longest.
-FIRST, STEP = 2.0**-12, 4.0
+FIRST, STEP = 2.0**-15, 8.0
 
 
 def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, tolerance: float) -> float:
@@ -63,7 +63,7 @@ def joint_error(
     -------
     float
         An error e up to `most` for which `certify_edges` proves every motion with ``joint_error=e * weights``; 1.02 e
-        is not proven, unless e is `most`. 0.0 if no error larger than `most` / 4096 is proven.
+        is not proven, unless e is `most`. 0.0 if no error larger than `most` / 32,768 is proven.
 
     Raises
     ------
