@@ -51,7 +51,8 @@ def test_one_sliding_joint_before_a_wall():
         found = checker.joint_error(np.array(way)[:, None], weights=weight)
         assert GAP / weight / NEAR - 2e-5 / weight <= found <= GAP / weight
     assert checker.joint_error([[0.0], [0.5]], most=GAP / 2) == GAP / 2
-    assert checker.joint_error([[-0.5], [0.5 + GAP - 1e-4]], most=10.0) == 0.0
+    assert 8e-5 / NEAR <= checker.joint_error([[-0.5], [0.5 + GAP - 1e-4]], most=1e9) <= 1e-4
+    assert checker.joint_error([[-0.5], [0.5 + GAP - 5e-7]]) == 0.0
 
 
 def test_one_turning_joint_before_a_wall():

@@ -63,9 +63,11 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Return the deviations from courses, shape (N, dof), that a joint error and rounding amount to; None for no error.
+    """Add to a joint error the rounding of configurations on courses, as users compute them; None for no error.
 
-    Rounding is that of configurations on the motions, as users compute them.
+    Returns
+    -------
+    ndarray, shape (N, dof), or None
     """
     if joint_error is None or not joint_error.any():
         return None

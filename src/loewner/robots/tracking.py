@@ -20,17 +20,17 @@ from loewner.robots.proofs import prove_by_rules
 # The search ends when an error that is not proven is at most this many times the result.
 NEAR = 1.02
 
-# The first error that is tried, as a share of the largest; and the factor to the next one. Large errors take longest.
-FIRST, STEP = 2.0**-15, 8.0
+# The first error that is tried, in radians or metres, and the factor to the next one. Large errors take longest.
+FIRST, STEP = 1e-6, 8.0
 
 
 def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, tolerance: float) -> float:
     """Compute the largest e <= most for which all motions are proven free within the joint errors e * weights.
 
-    The result may be up to `NEAR` times too small; it is 0.0 if no error from `FIRST` * most on is proven. Motions
-    between configurations a and b, shape (N, dof) each.
+    The motions are between configurations a and b, shape (N, dof) each. The result may be up to `NEAR` times too small;
+    it is 0.0 if `FIRST` is not proven.
     """
-    low, high, e = 0.0, math.inf, FIRST * most
+    low, high, e = 0.0, math.inf, min(FIRST, most)
     while low < most and high > NEAR * low:
         unproven = prove_by_rules(ready, a, b, tolerance, e * weights).verdicts != Verdict.FREE
         if unproven.any():
@@ -39,19 +39,19 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
                 return low
         else:
             low = e
-        e = min(STEP * low, most) if high == math.inf else math.sqrt(low * high)
+        e = min(STEP * low, most) if high == math.inf else math.sqrt(low) * math.sqrt(high)
     return low
 
 
 def joint_error(
-    checker: Any, path: ArrayLike, *, weights: ArrayLike = 1.0, most: float = 0.1, tolerance: float = 1e-5
+    self: Any, path: ArrayLike, *, weights: ArrayLike = 1.0, most: float = 0.1, tolerance: float = 1e-5
 ) -> float:
     """Compute the largest error of the joints within which a whole path is proven free.
 
     Parameters
     ----------
     path : array_like, shape (k, dof)
-        Two or more configurations; the motions between them are those of `certify_edges`.
+        Two or more configurations, with motions between them as in `certify_edges`.
     weights : float or array_like, shape (dof,)
         Each value may deviate by the error times its weight. Default: all alike, in radians or metres.
     most : float
@@ -63,7 +63,7 @@ def joint_error(
     -------
     float
         An error e up to `most` for which `certify_edges` proves every motion with ``joint_error=e * weights``; 1.02 e
-        is not proven, unless e is `most`. 0.0 if no error larger than `most` / 32,768 is proven.
+        is not proven, unless e is `most`. 0.0 if not even 1e-6 is proven.
 
     Raises
     ------
@@ -84,11 +84,11 @@ def joint_error(
     <Verdict.FREE: 0>
     """
     most, tolerance = _validate.positive_scalar(most, "most"), _validate.positive_scalar(tolerance, "tolerance")
-    rows = edges.checked_path(checker.robot, path)
-    shares = joint_errors(checker.robot, weights, "weights")
+    rows = edges.checked_path(self.robot, path)
+    shares = joint_errors(self.robot, weights, "weights")
     if not shares.any():
         raise InputError("weights: expected one or more above 0, found none")
-    ready: Problem = checker._ready()
+    ready: Problem = self._ready()
     a, b = rows[:-1].copy(), rows[1:].copy()
     found = prove_by_rules(ready, a, b, tolerance)
     found.expect_short(a, b)
