@@ -949,6 +949,15 @@ CALLS: dict[str, Call] = {
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
         },
     ),
+    "CollisionChecker.joint_error": Call(
+        on(checker, "joint_error"),
+        {
+            "path": array([[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0]], FINITE, "without the first row"),
+            "weights": array([1.0, 0.5, 0.0], FINITE, NUMBERS, "a number alone"),
+            "most": positive(0.125),
+            "tolerance": positive(),
+        },
+    ),
     "CollisionChecker.certify_trajectory": Call(
         on(checker, "certify_trajectory"),
         {
@@ -989,6 +998,7 @@ CALLS: dict[str, Call] = {
             "joints": arg("y", NONE),
             "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "resolution": positive(0.125),
             "max_iterations": count(1000),
             "timeout": arg(5.0, NUMBERS),
@@ -1003,6 +1013,7 @@ CALLS: dict[str, Call] = {
             "checker": arg(checker),
             "path": array([[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
             "certified": flag(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "resolution": positive(0.125),
             "max_iterations": count(20, "0"),
             "seed": count(1, "0"),
@@ -1071,6 +1082,7 @@ CALLS: dict[str, Call] = {
         {
             "start": array([-0.5, 0.25, 0.0], FINITE),
             "goal": array([[-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "simplify": flag(False),
         },
     ),

@@ -299,12 +299,12 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
         )
 
 
-def joint_errors(robot: Robot, given: ArrayLike) -> Floats:
+def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
     """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
-    array = _validate.finite_array(given, "joint_error", ("...",))
+    array = _validate.finite_array(given, name, ("...",))
     if array.shape not in ((), (robot.dof,)) or (array < 0).any():
         raise InputError(
-            f"joint_error: expected one number >= 0 or {robot.dof} of them, found "
+            f"{name}: expected one number >= 0 or {robot.dof} of them, found "
             f"{array if array.size == 1 else _validate.shape_text(array.shape)}"
         )
     return np.broadcast_to(array, robot.dof).copy()

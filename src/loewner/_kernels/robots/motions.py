@@ -31,7 +31,14 @@ from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import link_entries, place_links
-from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
+from loewner._kernels.robots.motion_bounds import (
+    VALUE_ROUNDINGS,
+    Rates,
+    rates_of,
+    uncertainty,
+    ways_between,
+    write_strays,
+)
 from loewner._kernels.robots.motion_path import configuration_at, write_part
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
@@ -823,16 +830,22 @@ def certify_motions(
 
 
 @njit()
-def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memory):
+def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally, memory):
     """Whether one motion is FREE, as in `certify_motions`, with prepared memory.
 
-    The work is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be free is
-    moved forward, so that pairs that collide most often come first.
+    FREE covers all configurations whose values deviate by no more than the numbers at the address `error`, shape
+    (dof,), if it is not 0. The work is added to `tally`, shape (2,): configurations placed and searches. A pair that is
+    found not to be free is moved forward, so that pairs that collide most often come first.
     """
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, False, 2, ends.shape[1], memory)
+    dof = ends.shape[1]
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, error != 0, 2, dof, memory)
     course = _course_of(motion)
-    for c in range(ends.shape[1]):
+    for c in range(dof):
         course[0, c], course[1, c] = ends[0, c], ends[1, c]
+    if motion.strays:
+        allowed, off = floats_at(error, (dof,)), _off_of(motion)
+        for c in range(dof):  # rounded as in `loewner.robots.proofs.deviations`
+            off[c] = allowed[c] + 2.0 * VALUE_ROUNDINGS * max(abs(ends[0, c]), abs(ends[1, c]))
     found = _certify(motion, tally)
     if found.pair >= 0:
         order = _order_of(motion)
