@@ -38,7 +38,10 @@ REQUIRED = {
     "plan vs pinocchio": 25.0,
 }
 
-PACKAGES = ("loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree", "pin", "ompl")
+PACKAGES = (
+    "loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree", "pin", "ompl", "toppra",
+    "ruckig",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,7 @@ def machine() -> dict[str, object]:
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "compiler": _first_line([os.environ.get("CXX", "g++"), "--version"]),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {name: version_of(name) for name in PACKAGES},
         "commit": _first_line(["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "load": [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else None,
@@ -176,7 +179,7 @@ def write_machine(path: Path, facts: dict[str, object]) -> None:
     path.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
 
 
-def _version(name: str) -> str | None:
+def version_of(name: str) -> str | None:
     try:
         return version(name)
     except PackageNotFoundError:

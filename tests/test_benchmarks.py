@@ -16,6 +16,7 @@ import accuracy
 import clearance
 import clock
 import crowd
+import executed_curves
 import frameworks
 import gpu
 import growth
@@ -38,6 +39,7 @@ import trajectories
 from gpu_stand_in import StandIn
 from loewner import paper
 from loewner.gpu import driver
+from loewner.robots import courses, curves
 
 
 @pytest.fixture(autouse=True)
@@ -413,6 +415,82 @@ def test_trajectories_of_planned_paths(arm: robot_samples.Sample, problems: Path
     assert capsys.readouterr().out.count("1 paths") == 2
     assert trajectories.main(["--data", str(tmp_path / "none.json")]) == 0
     assert "not run" in capsys.readouterr().out
+
+
+def test_executed_curves_of_planned_paths(
+    arm: robot_samples.Sample, problems: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """Verdicts add up and never contradict samples; the path and our saved trajectories are free; costs are there."""
+    assert executed_curves.main(["--data", str(problems), "--out", str(tmp_path)]) == 0
+    assert f"loewner {loewner.__version__}, numpy {np.__version__}" in capsys.readouterr().out
+    with open(tmp_path / "executed-curves.csv", newline="", encoding="utf-8") as file:
+        rows = {row["executed"]: row for row in csv.DictReader(file)}
+    assert list(rows) == list(executed_curves.WAYS)
+    for way, row in rows.items():
+        if row["note"]:
+            assert way.startswith(("TOPP-RA", "Ruckig"))
+            assert row["note"].startswith("not run: package")
+            assert row["plans"] == "0"
+            continue
+        assert row["plans"] == "1"
+        assert sum(int(row[verdict.name.lower()]) for verdict in loewner.Verdict) == 1
+        assert row["free_but_sampled_colliding"] == "0"
+        assert (row["depth_largest_mm"] != "") == (row["sampled_colliding"] == "1")
+        assert (row["proof_ms"] != "") == (row["free"] == "1")
+    for way in ("polyline", "saved"):
+        assert all(row["free"] == "1" for name, row in rows.items() if way in name)
+    assert executed_curves.main(["--data", str(tmp_path / "none.json")]) == 0
+    assert "not run" in capsys.readouterr().out
+
+
+def test_executed_curves_are_proven_and_sampled_alike(arm: robot_samples.Sample, problems: Path):
+    """What is sampled differs from what is proven by no more than the error that the proof covers."""
+    problem = loewner.read_motion_bench_maker(problems)[0]
+    plan = executed_curves.planned(motion_bench_maker.Task.of(problem, arm.robot))
+    for way, make in executed_curves.WAYS.items():
+        try:
+            curve = make(plan)
+        except rivals.Missing:
+            continue
+        course = curves.curve_of(arm.robot, curve.proven, way)
+        np.testing.assert_array_equal(course.times, curve.times)
+        numbers = np.arange(len(course.courses)).repeat(20)
+        shares = np.tile(np.linspace(0.01, 0.99, 20), len(course.courses))
+        t = course.times[numbers] + shares * np.diff(course.times)[numbers]
+        proven = courses.configurations(arm.robot, course.courses[numbers], shares)
+        np.testing.assert_allclose(curve.at(t), proven, rtol=0, atol=curve.error + 1e-9, err_msg=way)
+        Q = curve.samples()
+        assert np.linalg.norm(np.diff(Q, axis=0), axis=1).max() < 2 * executed_curves.STEP, way
+        np.testing.assert_allclose(Q[[0, -1]], plan.path[[0, -1]], rtol=0, atol=1e-9, err_msg=way)
+
+
+@pytest.mark.parametrize("tolerance", [0.01, 0.1, 10.0])
+def test_arcs_touch_lines_and_stay_near_corners(tolerance: float):
+    """Positions and directions are continuous; an arc is as far from its corner as allowed, or takes half a line."""
+    path = np.random.default_rng(3).normal(size=(9, 5))
+    made = executed_curves.parts(path, tolerance)
+    for one, other in itertools.pairwise(made):
+        for order in (0, 1):
+            end, start = one.at(np.array([one.length]), order), other.at(np.zeros(1), order)
+            np.testing.assert_allclose(end, start, atol=1e-9)
+    arcs = [part for part in made if part.outward is not None]
+    assert len(arcs) == len(path) - 2
+    halves = np.linalg.norm(np.diff(path, axis=0), axis=1) / 2
+    limited = 0
+    for k, arc in enumerate(arcs):
+        s = np.linspace(0.0, arc.length, 1001)
+        away = np.linalg.norm(arc.at(s) - path[k + 1], axis=1)
+        assert away.min() == pytest.approx(away[500])
+        taken, half = away[0], min(halves[k : k + 2])
+        assert away.min() <= tolerance * (1 + 1e-9)
+        assert taken <= half * (1 + 1e-9)
+        assert away.min() == pytest.approx(tolerance) or taken == pytest.approx(half)
+        limited += taken == pytest.approx(half)
+        speed = np.linalg.norm(np.diff(arc.at(s), axis=0), axis=1).sum()
+        assert speed == pytest.approx(arc.length, rel=1e-5)
+    assert (limited == len(arcs)) == (tolerance > 1)
+    straight = executed_curves.parts(np.array([[0.0, 0], [1, 0], [3, 0], [2, 0]]), tolerance)
+    assert [part.length for part in straight] == [1, 2, 1]
 
 
 def test_both_sides_look_at_the_same_configurations(arm: robot_samples.Sample, round_and_square: loewner.Scene):

@@ -17,6 +17,7 @@ from exact import halfspaces_crossed, hull_planes, points_outside, rational
 from families import FAMILIES, box_corners, pieces, random_poses
 from loewner import Bodies, Body, meshes, polytopes
 from loewner._kernels import columns
+from loewner._kernels.pieces.shapes import unit_support
 from loewner.bodies import CURVED
 from loewner.bodies.triangulated import of_piece
 from oracles import hull
@@ -54,9 +55,7 @@ def test_inner_in_piece_in_outer(family: str):
 def test_a_kind_is_known_wherever_kinds_are_told_apart(number, tmp_path):
     """Its row makes the body anew from what is stored of it; files, meshes, scenes and MJCF know it."""
     kind = CURVED[number]
-    given = [0.3, 0.5][: len(kind.size_names)] or [0.1, 0.2, 0.3]
-    make = getattr(Body, kind.name)
-    body = make(**dict(zip(kind.size_names, given, strict=True))) if kind.size_names else make(given)
+    given, body = [0.3, 0.5][: len(kind.size_names)] or [0.1, 0.2, 0.3], made_by(number)
     packed = body._packed
     assert (int(packed.layout[0, columns.KIND]), body.pieces[0].kind) == (number, kind.name)
     assert list(kind.sizes(packed.frames[0, 0], packed.frames[0, 4::4].tolist())) == given
@@ -72,7 +71,7 @@ def test_a_kind_is_known_wherever_kinds_are_told_apart(number, tmp_path):
     scene.add("body", loaded)
     loewner.save_scene(scene, tmp_path / "scene.yaml")
     assert f"{kind.name}:" in (tmp_path / "scene.yaml").read_text()
-    assert f'type="{kind.name if kind.in_mjcf else "mesh"}"' in body.to_mjcf()
+    assert f'type="{kind.name if kind.inradii is None else "mesh"}"' in body.to_mjcf()
 
 
 def test_no_kind_stands_for_an_unknown_one():
@@ -86,12 +85,52 @@ def test_no_kind_stands_for_an_unknown_one():
             ask()
 
 
-def test_a_kind_without_a_unit_shape_is_not_a_ball(monkeypatch):
-    """A row that says nothing about its unit shape is an error where the piece is meshed, not a ball."""
-    body = Body.cone(1.0, 1.0)
-    monkeypatch.setitem(CURVED, columns.CONE, CURVED[columns.CONE]._replace(top=None))
-    with pytest.raises(ValueError, match="cone: expected a row of CURVED with is_ball, top or core"):
-        of_piece(body._packed, 0)
+def made_by(number: int) -> Body:
+    """A body of a curved kind, made by the constructor and the sizes that its row names."""
+    kind = CURVED[number]
+    sizes = [0.3, 0.5][: len(kind.size_names)] or [0.1, 0.2, 0.3]
+    return getattr(Body, kind.name)(*(sizes if kind.size_names else [sizes]))
+
+
+def heights(number: int, body: Body, normals: np.ndarray) -> np.ndarray:
+    """How far the piece of a curved body reaches along unit directions, by the kernels' support function."""
+    frame = body._packed.frames[0]
+    local = normals @ frame[4:].reshape(3, 3)
+    corners = np.array([unit_support.py_func(number, *n) for n in local]) if number != columns.POINT else 0 * local
+    return normals @ frame[1:4] + (corners * local).sum(axis=1) + frame[0]
+
+
+@pytest.mark.parametrize("number", CURVED)
+def test_a_row_agrees_with_its_support_function(number):
+    """Inner ellipsoid and corners are in the piece, in turn inside the outer ellipsoid and the enlarged mesh."""
+    kind, body = CURVED[number], made_by(number)
+    normals = np.random.default_rng(number).normal(size=(2000, 3))
+    normals = np.concatenate([normals / np.linalg.norm(normals, axis=1, keepdims=True), np.eye(3), -np.eye(3)])
+    reach = heights(number, body, normals)
+    for fit, sign in ((body.inner, 1), (body.outer, -1)):
+        beyond = normals @ fit.center[0] + np.linalg.norm(normals @ fit.factor[0], axis=1) - reach
+        assert (sign * beyond).max() <= 1e-15
+    corners, triangles = of_piece(body._packed, 0)
+    assert (normals @ corners.T).max(axis=1) == pytest.approx(reach, abs=3e-3)
+    assert ((normals @ corners.T).max(axis=1) <= reach + 1e-15).all()
+    mesh = trimesh.Trimesh(corners, triangles)
+    mesh.update_faces(mesh.nondegenerate_faces())
+    assert mesh.is_volume
+    if kind.inradii is not None:
+        image = body._packed.frames[0, 4:].reshape(3, 3)
+        wider = np.linalg.solve(image, corners.T).T / kind.inradii @ image.T
+        normals = np.concatenate([normals, trimesh.Trimesh(wider, triangles).face_normals])
+        assert ((normals @ wider.T).max(axis=1) >= heights(number, body, normals) - 1e-15).all()
+
+
+@pytest.mark.parametrize("number", CURVED)
+def test_ellipsoids_of_a_row_are_optimal(number):
+    """They nearly have the volumes and centers of the ellipsoids fitted to the inscribed mesh, which are smaller."""
+    body = made_by(number)
+    hull = Body.from_points(of_piece(body._packed, 0)[0])
+    for fit, best in ((hull.inner, body.inner), (hull.outer, body.outer)):
+        assert 0.98 * best.volume <= fit.volume <= best.volume * (1 + 1e-4)  # to the accuracy of a fit
+        assert fit.center == pytest.approx(best.center, abs=5e-3)
 
 
 def test_ellipsoids_of_primitives():

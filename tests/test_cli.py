@@ -753,6 +753,17 @@ def test_plan_options_reach_the_planner(with_end, capsys, simplify):
     assert answer["sampled"]
 
 
+def test_plan_with_a_joint_error(with_end, capsys):
+    """The path is the library's, the ball keeps the distance, and the verdict states the error."""
+    around = (*AROUND, "--joints", "slide", "--joint-error", 0.02)
+    answer = json.loads(run(capsys, *around, "--json")[1])
+    path = planners.plan(checker_of_folder(), LEFT, RIGHT, joints="slide", joint_error=0.02)
+    np.testing.assert_array_equal(answer["configurations"], path)
+    assert (answer["verdict"], answer["joint_error"]) == ("FREE", 0.02)
+    assert clearance(path) > 0.02
+    assert "on the way, with every value up to 0.02 off\n" in run(capsys, *around)[1]
+
+
 def test_plan_tells_what_sampling_missed(with_end, capsys):
     """Steps of 0.9 m pass through the wall: the certificate finds it, names the pair, and the status is 1."""
     steps = ("--sampled", "--resolution", 0.9, "--joints", "slide")
@@ -773,8 +784,8 @@ def test_plan_that_is_ambiguous_exits_with_3(with_end, capsys, monkeypatch):
     """What cannot be told free is not called free."""
     certify = loewner.CollisionChecker.certify_edges
 
-    def unsure(self, Q0, Q1):
-        found = certify(self, Q0, Q1)
+    def unsure(self, Q0, Q1, **options):
+        found = certify(self, Q0, Q1, **options)
         found.verdict[0], found.fraction[0], found.names[0] = loewner.Verdict.AMBIGUOUS, 0.25, ("ball", "wall")
         return found
 
@@ -817,6 +828,11 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", THERE, "--joints", "slid"], "joints: expected one of slide, nothing, x, y, turn"),
         (["--start", HERE, "--goal", THERE, "--planner", "RRTStar"], "(did you mean 'RRTstar'?)"),
         (["--start", HERE, "--goal", THERE, "--planner", "PRM", "--max-iterations", "9"], "expected no --planner with"),
+        (
+            ["--start", HERE, "--goal", THERE, "--joint-error", "-1"],
+            "joint_error: expected one number >= 0 or 3 of them",
+        ),
+        (["--start", HERE, "--goal", THERE, "--joint-error", "1", "--sampled"], "--joint-error: expected no --sampled"),
         (["--start", HERE, "--goal", THERE, "--resolution", "0.1"], "--resolution: expected --sampled or --planner"),
         (["--start", HERE, "--goal", THERE, "--sampled", "--resolution", "0"], "resolution: expected a finite number"),
         (["--start", HERE, "--goal", THERE, "-o", "path.txt"], "--out: expected a .csv or .json file, found path.txt"),
@@ -848,6 +864,10 @@ def test_plan_errors(with_end, capsys, arguments, message):
         (["--start", HERE, "--goal", "9 0 0"], "goal: expected a free configuration within the limits, found x = 9"),
         (["--start", HERE, "--goal", THERE, "--joints", "x", "--timeout", "0.2"], "expected a path from start to goal"),
         (["--start", HERE, "--goal", THERE, "--max-iterations", "1"], "none within 1 iterations"),
+        (
+            ["--start", HERE, "--goal", THERE, "--joint-error", "0.5"],
+            "start: expected a free configuration within the limits",
+        ),
     ],
 )
 def test_plan_without_a_path_exits_with_1(with_end, capsys, arguments, message):
@@ -971,6 +991,26 @@ def test_audit_with_a_joint_error(with_end, capsys):
     assert out.startswith("AMBIGUOUS  ")
     assert "every value up to 0.2 off" in out
     assert run(capsys, *AUDIT, "--joint-error", -1)[0] == 2
+
+
+def test_audit_draws_a_picture(with_end, capsys, monkeypatch):
+    """The picture names the pair, its verdict and depth, beside the usual output; other formats are refused at once."""
+    Path("moves.csv").write_text(THROUGH)
+    status, out, _ = run(capsys, *AUDIT)
+    assert run(capsys, *AUDIT, "-o", "moves.svg") == (status, out, "") == (1, out, "")
+    assert run(capsys, *AUDIT, "--out", "moves.png")[0] == 1
+    assert Path("moves.png").read_bytes().startswith(b"\x89PNG")
+    drawn = Path("moves.svg").read_text()
+    for text in ("COLLIDING", "ball and wall", "150 mm"):
+        assert f"<!-- {text} -->" in drawn
+    status, _, err = run(capsys, *AUDIT, "-o", "moves.txt")
+    assert status == 2
+    assert "--out: expected a .png or .svg file, found moves.txt" in err
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    status, out, err = run(capsys, *AUDIT, "-o", "more.svg")
+    assert (status, out) == (2, "")
+    assert "loewner[plots]" in err
+    assert not Path("more.svg").exists()
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from loewner import (
     Settled,
     UnknownNameError,
     distance,
+    planners,
     plots,
 )
 
@@ -106,6 +107,17 @@ def bars(ax):
     }
 
 
+def bars_of(ax):
+    """All bars of each label and row, as in `bars`."""
+    rows = [text.get_text() for text in ax.get_yticklabels()]
+    found = {}
+    for container in ax.containers:
+        for bar in container:
+            row = rows[round(bar.get_y() + bar.get_height() / 2)]
+            found.setdefault((container.get_label(), row), []).append((bar.get_x(), bar.get_x() + bar.get_width()))
+    return found
+
+
 def test_tiers_are_shares_of_each_group():
     """Each bar begins where the cheaper tier ends, and the last ends at 100 %; the first group is on top."""
     ax = plots.tiers(
@@ -135,6 +147,47 @@ def test_tiers_of_a_checker(checker):
     ends = [end for _, end in bars(plots.tiers({"gantry": settled})).values()]
     assert max(ends) == pytest.approx(100)
     assert 100 * settled.free / settled.total in [pytest.approx(end) for end in ends]
+
+
+def through_the_wall():
+    """The ball slides along x through the middle of the wall in two pieces; the third piece is free."""
+    return planners.ControllerPoints([0, 1, 2, 3], [[-0.5, 0, 1.5], [0, 0, 1.5], [0.5, 0, 1.5], [0.9, 0, 1.5]])
+
+
+@pytest.fixture
+def ball_and_wall(checker):
+    """A wall 0.1 m thick and so short that only the ball meets it; the rod beside the ball passes its end."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 0.2, 1.0]))
+    return CollisionChecker(checker.robot, scene)
+
+
+def test_a_trajectory_is_drawn_by_pairs(ball_and_wall):
+    """Bars are the pieces that collide, and the height of the filled shape is the depth known from geometry."""
+    points = through_the_wall()
+    ax = plots.trajectory(ball_and_wall, points)
+    assert ax.get_title() == "COLLIDING"
+    assert bars_of(ax) == {("collides", "ball and wall"): [(0, 1), (1, 2)]}
+    (shape,) = ax.collections
+    t, height = shape.get_paths()[0].vertices.T
+    # At x the ball is 0.15 - |x| deep, as long as the way out along x is the shortest.
+    depth = np.maximum(0.15 - np.abs(np.clip(t - 1, -1, 1) / 2), 0)
+    top = height < 0.4
+    assert top.sum() == pytest.approx(401 * 0.6 / 3, abs=3)  # the ball meets the wall during 0.6 s of 3 s
+    np.testing.assert_allclose((0.4 - height)[top], 0.8 * depth[top] / 0.15, atol=1e-6)
+    assert "depth, up to 150 mm" in [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_a_trajectory_may_be_free_or_ambiguous(ball_and_wall):
+    """A free curve has no rows; one that an error of the joints may bring to the wall has a bar and no depth."""
+    aside = planners.ControllerPoints([0, 2], [[-0.5, 0.5, 1.5], [0.5, 0.5, 1.5]])
+    ax = plots.trajectory(ball_and_wall, aside)
+    assert (ax.get_title(), ax.get_xlim(), len(ax.get_yticks())) == ("FREE", (0, 2), 0)
+    assert not ax.containers
+    ax = plots.trajectory(ball_and_wall, aside, joint_error=[0, 0.31, 0])
+    assert ax.get_title() == "AMBIGUOUS"
+    assert bars_of(ax) == {("ambiguous", "ball and wall"): [(0, 2)]}
+    assert not ax.collections
 
 
 def test_costs_are_where_they_were_measured():
@@ -192,6 +245,7 @@ def test_accuracy_has_wilsons_intervals():
         (lambda: plots.accuracy({"rule": {}}), InputError, r"\['rule'\]: expected one entry or more"),
         (lambda: plots.accuracy({"rule": {"balls": (3, 2)}}), InputError, "right <= asked, found 3 of 2"),
         (lambda: plots.accuracy({"rule": {"balls": 0.9}}), InputError, r"\(right, asked\), found 0.9"),
+        (lambda: plots.trajectory("arm", None), InputError, "checker: expected .*CollisionChecker, found str"),
         (lambda: plots.configuration("arm", [0]), InputError, "checker: expected .*CollisionChecker, found str"),
     ],
 )

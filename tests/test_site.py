@@ -96,7 +96,7 @@ MODULES = {
     "meshes": ("load", "convex_pieces"),
     "paper": tuple(name for name in loewner.paper.__all__ if name != "tables"),
     "planners": tuple(loewner.planners.__all__),
-    "plots": ("body", "pair", "configuration", "tiers", "costs", "accuracy", "save"),
+    "plots": ("body", "pair", "configuration", "trajectory", "tiers", "costs", "accuracy", "save"),
     "torch": tuple(loewner.torch.__all__),
     "viewer": tuple(loewner.viewer.__all__),
 }

@@ -21,12 +21,14 @@ from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.queries import Verdict, classify, collide, distance
-from loewner.robots import CollisionChecker, Settled
+from loewner.robots import CollisionChecker, Settled, curves
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
 NEAR = "#111111"
 SCENE, COLLIDING = "#bbbbbb", "#cc3311"
+# Pieces of a trajectory that are not proven free.
+SPANS = {Verdict.COLLIDING: ("collides", "#f5c3b4"), Verdict.AMBIGUOUS: ("ambiguous", "#dddddd")}
 
 # Colours of curves, in turn; they also differ in lightness, and each has its own marker.
 CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
@@ -208,6 +210,77 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     _frame(ax, np.concatenate([_corners(body, T) for _, body, T, _ in drawn]))
     pairs = "1 pair" if len(meeting) == 1 else f"{len(meeting)} pairs"
     ax.set_title(f"colliding, {pairs}" if meeting else "free")
+    return ax
+
+
+def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
+    """Draw, along time, where a curve is not proven free: a row for each pair of bodies, with the depths.
+
+    A bar shows a piece of the curve whose proof ended at the pair, because the pair collides or is ambiguous. Depths
+    are measured at equal steps in time; pairs that are in contact there have rows, too.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+    curve : PPoly, BPoly, BSpline, planners.Trajectory or planners.ControllerPoints
+        As for `CollisionChecker.certify_trajectory`.
+    joint_error : float or array_like, shape (dof,)
+        Radians or metres, as for `CollisionChecker.certify_trajectory`.
+    ax : matplotlib axes, optional
+        Axes to draw into; a new figure by default.
+
+    Returns
+    -------
+    matplotlib axes
+        The axes, titled with the verdict; the depths in all rows have the same scale.
+
+    Raises
+    ------
+    InputError
+        If `checker` is not a checker; otherwise as for `CollisionChecker.certify_trajectory`.
+    MissingExtraError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot, Scene, planners, plots
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> points = planners.ControllerPoints([0.0, 1.0, 2.0], [[0.0, 1.57], [1.0, 1.57], [0.0, 1.57]])
+    >>> ax = plots.trajectory(checker, points)
+    >>> ax.get_title(), [pair.get_text() for pair in ax.get_yticklabels()]
+    ('COLLIDING', ['cart and post'])
+    """
+    if not isinstance(checker, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+    given = curves.curve_of(checker.robot, curve, "curve")
+    found = checker.certify_trajectory(curve, joint_error=joint_error)
+    ticks, _, Q = curves.sampled(checker.robot, given, found)
+    touching = checker.distance_by_pair(Q, within=0.0)
+    ax = _flat_axes(ax)
+    verdicts, named = found.segments.verdict, [tuple(names) for names in found.segments.names.tolist()]
+    touched = [tuple(names) for names in touching.names.tolist()]
+    pairs = list(dict.fromkeys([names for names in named if any(names)] + touched))
+    for verdict, (label, colour) in SPANS.items():
+        pieces = np.flatnonzero(verdicts == verdict)
+        if len(pieces):
+            rows = [pairs.index(named[k]) for k in pieces]
+            ax.barh(rows, np.diff(found.times)[pieces], left=found.times[pieces], height=0.8, color=colour, label=label)
+    depths = np.zeros((len(pairs), len(ticks)))
+    depths[[pairs.index(names) for names in touched], touching.configuration] = np.maximum(-touching.distance, 0.0)
+    deepest, order = depths.max(initial=0.0), np.argsort(ticks, kind="stable")
+    label = f"depth, up to {1e3 * deepest:.3g} mm"
+    for row in np.flatnonzero(depths.any(axis=1)).tolist():
+        base, heights = row + 0.4, 0.8 * depths[row, order] / deepest
+        ax.fill_between(ticks[order], base - heights, base, color=COLLIDING, linewidth=0, label=label)
+        ax.text(1.01, row, f"{1e3 * depths[row].max():.3g} mm", transform=ax.get_yaxis_transform(), va="center")
+        label = "_"  # in the legend once
+    ax.set_yticks(range(len(pairs)), [" and ".join(names) for names in pairs])
+    ax.set(xlim=(ticks[0], found.times[-1]), ylim=(max(len(pairs), 1) - 0.5, -0.5), xlabel="time, s")
+    ax.set_title(found.verdict.name)
+    if pairs:
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, fontsize="small", frameon=False)
     return ax
 
 

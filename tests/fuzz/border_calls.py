@@ -949,6 +949,15 @@ CALLS: dict[str, Call] = {
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
         },
     ),
+    "CollisionChecker.joint_error": Call(
+        on(checker, "joint_error"),
+        {
+            "path": array([[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0]], FINITE, "without the first row"),
+            "weights": array([1.0, 0.5, 0.0], FINITE, NUMBERS, "a number alone"),
+            "most": positive(0.125),
+            "tolerance": positive(),
+        },
+    ),
     "CollisionChecker.certify_trajectory": Call(
         on(checker, "certify_trajectory"),
         {
@@ -989,6 +998,7 @@ CALLS: dict[str, Call] = {
             "joints": arg("y", NONE),
             "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "resolution": positive(0.125),
             "max_iterations": count(1000),
             "timeout": arg(5.0, NUMBERS),
@@ -1003,6 +1013,7 @@ CALLS: dict[str, Call] = {
             "checker": arg(checker),
             "path": array([[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
             "certified": flag(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "resolution": positive(0.125),
             "max_iterations": count(20, "0"),
             "seed": count(1, "0"),
@@ -1071,6 +1082,7 @@ CALLS: dict[str, Call] = {
         {
             "start": array([-0.5, 0.25, 0.0], FINITE),
             "goal": array([[-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "simplify": flag(False),
         },
     ),
@@ -1119,6 +1131,16 @@ CALLS: dict[str, Call] = {
     ),
     "plots.configuration": Call(
         drawing.configuration, {"checker": arg(checker), "q": ONE, "ax": arg(axes_in_space, NONE)}, varies=True
+    ),
+    "plots.trajectory": Call(
+        drawing.trajectory,
+        {
+            "checker": arg(checker),
+            "curve": arg(moved),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "ax": arg(flat_axes, NONE),
+        },
+        varies=True,
     ),
     "plots.tiers": Call(
         drawing.tiers,
@@ -1321,8 +1343,15 @@ LINES: dict[str, Call] = {
             "OTHERS",
             "--joint-error",
             "ERROR",
+            "--out",
+            "OUT",
         ),
-        {"scene": word("scene.yaml"), "others": word("left"), "error": word("0.01", LINE_NUMBERS)},
+        {
+            "scene": word("scene.yaml"),
+            "others": word("left"),
+            "error": word("0.01", LINE_NUMBERS),
+            "out": word("drawn.svg"),
+        },
     ),
     "loewner plan": Call(
         line(

@@ -418,12 +418,13 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     inverse /= volume
     equal = np.abs(lengths - rounding) <= 10 * BEND * rounding
     _refuse(~(equal[0] & equal[1]) & round_kind, "frames: expected axes as long as the radius", lengths.T, rows)
-    _refuse(~equal[2] & (kind == columns.POINT), "frames: expected axes as long as the radius", lengths.T, rows)
+    balls = np.isin(kind, [number for number, known in CURVED.items() if known.core == 0])
+    _refuse(~equal[2] & balls, "frames: expected axes as long as the radius", lengths.T, rows)
 
-    inner, outer, lift = ellipsoids_in_frame(kind, rounding, lengths.T)
-    aspect = np.maximum.reduce(outer.T) / np.minimum.reduce(outer.T)
+    fitted, lifts = ellipsoids_in_frame(kind, rounding, lengths.T)
+    aspect = np.maximum.reduce(fitted[1].T) / np.minimum.reduce(fitted[1].T)
     doubt = _doubt(np.maximum(aspect, 1.0)) + BEND * round_kind
-    for name, semi_axes in (("inner", inner.T), ("outer", outer.T)):
+    for name, semi_axes, lift in zip(("inner", "outer"), fitted.transpose(0, 2, 1), lifts, strict=True):
         away = (arrays[f"{name}_center"][rows] - center).T
         factor = np.ascontiguousarray(arrays[f"{name}_factor"][rows].transpose(1, 2, 0))
         # Both are in the coordinates in which the closed form is the unit ball and the factor a multiple of the

@@ -23,9 +23,9 @@ from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._rotations import to_rpy
 from loewner._validate import Floats
-from loewner.bodies.kinds import CURVED
+from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
-from loewner.bodies.triangulated import SEGMENTS, Mesh, ball, ellipsoids_of, of_pieces
+from loewner.bodies.triangulated import ellipsoids_of, of_pieces
 from loewner.errors import InputError
 
 ELLIPSOIDS = ("inner", "outer")
@@ -181,10 +181,8 @@ def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
     radius, center, factor = float(frame[0]), frame[1:4], frame[4:].reshape(3, 3)
     lengths = np.linalg.norm(factor, axis=0)
     rotation = _proper(factor / lengths)
-    if not kind.in_mjcf:
-        # The circle is inscribed in its polygon.
-        wider = OUTWARD / np.cos(np.pi / SEGMENTS)
-        unit = np.linalg.solve(factor, (mesh[0] - center).T).T * [wider, wider, OUTWARD]
+    if kind.inradii is not None:
+        unit = np.linalg.solve(factor, (mesh[0] - center).T).T * (OUTWARD / np.array(kind.inradii))
         return _mesh((unit @ factor.T + center, mesh[1]))
     return Shape(kind.name, tuple(kind.sizes(radius, lengths.tolist())), rotation, center)
 

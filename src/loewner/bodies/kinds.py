@@ -3,49 +3,142 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
+import numpy as np
+
 from loewner._kernels import columns
+from loewner._validate import Floats, Ints
+
+Mesh = tuple[Floats, Ints]
+# An ellipsoid for each of k pieces, in the frames of the pieces: the semi-axes, and the height of the center along the
+# third axis. It is computed from the radii of the balls, shape (k,), and the semi-axes of the images, shape (k, 3).
+Fit = Callable[[Floats, Floats], tuple[Floats, Floats | float]]
+
+# Corners of the circles of cylinders and cones.
+SEGMENTS = 48
+
+# A unit icosahedron: the corners of three golden rectangles, and triangles counter-clockwise from outside.
+_GOLDEN = (1 + 5**0.5) / 2
+_CORNERS = np.array([[-1, _GOLDEN, 0], [1, _GOLDEN, 0], [-1, -_GOLDEN, 0], [1, -_GOLDEN, 0]]) / np.hypot(1, _GOLDEN)
+_ICOSAHEDRON = np.vstack([_CORNERS, np.roll(_CORNERS, 1, axis=1), np.roll(_CORNERS, 2, axis=1)])
 
 
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
     The `Body` constructor called `name` takes `sizes`, computed from the ball's radius and the image's semi-axes. Scene
-    files give them as separate fields, named by `size_names`, or as one vector. A row states how the unit shape is
-    meshed: `is_ball`, a cylinder or cone with the radius `top` at its upper end, or a segment of half length `core`
-    with a ball added. `fitted` are the semi-axes of the inner and the outer ellipsoid in the coordinates of the unit
-    shape, and the height of their center; None for kinds with a ball added. The semi-axes have yet to be divided by
-    `divisors`.
+    files give them as separate fields, named by `size_names`, or as one vector if there are no names. `mesh`
+    triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the unit
+    shape, for formats that lack the shape; None if MJCF has a shape called `name`. `inner` and `outer` are the optimal
+    ellipsoids. If a ball is added, `core` is half the length of the unit segment to which it is added (0 for a point),
+    and `mesh` triangulates the unit ball. `is_ball` marks kinds that are their own ellipsoids.
     """
 
     name: str
     sizes: Callable[[float, Sequence[float]], Sequence[float]]
+    mesh: Callable[[], Mesh]
+    inner: Fit
+    outer: Fit
     size_names: tuple[str, ...] = ("radius", "length")
-    top: float | None = None
+    inradii: tuple[float, float, float] | None = None
     core: float | None = None
-    fitted: tuple[tuple[float, float, float], tuple[float, float, float], float] | None = None
-    divisors: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
-    in_mjcf: bool = True
     is_ball: bool = False
+
+
+@lru_cache(maxsize=4)
+def ball(subdivisions: int = 3) -> Mesh:
+    """Triangulate the unit ball: the triangles of an icosahedron, repeatedly divided into four."""
+    vertices, triangles = _ICOSAHEDRON, _faces(_ICOSAHEDRON)
+    for _ in range(subdivisions):
+        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+        ends, which = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
+        middles = vertices[ends].sum(axis=1)
+        ab, bc, ca = (len(vertices) + which.reshape(-1, 3)).T
+        a, b, c = triangles.T
+        vertices = np.vstack([vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+        triangles = np.concatenate([np.column_stack(t) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])
+    for array in (vertices, triangles):
+        array.setflags(write=False)
+    return vertices, triangles
+
+
+def _faces(corners: Floats) -> Ints:
+    """List the triangles of an icosahedron: all triples of neighbouring corners, counter-clockwise from outside."""
+    near = corners @ corners.T > 0.4  # neighbours have 1/sqrt(5), all others less than 0
+    all_near = (three for three in combinations(range(12), 3) if near[np.ix_(three, three)].all())
+    threes = [three if np.linalg.det(corners[list(three)]) > 0 else three[::-1] for three in all_near]
+    return np.array(threes, dtype=np.int64)
+
+
+def revolved(*profile: tuple[float, float]) -> Mesh:
+    """Triangulate a solid of revolution about the third axis, from radii and heights, the lowest first."""
+    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = [np.column_stack([r * circle, np.full(SEGMENTS, float(z))]) for r, z in profile]
+    at = np.arange(SEGMENTS * (len(profile) - 1))
+    after = at - at % SEGMENTS + (at + 1) % SEGMENTS
+    above, top = at + SEGMENTS, after + SEGMENTS
+    bottom, lid = (np.full(SEGMENTS, len(at) + SEGMENTS + k) for k in (0, 1))
+    triangles = [(at, after, above), (after, top, above),
+                 (bottom, after[:SEGMENTS], at[:SEGMENTS]), (lid, above[-SEGMENTS:], top[-SEGMENTS:])]  # fmt: skip
+    ends = [[0, 0, profile[0][1]], [0, 0, profile[-1][1]]]
+    return np.vstack([*rings, ends]), np.concatenate([np.column_stack(t) for t in triangles])
 
 
 def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
     return axes[0], 2 * axes[2]
 
 
-_BALL = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0
-_CYLINDER = (1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0
-_CONE = (1.0, 1.0, 0.5), (3.0, 3.0, 1.5), -0.5  # after division by _OF_CONE: 1 / √2 and 3 / √8 times the radius
-_OF_CONE = (2.0**0.5, 2.0**0.5, 1.0), (8.0**0.5, 8.0**0.5, 1.0)
+def _image(semi_axes: Sequence[float], height: float = 0.0, divisors: Sequence[float] = (1.0, 1.0, 1.0)) -> Fit:
+    """Map an ellipsoid fitted to the unit shape, whose semi-axes have yet to be divided by `divisors`."""
+    return lambda _, lengths: (lengths * semi_axes / divisors, lengths[:, 2] * height)
+
+
+def _same(radius: Floats, _: Floats) -> tuple[Floats, float]:
+    return radius[:, None], 0.0
+
+
+def _in_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
+    return np.column_stack([radius, radius, lengths[:, 2] + radius]), 0.0
+
+
+def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
+    """Compute the smallest ellipsoids, with semi-axes a, a, b, around capsules with half the straight part h.
+
+    Their support function must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b²
+    - a² - h². The volume is least where k² - 2h²k - 3h²r² = 0.
+    """
+    # In units of the greater length, so that no square over- or underflows.
+    half = lengths[:, 2]
+    unit = np.maximum(radius, half)
+    x, y = radius / unit, half / unit
+    k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
+    grow = np.sqrt(1 + y * y / k)
+    a, b = radius * grow, unit * grow * np.sqrt(x * x + k)
+    return np.column_stack([a, a, b]), 0.0
+
+
+_UNIT = _image((1.0, 1.0, 1.0))
+_AROUND_CYLINDER = _image((1.5**0.5, 1.5**0.5, 3.0**0.5))
+# Across, 1 / √2 and 3 / √8 times the radius.
+_IN_CONE = _image((1.0, 1.0, 0.5), -0.5, (2.0**0.5, 2.0**0.5, 1.0))
+_AROUND_CONE = _image((3.0, 3.0, 1.5), -0.5, (8.0**0.5, 8.0**0.5, 1.0))
+_POLYGON = float(np.cos(np.pi / SEGMENTS))  # inradius of a polygon inscribed in the unit circle
 
 # Indexed by the numbers used in kernels and files.
 CURVED = {
-    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, (), fitted=_BALL, is_ball=True),
-    columns.CYLINDER: Kind("cylinder", _upright, top=1.0, fitted=_CYLINDER),
-    columns.CONE: Kind("cone", _upright, top=0.0, fitted=_CONE, divisors=_OF_CONE, in_mjcf=False),
-    columns.SEGMENT: Kind("capsule", lambda radius, axes: (radius, 2 * axes[2]), core=1.0),
-    columns.POINT: Kind("sphere", lambda radius, _: (radius,), ("radius",), core=0.0, is_ball=True),
+    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, ball, _UNIT, _UNIT, (), is_ball=True),
+    columns.CYLINDER: Kind("cylinder", _upright, lambda: revolved((1, -1), (1, 1)), _UNIT, _AROUND_CYLINDER),
+    columns.CONE: Kind(
+        "cone", _upright, lambda: revolved((1, -1), (0, 1)), _IN_CONE, _AROUND_CONE, inradii=(_POLYGON, _POLYGON, 1.0)
+    ),
+    columns.SEGMENT: Kind(
+        "capsule", lambda radius, axes: (radius, 2 * axes[2]), ball, _in_capsules, _around_capsules, core=1.0
+    ),
+    columns.POINT: Kind("sphere", lambda radius, _: (radius,), ball, _same, _same, ("radius",), core=0.0, is_ball=True),
 }
 FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}
 KIND_NAMES = FLAT | {number: kind.name for number, kind in CURVED.items()}

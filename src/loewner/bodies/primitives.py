@@ -21,8 +21,8 @@ def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
     slack = 0.0 if CURVED[kind].is_ball else CLOSED_FORM_ROUNDING
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, columns.KIND] = kind
-    inner, outer, lift = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
-    center = np.column_stack([np.zeros((n, 2)), lift])
+    (inner, outer), lifts = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
+    inner_center, outer_center = (np.column_stack([np.zeros((n, 2)), lift]) for lift in lifts)
     pieces = PieceArrays(
         layout=layout,
         points=np.zeros((0, 3)),
@@ -31,30 +31,16 @@ def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
         frames=np.column_stack([rounding, np.zeros((n, 3)), _diagonal(frame).reshape(n, 9)]),
         triangles=np.zeros((0, 3), dtype=np.int64),
         triangle_start=np.zeros(n + 1, dtype=np.int64),
-        inner_center=center,
+        inner_center=inner_center,
         inner_factor=_diagonal(inner) * (1 - slack),
-        outer_center=center.copy(),
+        outer_center=outer_center,
         outer_factor=_diagonal(outer) * (1 + slack),
         gaps=np.full((n, 2), 6 * slack),
     )
     return Packed.of(pieces)
 
 
-def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
-    """Compute the smallest ellipsoids (a, a, b) around capsules, as (a, b); `half` is half the straight part.
-
-    Their support function must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b²
-    - a² - h². The volume is least where k² - 2h²k - 3h²r² = 0.
-    """
-    # In units of the greater length, so that no square over- or underflows.
-    unit = np.maximum(radius, half)
-    x, y = radius / unit, half / unit
-    k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
-    grow = np.sqrt(1 + y * y / k)
-    return radius * grow, unit * grow * np.sqrt(x * x + k)
-
-
-def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
+def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats]:
     """Compute the semi-axes of the inner and outer ellipsoids of curved pieces in their frames, and the centers.
 
     Parameters
@@ -66,24 +52,17 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
 
     Returns
     -------
-    inner, outer : ndarray, shape (k, 3)
-    lift : ndarray, shape (k,)
-        Position of both centers along the third axis.
+    semi_axes : ndarray, shape (2, k, 3)
+        The inner ellipsoids come first.
+    lifts : ndarray, shape (2, k)
+        Positions of the centers along the third axis.
     """
-    inner, outer, lift = np.empty((len(kinds), 3)), np.empty((len(kinds), 3)), np.zeros(len(kinds))
+    semi_axes, lifts = np.empty((2, len(kinds), 3)), np.empty((2, len(kinds)))
     for kind, known in CURVED.items():
-        if known.fitted is not None:
-            these, (smaller, larger, height) = kinds == kind, known.fitted
-            inner[these] = lengths[these] * smaller / known.divisors[0]
-            outer[these] = lengths[these] * larger / known.divisors[1]
-            lift[these] = lengths[these, 2] * height
-    balls, capsules = kinds == columns.POINT, kinds == columns.SEGMENT
-    inner[balls] = outer[balls] = rounding[balls, None]
-    r, h = rounding[capsules], lengths[capsules, 2]
-    inner[capsules] = np.column_stack([r, r, h + r])
-    a, b = around_capsules(r, h)
-    outer[capsules] = np.column_stack([a, a, b])
-    return inner, outer, lift
+        these = kinds == kind
+        for side, fit in enumerate((known.inner, known.outer)):
+            semi_axes[side, these], lifts[side, these] = fit(rounding[these], lengths[these])
+    return semi_axes, lifts
 
 
 def _diagonal(axes: Floats) -> Floats:

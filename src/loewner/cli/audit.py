@@ -10,25 +10,23 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, planners
+from loewner import Verdict, planners, plots
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
-from loewner.errors import InputError
-from loewner.robots import courses, curves
-
-# Times at which the nearest pair is measured, in addition to the times of verdicts.
-MEASURED = 401
+from loewner.errors import FileError, InputError
+from loewner.robots import curves
 
 # Width of the picture along time, in characters.
 COLUMNS = 60
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
+DRAWN = (".png", ".svg")
 CONTROLLERS = ("linear", "cubic", "quintic")
 
 EXAMPLES = """examples:
   loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
-  loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3
+  loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3 -o moves.svg
 
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
   file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint.
@@ -58,11 +56,16 @@ def add(commands: Any) -> None:
     audit.add_argument(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
+    audit.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along time (.png or .svg)"
+    )
     audit.add_argument("--json", action="store_true", help="print JSON")
     audit.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
+    if options.out is not None and options.out.suffix.lower() not in DRAWN:
+        raise FileError(f"--out: expected a .png or .svg file, found {options.out}")
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
@@ -71,7 +74,10 @@ def _run(options: argparse.Namespace) -> int:
     others = robot.configuration({})
     if options.others is not None:
         others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    answer = _answer(checker, _complete(points, robot, others), options)
+    points = _complete(points, robot, others)
+    answer = _answer(checker, points, options)
+    if options.out is not None:
+        plots.save(plots.trajectory(checker, points, joint_error=options.joint_error), options.out)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
@@ -116,15 +122,8 @@ def _answer(
     """Return the verdicts and distances of a trajectory and of its pieces, for printing."""
     curve = curves.curve_of(checker.robot, points, str(options.trajectory))
     found = checker.certify_trajectory(points, joint_error=options.joint_error)
-    times, fractions = found.times, found.segments.fraction
-    unproven = np.flatnonzero(found.segments.verdict != Verdict.FREE)
-    at = times[unproven] + fractions[unproven] * np.diff(times)[unproven]
-    ticks = np.linspace(times[0], times[-1], MEASURED)
-    piece = np.clip(np.searchsorted(times, ticks, side="right") - 1, 0, len(times) - 2)
-    share = np.clip((ticks - times[piece]) / np.diff(times)[piece], 0.0, 1.0)
-    piece, share = np.concatenate([piece, unproven]), np.concatenate([share, fractions[unproven]])
-    ticks = np.concatenate([ticks, at])
-    Q = courses.configurations(checker.robot, curve.courses[piece], share)
+    times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    ticks, piece, Q = curves.sampled(checker.robot, curve, found)
     measured = checker.distance(Q, exact=True)
 
     def nearest(rows: Any) -> dict[str, Any]:
@@ -145,7 +144,7 @@ def _answer(
             "pair": found.segments.names[k].tolist(),
             **nearest(np.flatnonzero(piece == k)),
         }
-        for k, time in zip(unproven.tolist(), at, strict=True)
+        for k, time in zip(unproven.tolist(), ticks[curves.MEASURED :], strict=True)
     ]
     free = found.verdict == Verdict.FREE
     return {
@@ -197,7 +196,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
     print("          . proven free   ? ambiguous   # collides, by pieces")
     print(
         f"nearest   {1e3 * answer['nearest']:.3f} mm at {answer['nearest_time']:.6g} s, "
-        f"{' and '.join(answer['nearest_pair'])}: exact, but measured at {MEASURED} times; negative is a depth"
+        f"{' and '.join(answer['nearest_pair'])}: exact, but measured at {curves.MEASURED} times; negative is a depth"
     )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     print(f"curve     {answer['controller']} between points{error}")

@@ -66,6 +66,9 @@ def add(commands: Any) -> None:
         "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (100000)"
     )
     plan.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
+    plan.add_argument(
+        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
+    )
     plan.add_argument("--sampled", action="store_true", help="sample motions in steps instead of proving them")
     plan.add_argument(
         "--resolution",
@@ -111,6 +114,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
     """Before the work begins, refuse options that would silently be ignored, and a path that cannot be written."""
     if options.resolution is not None and not options.sampled and options.planner is None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
+    if options.joint_error and options.sampled:
+        raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
@@ -133,6 +138,7 @@ def _found(
             joints=joints[0] if joints is not None and len(joints) == 1 else joints,
             planner=options.planner,
             certified=not options.sampled,
+            joint_error=options.joint_error,
             timeout=options.timeout,
             simplify=not options.no_simplify,
             seed=options.seed,
@@ -147,7 +153,7 @@ def _answer(
     """Make the full report on a path."""
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
-    found = checker.certify_edges(a, b)
+    found = checker.certify_edges(a, b, joint_error=options.joint_error)
     proof_seconds = time.perf_counter() - started
     lengths = robot.distances(a, b)
     measured = checker.distance(robot.between(a[:, None], b[:, None], np.linspace(0, 1, MEASURED)), exact=True)
@@ -173,6 +179,7 @@ def _answer(
         "robot": robot.name,
         "verdict": worst,
         "sampled": options.sampled,
+        "joint_error": options.joint_error,
         "names": list(robot.configuration_names),
         "configurations": path.tolist(),
         "motions": motions,
@@ -219,7 +226,8 @@ def _print_verdict(answer: dict[str, Any]) -> None:
     motions = answer["motions"]
     count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
     if answer["verdict"] == "FREE":
-        print(f"FREE  {count} from start to goal, proven free at every configuration on the way")
+        error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
+        print(f"FREE  {count} from start to goal, proven free at every configuration on the way{error}")
         return
     unproven = [k for k, motion in enumerate(motions) if motion["verdict"] != "FREE"]
     print(f"{answer['verdict']}  {len(unproven)} of {count} from start to goal not proven free")

@@ -8,7 +8,7 @@ import numpy as np
 
 from loewner._validate import Floats
 from loewner.errors import PlanningError
-from loewner.planners.judge import TOLERANCE
+from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
 from loewner.queries import Verdict
 from loewner.robots.problem import Problem
@@ -41,8 +41,8 @@ class Departures:
     free_goals: Floats
 
     @classmethod
-    def of(cls, space: Space, ready: Problem, start: Floats, goals: Floats) -> Departures:
-        """Find the free configurations, in one consistent state of the scene.
+    def of(cls, space: Space, judge: Judge, start: Floats, goals: Floats) -> Departures:
+        """Find the free configurations, in one consistent state of the scene; a joint error allows no contact.
 
         Raises
         ------
@@ -50,7 +50,9 @@ class Departures:
             If the rules allow a contact at the start or at the only goal, but no motion was found that ends or begins
             it.
         """
-        free_start, free_goals = start, goals
+        free_start, free_goals, ready = start, goals, judge.ready
+        if judge.joint_error is not None:
+            return cls(space, start, goals, start, goals)
         if ready.leaving.any():
             free_start, fault = _apart(space, ready, start, at_start=True)
             if fault:

@@ -13,19 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
 from loewner._kernels import columns
 from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import InputError, PlanningError
 from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, Robot, verdicts
+from loewner.robots import CollisionChecker, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.courses import straight
+from loewner.robots.curves import joint_errors
 from loewner.robots.edges import MOST_STEPS
 from loewner.robots.problem import Problem
-from loewner.robots.proofs import prove, prove_by_rules
+from loewner.robots.proofs import deviations, prove, prove_by_rules
 
 # Motions that come nearer than this to colliding [m] may count as not free.
 TOLERANCE = 1e-5
@@ -44,17 +44,33 @@ class Judge:
         0 if motions are proven.
     samples : int
         Number of samples that the longest motion takes.
+    joint_error : ndarray, shape (dof,), or None
+        How far values may deviate from motions that are proven; None for no deviation.
     """
 
     checker: CollisionChecker
     ready: Problem
     resolution: float
     samples: int
+    joint_error: Floats | None
 
     @classmethod
-    def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
-        """Make a judge for the scene's current state."""
-        return cls(checker, prepared_of(checker), resolution, 1)
+    def of(cls, checker: CollisionChecker, resolution: float, joint_error: ArrayLike = 0.0) -> Judge:
+        """Make a judge for the scene's current state.
+
+        Raises
+        ------
+        InputError
+            If the joint error has the wrong shape or is negative, or if motions are to be sampled within one.
+        """
+        errors = joint_errors(checker.robot, joint_error)
+        if resolution and errors.any():
+            raise InputError("joint_error: expected certified=True with it, since samples do not cover deviations")
+        return cls(checker, prepared_of(checker), resolution, 1, errors if errors.any() else None)
+
+    def now(self) -> Judge:
+        """Return a judge for the scene's current state, otherwise the same."""
+        return replace(self, ready=prepared_of(self.checker))
 
     def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
         """Explain, for messages, how surfaces may prevent proofs of motions; "" if there are no surfaces or no proofs.
@@ -100,13 +116,15 @@ class Judge:
         ready = self.ready if self.resolution else self.ready.in_parts
         prepared = ready.motions
         memory = workspace(max(prepared.memory, ready.memory))
-        handles = [ready.packed.handle, ready.handle, prepared.handle, memory, self.samples]
+        error = 0 if self.joint_error is None else self.joint_error.ctypes.data
+        handles = [ready.packed.handle, ready.handle, prepared.handle, memory, self.samples, error]
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
         """Return which motions of a batch are free; an unsettled motion is not."""
         if not self.resolution:
-            return self.proven(straight(self.ready.robot, Q0, Q1))
+            courses = straight(self.ready.robot, Q0, Q1)
+            return self.proven(courses, deviations(courses, self.joint_error))
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
         return np.asarray(found == Verdict.FREE)
 
@@ -115,20 +133,11 @@ class Judge:
         return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
 
 
-def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
+def free_now(judge: Judge, a: Floats, b: Floats) -> bool:
     """Return whether one motion is free in the scene's current state; an unsettled motion is not."""
-    ready = prepared_of(checker)
-    if resolution:
-        return verdicts.is_sampled_free(ready, a, b, resolution)
-    return bool(prove(ready, straight(ready.robot, a[None], b[None]), TOLERANCE).verdicts[0] == Verdict.FREE)
-
-
-def checked_path(robot: Robot, path: ArrayLike) -> Floats:
-    """Check a user's path, shape (k, dof), with at least two rows."""
-    rows = robot.checked(path, "path")
-    if rows.ndim != 2 or len(rows) < 2:
-        raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
-    return rows
+    if judge.resolution:
+        return verdicts.is_sampled_free(prepared_of(judge.checker), a, b, judge.resolution)
+    return bool(judge.now().free(a[None], b[None])[0])
 
 
 def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
@@ -147,7 +156,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
         If a motion is not free. The message names the motion and the pair of bodies.
     """
     free = judge.free(path[:-1], path[1:])
-    if not free.all() and len(judge.ready.ruled):
+    if not free.all() and len(judge.ready.ruled) and judge.joint_error is None:
         touching = np.flatnonzero(~free)  # in the order of the path, on which the rules depend
         receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
         free[touching] = receding.verdicts == Verdict.FREE
@@ -162,7 +171,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     if free.all():
         return
     k = int(free.argmin())
-    certified = prove_by_rules(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
+    certified = prove_by_rules(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE, judge.joint_error)
     certified.expect_short(path[k : k + 1], path[k + 1 : k + 2])
     found = certified.of_shape((), judge.ready)
     seen = ""
@@ -173,6 +182,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
             "collide or come within their margin"
             if found.verdict == Verdict.COLLIDING
             else f"come within {TOLERANCE:g} m of their margin"
+            + (" for deviating values" if judge.joint_error is not None else "")
         )
         told = f"on which {found.names[0]} and {found.names[1]} {how} at the fraction {found.fraction:.6g}"
         if found.verdict == Verdict.AMBIGUOUS:

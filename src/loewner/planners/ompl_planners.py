@@ -73,9 +73,8 @@ def space_information(
     step = _validate.positive_scalar(resolution, "resolution")
     robot = checked_checker(checker).robot
     q = robot.configuration() if fixed is None else robot.checked_one(fixed, "fixed")
-    return _information(
-        Space.of(checker, joints, q, q[None]), step, 0.0 if _validate.flag(certified, "certified") else step
-    )
+    judge = Judge.of(checker, 0.0 if _validate.flag(certified, "certified") else step)
+    return _information(Space.of(checker, joints, q, q[None]), step, judge)
 
 
 def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -101,7 +100,7 @@ def search(
     goals: Floats,
     timeout: float,
     resolution: float,
-    step: float,
+    judge: Judge,
     simplify: bool,
     seed: int,
 ) -> Floats:
@@ -111,8 +110,8 @@ def search(
     ----------
     resolution : float
         Largest step for planners that divide motions themselves.
-    step : float
-        Largest step for motions that OMPL checks; 0 if motions must be proven.
+    judge : Judge
+        Judges the motions that OMPL checks, each in the scene's state at that time.
 
     Raises
     ------
@@ -121,13 +120,13 @@ def search(
     """
     with _quietly():
         _ompl("util").RNG.setSeed(int(seed) + 1)  # OMPL takes 0 as no seed
-        path = _solve(space, make, q, goals, timeout, _information(space, resolution, step), simplify)
+        path = _solve(space, make, q, goals, timeout, _information(space, resolution, judge), simplify)
     values = path[:, space.columns]
     ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
     inside = (values >= space.lower - ON_LIMIT).all() and (values <= space.upper + ON_LIMIT).all()
     if not (len(path) > 1 and ends and inside):
         raise PlanningError("expected a path from start to goal within the limits, found another one: try another seed")
-    refuse_unfree(Judge.of(space.checker, step), path, "path of OMPL's planner")
+    refuse_unfree(judge.now(), path, "path of OMPL's planner")
     return path
 
 
@@ -162,7 +161,7 @@ def _solve(
     return space.configurations([state[0:count] for state in path.getStates()])
 
 
-def _information(space: Space, resolution: float, step: float) -> Any:
+def _information(space: Space, resolution: float, judge: Judge) -> Any:
     """Convert the space to the form that OMPL takes."""
     base = _ompl("base")
     dimensions = base.RealVectorStateSpace(0)
@@ -175,7 +174,7 @@ def _information(space: Space, resolution: float, step: float) -> Any:
         return dimensions.satisfiesBounds(state) and space.free(space.configurations(state[0:count]))
 
     information.setStateValidityChecker(valid)
-    information.setMotionValidator(_motion_validator()(information, space, step))
+    information.setMotionValidator(_motion_validator()(information, space, judge))
     # Planners that divide motions themselves take a share of the space's extent.
     information.setStateValidityCheckingResolution(
         float(np.clip(resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
@@ -196,13 +195,13 @@ def _motion_validator() -> Any:
         would never be freed.
         """
 
-        def __init__(self, information: Any, space: Space, step: float) -> None:
+        def __init__(self, information: Any, space: Space, judge: Judge) -> None:
             super().__init__(information)
-            self._space, self._step, self._count = space, step, len(space.columns)
+            self._space, self._judge, self._count = space, judge, len(space.columns)
 
         def checkMotion(self, one: Any, other: Any) -> bool:
             Q = self._space.configurations([one[0 : self._count], other[0 : self._count]])
-            return free_now(self._space.checker, Q[0], Q[1], self._step)
+            return free_now(self._judge, Q[0], Q[1])
 
     return Motions
 

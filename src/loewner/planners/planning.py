@@ -12,9 +12,10 @@ from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.planners import compiled, ompl_planners
 from loewner.planners.departures import Departures
-from loewner.planners.judge import Judge, checked_path, refuse_unfree
+from loewner.planners.judge import Judge, refuse_unfree
 from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
+from loewner.robots.edges import checked_path
 
 
 @guarded
@@ -26,6 +27,7 @@ def plan(
     joints: str | Iterable[str] | None = None,
     planner: str | Callable[[Any], Any] | None = None,
     certified: bool = True,
+    joint_error: ArrayLike = 0.0,
     resolution: float = 0.05,
     max_iterations: int = 100_000,
     timeout: float = 10.0,
@@ -49,6 +51,9 @@ def plan(
         "PRM"; or a function that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
     certified : bool
         Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.
+    joint_error : float or array_like, shape (dof,)
+        Radians or metres by which each value may deviate from the path: every motion is proven for all such deviations,
+        also of the joints that do not move. With a joint error, contact at the ends is not allowed.
     resolution : float
         For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
         in the units of the joints. OMPL planners that divide motions themselves always use it.
@@ -73,10 +78,11 @@ def plan(
     Raises
     ------
     PlanningError
-        If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if
-        no short motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no
-        path was found within the iterations or in time (the message reports how far the search got); or if OMPL's path
-        fails the final check (the message names the motion).
+        If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths), or
+        are not proven free within the joint error (the message states the largest error that is proven); if no short
+        motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
+        found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
+        final check (the message names the motion).
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within.
@@ -113,11 +119,11 @@ def plan(
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
     q, goals = checked_ends(checker, start, goal)
-    space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step)
-    ends = Departures.of(space, judge.ready, q, goals)
-    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals)
+    space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
+    ends = Departures.of(space, judge, q, goals)
+    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge)
     if make is not None:
-        return ends.joined(ompl_planners.search(space, make, q, goals, timeout, resolution, step, simplify, seed))
+        return ends.joined(ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed))
     found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
     return ends.joined(compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed) if simplify else found)
 
@@ -128,6 +134,7 @@ def shorten(
     path: ArrayLike,
     *,
     certified: bool = True,
+    joint_error: ArrayLike = 0.0,
     resolution: float = 0.05,
     max_iterations: int = compiled.CUTS,
     seed: int = 0,
@@ -140,7 +147,7 @@ def shorten(
     path : array_like, shape (k, dof)
         Two or more configurations. Between successive configurations, joint values change linearly and orientations
         follow the shorter arc.
-    certified, resolution
+    certified, joint_error, resolution
         As for `plan`; `resolution` is in the units of the joints.
     max_iterations : int
         Number of cuts to try, each between two points drawn at random.
@@ -172,6 +179,6 @@ def shorten(
     max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, 2**40)
     seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
     rows = checked_path(checked_checker(checker).robot, path)
-    judge = Judge.of(checker, step)
+    judge = Judge.of(checker, step, joint_error)
     refuse_unfree(judge, rows, "path")
     return compiled.shortened(judge, rows, max_iterations=max_iterations, seed=seed)

@@ -279,7 +279,7 @@ class Roadmap:
         sizes = np.bincount(self._now().labels)
         return np.sort(sizes[sizes > 1])[::-1]
 
-    def path(self, start: ArrayLike, goal: ArrayLike, *, simplify: bool = True) -> Floats:
+    def path(self, start: ArrayLike, goal: ArrayLike, *, joint_error: ArrayLike = 0.0, simplify: bool = True) -> Floats:
         """Find a path from start to goal that is proven free of collisions everywhere.
 
         Parameters
@@ -288,6 +288,8 @@ class Roadmap:
         goal : array_like, shape (dof,) or (goals, dof)
             One goal or several; with several goals, the path leads to the goal that is nearest along the roadmap. Goals
             that are outside the limits or collide are ignored, as long as one remains.
+        joint_error : float or array_like, shape (dof,)
+            As for `plan`. Motions of the roadmap are proven within it when a path needs them.
         simplify : bool
             Shorten the path, as `shorten` does.
 
@@ -324,8 +326,9 @@ class Roadmap:
         space = Space.of(self.checker, self.joint_names, q, goals)
         if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
-        goals = space.checked_goals(q, goals)
-        while (found := self._found(q, goals)) is None:
+        judge = Judge.of(self.checker, 0.0, joint_error)
+        goals = space.checked_goals(q, goals, judge)
+        while (found := self._found(judge, q, goals)) is None:
             pass  # the verdicts of the motions are outdated
         judge, rows = found
         return compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed) if simplify else rows
@@ -443,15 +446,15 @@ class Roadmap:
 
     # -- queries --------------------------------------------------------------------------------
 
-    def _found(self, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
+    def _found(self, judge: Judge, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
         """Find the shortest path over free motions and prove it as a whole; None if the graph has changed."""
         known = graph = self._now()
-        links = self._links(graph, Judge.of(self.checker, 0.0), q, goals)
+        links = self._links(graph, judge.now(), q, goals)
         while (way := graph.shortest(links)) is not None:
             rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
             for k in range(1, len(rows)):
                 rows[k] = self._space.unwound(rows[k - 1], rows[k])
-            judge = Judge.of(self.checker, 0.0)  # for the scene's current state
+            judge = judge.now()
             unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
             if len(unfree) == 0:
                 return judge, rows

@@ -14,8 +14,10 @@ from loewner._kernels import columns
 from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
-from loewner.robots import CollisionChecker, Robot, verdicts
+from loewner.planners.judge import TOLERANCE, Judge
+from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
+from loewner.robots.proofs import prove_by_rules
 
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
@@ -84,7 +86,7 @@ class Space:
         turns[..., at] = np.rint((Q1[..., at] - Q0[..., at]) / (2 * np.pi))
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
-    def checked_goals(self, q: Floats, goals: Floats) -> Floats:
+    def checked_goals(self, q: Floats, goals: Floats, judge: Judge) -> Floats:
         """Check the start, and return the goals that a quick check does not exclude.
 
         Limits are checked first: for values in degrees, any other message would be misleading.
@@ -92,7 +94,7 @@ class Space:
         Raises
         ------
         PlanningError
-            If the start or all goals are outside the limits or collide.
+            If the start or all goals are outside the limits, or collide within the judge's joint error.
         InputError
             If a goal moves a joint that does not move in this space.
         """
@@ -107,13 +109,15 @@ class Space:
             raise _no_goal(faults)
         self.check_still(goals[inside], "goal", "the start's value", "the joints that move")
         free = self.free_among(Q[within])
+        if judge.joint_error is not None:
+            free &= judge.free(Q[within], Q[within])
         if not free[0]:
-            _refuse_start(self._fault(q))
+            _refuse_start(self._fault(q, judge))
         good: Floats = goals[inside][free[1:]]
         if len(good):
             return good
         # Only the goals that the message names are examined closely: there may be thousands.
-        named = [fault or self._fault(goal) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
+        named = [fault or self._fault(goal, judge) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
         raise _no_goal(named + faults[NAMED:])
 
     def _inside(self, Q: Floats) -> Bools:
@@ -159,11 +163,13 @@ class Space:
                 f"; found {value:g}{_by_a_hair(abs(value - self.still[column]))}"
             )
 
-    def _fault(self, q: Floats) -> str:
+    def _fault(self, q: Floats, judge: Judge) -> str:
         """Explain why a configuration that is within the limits but not free cannot be on a path."""
         contacts, doubt = verdicts.contacts(prepared_of(self.checker), q)
         if doubt:
             return f"one that cannot be proven free: {doubt}"
+        if not contacts and judge.joint_error is not None:
+            return self._too_near(q, judge, judge.joint_error)
         if not contacts:
             return "a collision, which was gone when it was looked at: the scene has changed"
         named = ", ".join(
@@ -173,8 +179,24 @@ class Space:
             + ")"
             for contact in contacts[:NAMED]
         )  # fmt: skip
-        return f"a collision of {named}" + (
-            f", and {len(contacts) - NAMED} more pairs" if len(contacts) > NAMED else ""
+        rules = judge.joint_error is not None and len(judge.ready.ruled)
+        return (
+            f"a collision of {named}"
+            + (f", and {len(contacts) - NAMED} more pairs" if len(contacts) > NAMED else "")
+            + ("; with a joint error, contact at the ends is not allowed" if rules else "")
+        )
+
+    def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:
+        """Explain why a free configuration is not proven free within the joint error."""
+        ready, at = judge.ready, q[None]
+        share = tracking.largest(ready, at, at, error, 1.0, TOLERANCE)
+        pair = prove_by_rules(ready, at, at, TOLERANCE, error).pairs
+        nearest = distances.nearest(ready.only(pair), q, True, False)
+        a, b = nearest.names
+        allowed = f"{share * error.max():.3g}" if (error == error[0]).all() else f"{share:.3g} times the given ones"
+        return (
+            f"one that is proven free only within joint errors of {allowed}: {a} and {b} are "
+            f"{1e3 * nearest.distance:.3g} mm apart{judge.how_surfaces_are_seen(nearest.names)}"
         )
 
 

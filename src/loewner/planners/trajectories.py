@@ -25,10 +25,11 @@ from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
-from loewner.planners.judge import Judge, checked_path, refuse_unfree
+from loewner.planners.judge import Judge, refuse_unfree
 from loewner.planners.space import checked_checker
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
+from loewner.robots.edges import checked_path
 
 # Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
 UP_IN = 1.0

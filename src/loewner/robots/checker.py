@@ -19,7 +19,7 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import curves, distances, edges, proofs, verdicts
+from loewner.robots import curves, distances, edges, proofs, tracking, verdicts
 from loewner.robots.checked_pairs import prepared
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
@@ -301,8 +301,7 @@ class CollisionChecker:
             FREE or COLLIDING.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the motion; FREE covers all such deviations. A motion
-            that collides only for deviating values is AMBIGUOUS. With a joint error, contact at the ends is not
-            allowed.
+            that collides only for deviating values is AMBIGUOUS. With an error, contact at the ends is not allowed.
 
         Returns
         -------
@@ -319,7 +318,7 @@ class CollisionChecker:
 
         See Also
         --------
-        valid_edges : Checks samples of the motion and claims nothing about the configurations between them.
+        valid_edges : Checks samples of the motion only. joint_error : Finds the largest joint error that is proven.
 
         Notes
         -----
@@ -409,6 +408,8 @@ class CollisionChecker:
         errors = curves.joint_errors(self.robot, joint_error)
         found = curves.certified(self._ready(), curves.curves_of(self.robot, curve), tolerance, errors)
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
+
+    joint_error = tracking.joint_error
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.

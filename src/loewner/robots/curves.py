@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._kernels import codes, tolerances
-from loewner._validate import Floats
+from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.queries import Verdict
+from loewner.robots.courses import configurations
 from loewner.robots.motions import CertifiedMotions, Found
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
@@ -26,6 +27,9 @@ CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B
 
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
+
+# Times at which distances along a curve are measured, in addition to the times of verdicts.
+MEASURED = 401
 
 # Allowed deviation from 1 of the norms of quaternions at the start of a segment.
 NORMS = (0.5, 2.0)
@@ -122,6 +126,25 @@ def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajecto
             a, b = segments.names[k].tolist()
             return CertifiedTrajectory(verdict, float(time), (a, b), times, segments)
     return CertifiedTrajectory(Verdict.FREE, np.nan, ("", ""), times, segments)
+
+
+def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Floats, Ints, Floats]:
+    """Return `MEASURED` samples in equal steps, then one for each segment that is not FREE, at its verdict's time.
+
+    Returns
+    -------
+    times : ndarray, shape (n,)
+    numbers : ndarray of int, shape (n,)
+        The segments in which these times lie.
+    Q : ndarray, shape (n, dof)
+    """
+    unproven = np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    ticks, lengths = np.linspace(curve.times[0], curve.times[-1], MEASURED), np.diff(curve.times)
+    numbers = np.clip(np.searchsorted(curve.times, ticks, side="right") - 1, 0, len(lengths) - 1)
+    shares = np.clip((ticks - curve.times[numbers]) / lengths[numbers], 0.0, 1.0)
+    numbers, shares = np.append(numbers, unproven), np.append(shares, found.segments.fraction[unproven])
+    ticks = np.append(ticks, (curve.times[:-1] + found.segments.fraction * lengths)[unproven])
+    return ticks, numbers, configurations(robot, curve.courses[numbers], shares)
 
 
 # -- forms of curves ----------------------------------------------------------------------------
@@ -276,12 +299,12 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
         )
 
 
-def joint_errors(robot: Robot, given: ArrayLike) -> Floats:
+def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
     """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
-    array = _validate.finite_array(given, "joint_error", ("...",))
+    array = _validate.finite_array(given, name, ("...",))
     if array.shape not in ((), (robot.dof,)) or (array < 0).any():
         raise InputError(
-            f"joint_error: expected one number >= 0 or {robot.dof} of them, found "
+            f"{name}: expected one number >= 0 or {robot.dof} of them, found "
             f"{array if array.size == 1 else _validate.shape_text(array.shape)}"
         )
     return np.broadcast_to(array, robot.dof).copy()

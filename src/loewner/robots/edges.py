@@ -114,6 +114,14 @@ def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tu
     return np.ascontiguousarray(flat(a)), np.ascontiguousarray(flat(b)), shape
 
 
+def checked_path(robot: Robot, path: ArrayLike) -> Floats:
+    """Check a user's path, shape (k, dof), with at least two rows."""
+    rows = robot.checked(path, "path")
+    if rows.ndim != 2 or len(rows) < 2:
+        raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
+    return rows
+
+
 def flat(Q: Floats) -> Floats:
     """Flatten configurations to rows, also for a robot without joints, for which NumPy cannot infer -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

@@ -43,10 +43,9 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
     Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error.
     """
     courses = straight(ready.robot, a, b)
-    if joint_error is not None and joint_error.any():
-        return prove(ready, courses, tolerance, joint_error + contacts.OFF * np.abs(courses).max(axis=1))
-    found = prove(ready, courses, tolerance)
-    at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
+    off = deviations(courses, joint_error)
+    found = prove(ready, courses, tolerance, off)
+    at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) and off is None else ready.ruled[:0]
     if len(at) == 0:
         return found
     rest = prove(ready.unruled, courses[at], tolerance)
@@ -61,6 +60,19 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
                 if verdict == Verdict.COLLIDING:
                     break
     return found
+
+
+def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
+    """Add to a joint error the rounding of configurations on courses, as users compute them; None for no error.
+
+    Returns
+    -------
+    ndarray, shape (N, dof), or None
+    """
+    if joint_error is None or not joint_error.any():
+        return None
+    off: Floats = joint_error + contacts.OFF * np.abs(courses).max(axis=1)
+    return off
 
 
 def _confirm(ready: Problem, courses: Floats, found: Found) -> None:

@@ -42,7 +42,9 @@ MESH_KEYS = ("scale", "decompose", "model", *SURFACE_KEYS)
 MODELS = ("hull", "pieces", "surface")
 
 # Shapes given by lengths along the axes, and shapes given by named lengths.
-AXIS_SHAPES: dict[str, Maker] = {"box": Body.box, "ellipsoid": Body.ellipsoid}
+AXIS_SHAPES: dict[str, Maker] = {"box": Body.box} | {
+    kind.name: getattr(Body, kind.name) for kind in CURVED.values() if not kind.size_names
+}
 ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     kind.name: (getattr(Body, kind.name), kind.size_names) for kind in CURVED.values() if kind.size_names
 }

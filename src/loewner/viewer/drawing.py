@@ -17,17 +17,9 @@ from scipy.spatial.transform import Rotation
 from loewner._kernels import columns
 from loewner._validate import Floats
 from loewner.bodies import CURVED, Body, packed_of
+from loewner.bodies.kinds import Mesh, ball
 from loewner.bodies.pack import Packed
-from loewner.bodies.triangulated import (
-    MANY_PIECES,
-    Mesh,
-    ball,
-    ellipsoids_of,
-    joined,
-    of_ellipsoids,
-    of_piece,
-    of_pieces,
-)
+from loewner.bodies.triangulated import MANY_PIECES, ellipsoids_of, joined, of_ellipsoids, of_piece, of_pieces
 from loewner.queries import Verdict
 
 Rgb = tuple[int, int, int]

@@ -11,10 +11,10 @@ from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners import Trajectory
-from loewner.planners.judge import checked_path
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of
+from loewner.robots.edges import checked_path
 from loewner.robots.verdicts import classified
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
 from loewner.viewer.page import TEXT

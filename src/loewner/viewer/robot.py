@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.bodies.triangulated import Mesh
+from loewner.bodies.kinds import Mesh
 from loewner.errors import ConvergenceError, InputError
 from loewner.planners import Trajectory
 from loewner.queries import Verdict

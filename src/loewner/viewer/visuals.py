@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from loewner.bodies.triangulated import Mesh, joined
+from loewner.bodies.kinds import Mesh
+from loewner.bodies.triangulated import joined
 from loewner.errors import LoewnerError
 from loewner.robots import Robot
 from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import inline
 from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_SHAPE, SOLID, SURFACE, SURFACE_AT
 from loewner._kernels.ellipsoids.contact import outward_width
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, negated, plus, product
@@ -317,7 +317,7 @@ def reach_at(tree, slot, way):
     return (middle * way.lean + half * way.share) + (edge * way.edge_share + corner * way.corner_share)
 
 
-@njit()
+@inline
 def box_in_frame(A, B, shift, far, size):
     """`Box` around a convex piece B, widened by `far`, in the axes of A's frame."""
     R = rotation_of(A)
@@ -329,7 +329,7 @@ def box_in_frame(A, B, shift, far, size):
     return Box(m, h, singles(m), singles(h))
 
 
-@njit()
+@inline
 def oval_in_frame(A, B, shift, far, size):
     """`Box` around the outer ellipsoid of a convex piece B, widened by `far`, in the axes of A's frame."""
     R, S = rotation_of(A), rotation_of(B)

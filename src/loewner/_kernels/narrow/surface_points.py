@@ -6,7 +6,7 @@ body decides, by the winding number: how often a ray from there meets the surfac
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import UNCOUNTED
 from loewner._kernels.linalg3 import cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow import surface_walk as walk
@@ -25,7 +25,7 @@ OUTSIDE, UNKNOWN, WITHIN = 0, 1, 2
 LEAN_I, LEAN_J = 0.07391, 0.61803
 
 
-@njit()
+@inline
 def within_either(A, B, shift, size, memory):
     """Whether a part of one of two pieces lies within the other one, if that is a solid."""
     found = OUTSIDE
@@ -36,7 +36,7 @@ def within_either(A, B, shift, size, memory):
     return found
 
 
-@njit()
+@apart
 def _parts_within(A, B, shift, size, memory):
     """Whether a part of B lies within the solid A, judged by one point of each connected part."""
     if not is_surface(B):

@@ -32,6 +32,7 @@ class Judge(NamedTuple):
     tolerance : m, as for `motions.certify_motions`
     resolution : largest distance of two samples; 0 if motions are proven instead
     samples : Place of memory for as many samples as the longest motion takes
+    error : address of the deviation of each value that a proof allows for; 0 for none
     """
 
     pack: Any
@@ -41,6 +42,7 @@ class Judge(NamedTuple):
     tolerance: Any
     resolution: Any
     samples: Any
+    error: Any
 
 
 class Counts(NamedTuple):
@@ -73,8 +75,8 @@ def judge_of(handles, lengths, dof, samples):
 
     Parameters
     ----------
-    handles : ndarray of int64, shape (5,)
-        Packed bodies, problem, tables, memory: see `Judge`; and how many samples the longest motion takes.
+    handles : ndarray of int64, shape (6,)
+        Packed bodies, problem, tables, memory: see `Judge`; how many samples the longest motion takes; and `error`.
     lengths : ndarray, shape (2,)
         Tolerance and resolution.
     dof : int
@@ -84,7 +86,7 @@ def judge_of(handles, lengths, dof, samples):
     pack, problem, tables, memory = handles[0], handles[1], handles[2], handles[3]
     if lengths[1] == 0.0:
         make_ready(pack, problem, tables, dof, memory)
-    return Judge(pack, problem, tables, memory, lengths[0], lengths[1], Place(samples, _counts_of(handles)))
+    return Judge(pack, problem, tables, memory, lengths[0], lengths[1], Place(samples, _counts_of(handles)), handles[5])
 
 
 @inline
@@ -162,4 +164,4 @@ def is_free(judge, ends, tally):
         return _looks_free(judge, ends)
     if not turns_clearly(problem_of(judge.problem).tree, ends):
         return False
-    return certified(judge.pack, judge.problem, judge.tables, judge.tolerance, ends, tally, judge.memory)
+    return certified(judge.pack, judge.problem, judge.tables, judge.tolerance, judge.error, ends, tally, judge.memory)

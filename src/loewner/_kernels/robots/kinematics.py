@@ -74,7 +74,9 @@ def direction_of(constants, link, k):
 
 @inline
 def _nine(constants, link, k):
-    return direction_of(constants, link, k) + direction_of(constants, link, k + 3) + direction_of(constants, link, k + 6)
+    return (
+        direction_of(constants, link, k) + direction_of(constants, link, k + 3) + direction_of(constants, link, k + 6)
+    )
 
 
 @inline

@@ -30,9 +30,25 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.directed_bends import RATES, directed_bends, directed_strays, error_of_strays, error_of_terms, fourth_derivative, write_rates
+from loewner._kernels.robots.directed_bends import (
+    RATES,
+    directed_bends,
+    directed_strays,
+    error_of_strays,
+    error_of_terms,
+    fourth_derivative,
+    write_rates,
+)
 from loewner._kernels.robots.kinematics import link_entries, place_links
-from loewner._kernels.robots.motion_bounds import UPWARD, Rates, rates_of, uncertainty, ways_between, write_strays
+from loewner._kernels.robots.motion_bounds import (
+    UPWARD,
+    VALUE_ROUNDINGS,
+    Rates,
+    rates_of,
+    uncertainty,
+    ways_between,
+    write_strays,
+)
 from loewner._kernels.robots.motion_path import configuration_at, write_part
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
@@ -186,9 +202,20 @@ _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, 
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
 )
-_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _bends_of, _bend_times_of, _fresh_of, _velocities_of, _cut_velocities_of = MEMORY.accessors(
-    "cut_links rates ways swept order off strays bends bend_times fresh velocities cut_velocities"
-)
+(
+    _cut_links_of,
+    _rates_of,
+    _ways_of,
+    _swept_of,
+    _order_of,
+    _off_of,
+    _strays_of,
+    _bends_of,
+    _bend_times_of,
+    _fresh_of,
+    _velocities_of,
+    _cut_velocities_of,
+) = MEMORY.accessors("cut_links rates ways swept order off strays bends bend_times fresh velocities cut_velocities")
 _size = MEMORY.sizing()
 
 
@@ -391,7 +418,12 @@ def _clear_in_block(motion, near, swept, k, n, gaps):
 @njit()
 def _clear_between(motion, near, low, high, n, gaps):
     """As `_clear_of_bend` for an interval whose ends were placed for this pair only."""
-    tree, W, Q, V = problem_of(motion.problem).tree, _cut_links_of(motion), _configurations_of(motion), _cut_velocities_of(motion)
+    tree, W, Q, V = (
+        problem_of(motion.problem).tree,
+        _cut_links_of(motion),
+        _configurations_of(motion),
+        _cut_velocities_of(motion),
+    )
     times = _bend_times_of(motion)
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
@@ -950,16 +982,22 @@ def certify_motions(
 
 
 @njit()
-def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memory):
+def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally, memory):
     """Whether one motion is FREE, as in `certify_motions`, with prepared memory.
 
-    The work is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be free is
-    moved forward, so that pairs that collide most often come first.
+    FREE covers all configurations whose values deviate by no more than the numbers at the address `error`, shape
+    (dof,), if it is not 0. The work is added to `tally`, shape (2,): configurations placed and searches. A pair that is
+    found not to be free is moved forward, so that pairs that collide most often come first.
     """
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, False, 2, ends.shape[1], memory)
+    dof = ends.shape[1]
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, error != 0, 2, dof, memory)
     course = _course_of(motion)
-    for c in range(ends.shape[1]):
+    for c in range(dof):
         course[0, c], course[1, c] = ends[0, c], ends[1, c]
+    if motion.strays:
+        allowed, off = floats_at(error, (dof,)), _off_of(motion)
+        for c in range(dof):  # rounded as in `loewner.robots.proofs.deviations`
+            off[c] = allowed[c] + 2.0 * VALUE_ROUNDINGS * max(abs(ends[0, c]), abs(ends[1, c]))
     found = _certify(motion, tally)
     if found.pair >= 0:
         order = _order_of(motion)

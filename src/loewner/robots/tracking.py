@@ -1,0 +1,102 @@
+"""Find the largest tracking error, of each joint, within which motions are proven free."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._validate import Floats
+from loewner.errors import InputError
+from loewner.queries import Verdict
+from loewner.robots import edges
+from loewner.robots.curves import joint_errors
+from loewner.robots.problem import Problem
+from loewner.robots.proofs import prove_by_rules
+
+# The search ends when an error that is not proven is at most this many times the result.
+NEAR = 1.02
+
+# The first error that is tried, in radians or metres, and the factor to the next one. Large errors take longest.
+FIRST, STEP = 1e-6, 8.0
+
+
+def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, tolerance: float) -> float:
+    """Compute the largest e <= most for which all motions are proven free within the joint errors e * weights.
+
+    The motions are between configurations a and b, shape (N, dof) each. The result may be up to `NEAR` times too small;
+    it is 0.0 if `FIRST` is not proven.
+    """
+    low, high, e = 0.0, math.inf, min(FIRST, most)
+    while low < most and high > NEAR * low:
+        unproven = prove_by_rules(ready, a, b, tolerance, e * weights).verdicts != Verdict.FREE
+        if unproven.any():
+            a, b, high = a[unproven], b[unproven], e  # the others are proven for all smaller errors, too
+            if low == 0.0:
+                return low
+        else:
+            low = e
+        e = min(STEP * low, most) if high == math.inf else math.sqrt(low) * math.sqrt(high)
+    return low
+
+
+def joint_error(
+    self: Any, path: ArrayLike, *, weights: ArrayLike = 1.0, most: float = 0.1, tolerance: float = 1e-5
+) -> float:
+    """Compute the largest error of the joints within which a whole path is proven free.
+
+    Parameters
+    ----------
+    path : array_like, shape (k, dof)
+        Two or more configurations, with motions between them as in `certify_edges`.
+    weights : float or array_like, shape (dof,)
+        Each value may deviate by the error times its weight. Default: all alike, in radians or metres.
+    most : float
+        The largest error to try.
+    tolerance : float
+        Metres, as for `certify_edges`.
+
+    Returns
+    -------
+    float
+        An error e up to `most` for which `certify_edges` proves every motion with ``joint_error=e * weights``; 1.02 e
+        is not proven, unless e is `most`. 0.0 if not even 1e-6 is proven.
+
+    Raises
+    ------
+    InputError
+        If the path itself is not proven free (the message names the motion and the pair), if an argument has the wrong
+        shape or value, or as for `certify_edges`.
+    UnknownNameError
+        As for `collide`.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> error = checker.joint_error([[0.0, 1.57], [0.5, 1.57]])
+    >>> checker.certify_edges([0.0, 1.57], [0.5, 1.57], joint_error=error).verdict
+    <Verdict.FREE: 0>
+    """
+    most, tolerance = _validate.positive_scalar(most, "most"), _validate.positive_scalar(tolerance, "tolerance")
+    rows = edges.checked_path(self.robot, path)
+    shares = joint_errors(self.robot, weights, "weights")
+    if not shares.any():
+        raise InputError("weights: expected one or more above 0, found none")
+    ready: Problem = self._ready()
+    a, b = rows[:-1].copy(), rows[1:].copy()
+    found = prove_by_rules(ready, a, b, tolerance)
+    found.expect_short(a, b)
+    for k in np.flatnonzero(found.verdicts != Verdict.FREE)[:1]:
+        one, other = (ready.names[n] for n in ready.pairs[found.pairs[k]])
+        raise InputError(
+            f"path: expected motions that are proven free, found {one} and {other} "
+            f"{Verdict(int(found.verdicts[k])).name} at the fraction {found.fractions[k]:.6g} of the motion from row "
+            f"{k} to row {k + 1}"
+        )
+    return largest(ready, a, b, shares, most, tolerance)
