@@ -24,21 +24,13 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, MOST_POINTS, TOO_LONG, TOUCHING
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
-from loewner._kernels.linalg3 import negated
+from loewner._kernels.linalg3 import dot, negated, scaled
 from loewner._kernels.narrow import exact, gjk_fast
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.directed_bends import (
-    RATES,
-    directed_bends,
-    directed_strays,
-    error_of_strays,
-    error_of_terms,
-    fourth_derivative,
-    write_rates,
-)
+from loewner._kernels.robots.directed_strays import directed_strays, error_of_strays, longest_lever
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import (
     UPWARD,
@@ -50,6 +42,7 @@ from loewner._kernels.robots.motion_bounds import (
     write_strays,
 )
 from loewner._kernels.robots.motion_path import configuration_at, write_part
+from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
     BODY,
@@ -65,15 +58,12 @@ from loewner._kernels.robots.sweeps import (
     sweep,
 )
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
-from loewner._kernels.simd.vectors import LANES, highest_bit
+from loewner._kernels.simd.vectors import LANES, highest_bit, load, movemask, store
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
-FIRST_OFF = 0.025
+FIRST_OFF = 0.03
 MOST_BLOCKS = MOST_INTERVALS // 7
-
-# One plane is sought for neighbouring intervals together, if points are then within this distance of their chords [m].
-MERGED_OFF = 0.005
 
 # Slightly more than the distance at which `collide` may report touching: a free motion has no such configuration.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
@@ -177,11 +167,8 @@ MEMORY = Arena(
     part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
     scratch_points=floats(MOST_POINTS),  # for `write_part`
     configurations=floats(LANES, DOF),  # eight configurations
-    bend_times=floats(LANES),  # eight fractions, and bends at these
-    bends=floats(LANES),
-    fresh=integers(1),  # whether the next field belongs to the block
-    velocities=floats(RATES * LINKS),  # see `directed_bends.write_rates`
-    cut_velocities=floats(RATES * LINKS),
+    part_times=floats(LANES),  # eight fractions, and gaps at these
+    gaps=floats(4 * LANES),
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
     ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
@@ -202,20 +189,9 @@ _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, 
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
 )
-(
-    _cut_links_of,
-    _rates_of,
-    _ways_of,
-    _swept_of,
-    _order_of,
-    _off_of,
-    _strays_of,
-    _bends_of,
-    _bend_times_of,
-    _fresh_of,
-    _velocities_of,
-    _cut_velocities_of,
-) = MEMORY.accessors("cut_links rates ways swept order off strays bends bend_times fresh velocities cut_velocities")
+_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _gaps_of, _part_times_of = MEMORY.accessors(
+    "cut_links rates ways swept order off strays gaps part_times"
+)
 _size = MEMORY.sizing()
 
 
@@ -341,96 +317,60 @@ def _moved(near, width):
     return near.speed * width / 2.0 + _off(near, width)
 
 
-@inline
-def _lowest(gaps, loss):
-    """Lower bound of (1 - s) g + s h - loss s (1 - s) for s from 0 to 1, and of its rounding."""
-    g, h = gaps
-    lowest = min(g, h) if abs(h - g) >= loss else g - (loss - (h - g)) ** 2 / (4.0 * loss)
-    return lowest - 16.0 * UNIT_ROUNDOFF * (abs(g) + abs(h) + loss)
+@njit()
+def _write_gaps(motion, near, W, n):
+    """Write the gaps of a pair along n at eight configurations, whose links' poses are in W; see `planes`."""
+    pieces, problem = pieces_of(motion.pack), problem_of(motion.problem)
+    one, other, moving = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1], motion.counts.moving
+    still, fixed, row = _standing_poses(problem), -1, other - moving
+    if other < moving:
+        fixed, row = problem.link[other], 0
+    write_gaps(pieces, W, problem.link[one], fixed, still, row, near.i, near.j, n, _gaps_of(motion))
 
 
 @apart
-def _clear_of_bend(motion, near, W, V, times, first, last, n, gaps):
-    """Whether a plane with these gaps at two of eight configurations proves all between them, by directed bends.
+def _beyond(motion, near, swept, n, live):
+    """Leave out of the intervals `live` those for which a plane with the normal n proves a pair."""
+    times, gaps, widest = _times_of(motion), _gaps_of(motion), 0.0
+    for k in range(INTERVALS):
+        widest = max(widest, times[k + 1] - times[k])
+    _write_gaps(motion, near, swept.links, n)
+    clear = movemask(load(gaps, 0) > near.margin + near.slack + _off(near, widest))
+    return live & ~(clear & (clear >> 1))
 
-    Parameters
-    ----------
-    W, V : ndarray
-        Poses of the links at eight configurations, and the rates of joints.
-    times : ndarray
-        Their fractions.
-    first, last : int
-    n : tuple of 3 float
-        Direction from j to i, in the frame of j's body.
-    gaps : tuple of 2 float
-    """
-    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
+
+@apart
+def _clear_between(motion, near, low, high, n):
+    """Whether a plane with the normal n proves an interval, cut into seven parts."""
+    problem, tables, pieces = problem_of(motion.problem), motion_tables_of(motion.tables), pieces_of(motion.pack)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
+    W, Q = _cut_links_of(motion), _configurations_of(motion)
+    course, rates, gaps, times = _course_of(motion), _rates_of(motion), _gaps_of(motion), _part_times_of(motion)
     link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
-    course, rates, bends, block = _course_of(motion), _rates_of(motion), _bends_of(motion), _times_of(motion)
-    width = block[INTERVALS] - block[0]
-    part = course if width == 1.0 or motion.points == 2 else _part_of(motion)
-    ways = ways_between(tables, rates, one, link, fixed)
-    fourth = fourth_derivative(problem.tree, tables, rates, part, width, link, fixed, ways)
-    if not fourth < np.inf:
-        return False
-    directed_bends(problem.tree, tables, pieces.hot, W, V, motion.points == 2, link, fixed, near.i, n, bends)
-    most, widest = 0.0, 0.0
-    for k in range(first, last + 1):
-        if not bends[k] <= most:  # a NaN stays
-            most = bends[k]
-        if k > first:
-            widest = max(widest, times[k] - times[k - 1])
-    most += error_of_terms(tables, ways, pieces.hot[near.i, OUTER_RADIUS]) + fourth * widest * widest / 8.0
-    width = times[last] - times[first]
-    least = _least(near)
-    if near.stray > 0.0:
-        least += _stray(motion, near, W, ways, link, fixed, first, last, widest, n)
-    return _lowest(gaps, 0.5 * width * width * most * UPWARD + LOST) > least
-
-
-@njit()
-def _stray(motion, near, W, ways, link, fixed, first, last, widest, n):
-    """Largest distance by which i may stray towards j along n, between two of eight configurations."""
-    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
-    strays, out = _strays_of(motion), _bends_of(motion)
-    one = problem.pairs[near.pair, 0]
-    directed_strays(problem.tree, tables, pieces.hot, W, strays, link, fixed, near.i, n, out)
-    most = 0.0
-    for k in range(first, last + 1):
-        if not out[k] <= most:  # a NaN stays
-            most = out[k]
-    astray = ways_between(tables, strays, one, link, fixed)
-    most += error_of_strays(tables, ways, astray, pieces.hot[near.i, OUTER_RADIUS], widest) + 0.5 * astray.bend
-    return min((1.0 + motion.skew) * most * UPWARD, near.stray)
-
-
-@njit()
-def _clear_in_block(motion, near, swept, k, n, gaps):
-    """As `_clear_of_bend` for interval k of the block."""
-    V, W, times, fresh = _velocities_of(motion), swept.links, _times_of(motion), _fresh_of(motion)
-    if fresh[0] == 0:
-        write_rates(problem_of(motion.problem).tree, W, _course_of(motion), times, V)
-        fresh[0] = 1
-    return _clear_of_bend(motion, near, W, V, times, k, k + 1, n, gaps)
-
-
-@njit()
-def _clear_between(motion, near, low, high, n, gaps):
-    """As `_clear_of_bend` for an interval whose ends were placed for this pair only."""
-    tree, W, Q, V = (
-        problem_of(motion.problem).tree,
-        _cut_links_of(motion),
-        _configurations_of(motion),
-        _cut_velocities_of(motion),
-    )
-    times = _bend_times_of(motion)
+    widest = 0.0
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(tree, _course_of(motion), times[k], Q, k)
+        configuration_at(problem.tree, course, times[k], Q, k)
+        if k > 0:
+            widest = max(widest, times[k] - times[k - 1])
     _place_at(motion, W)
-    write_rates(tree, W, _course_of(motion), times, V)
-    return _clear_of_bend(motion, near, W, V, times, 0, INTERVALS, n, gaps)
+    _write_gaps(motion, near, W, n)
+    least, off = near.margin + (near.slack - near.stray), _off(near, widest)
+    ways = ways_between(tables, rates, one, link, fixed)
+    if near.stray > 0.0:
+        strays, radius = _strays_of(motion), pieces.hot[near.i, OUTER_RADIUS]
+        store(_normals_of(motion), 0, load(gaps, 0))
+        astray = ways_between(tables, strays, one, link, fixed)
+        lever = longest_lever(tables, ways, astray)
+        directed_strays(problem.tree, tables, pieces.hot, W, strays, lever, link, fixed, near.i, n, gaps)
+        factor = (1.0 + motion.skew) * UPWARD
+        store(gaps, 0, load(_normals_of(motion), 0) - factor * load(gaps, 0))
+        least += factor * (error_of_strays(ways, astray, lever + radius, widest) + 0.5 * astray.bend)
+    lowest = gaps[0]
+    for k in range(1, LANES):
+        if not gaps[k] >= lowest:  # a NaN stays
+            lowest = gaps[k]
+    return lowest > least + off
 
 
 @njit()
@@ -589,7 +529,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
                 continue
             if gaps[0] > least and gaps[1] > least:
                 tally[0] += LANES
-                if _clear_between(motion, near, times[depth, a], times[depth, b], m, gaps):
+                if _clear_between(motion, near, times[depth, a], times[depth, b], m):
                     continue
             # A plane that turns with the other body.
             keep = near.margin + near.slack + back.bend * w * w / 8.0
@@ -652,8 +592,12 @@ def _halve_waiting(motion, count, found, tally):
         keep = near.margin + near.slack + _off(near, times[k + 1] - times[k])
         tally[1] += 1
         proven, n, gaps = _proven(motion, near, swept, k, k + 1, least, keep, n)
-        if proven or (gaps[0] > least and gaps[1] > least and _clear_in_block(motion, near, swept, k, n, gaps)):
+        if proven:
             continue
+        if gaps[0] > least and gaps[1] > least:
+            tally[0] += LANES
+            if _clear_between(motion, near, times[k], times[k + 1], n):
+                continue
         verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
         found = _worse(found, verdict, t, pair)
         if _hit(found):
@@ -723,47 +667,38 @@ def _search(motion, near, live, found, waiting_count, tally):
     swept, times, N = _swept_of(motion), _times_of(motion), _normals_of(motion)
     waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
     tested = 0
-    width = (times[INTERVALS] - times[0]) / INTERVALS
+    if live & (live - 1) != 0:
+        k = highest_bit(live)
+        n = N[k], N[LANES + k], N[2 * LANES + k]
+        tally[1] += 1
+        live = _beyond(motion, near, swept, scaled(1.0 / np.sqrt(dot(n, n)), n), live)
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
-        last = highest_bit(live) + 1
-        first = last - 1
-        while first > 0 and (live >> (first - 1)) & 1 != 0 and _off(near, (last - first + 1) * width) <= MERGED_OFF:
-            first -= 1
-        n = N[last - 1], N[LANES + last - 1], N[2 * LANES + last - 1]
-        least = near.margin + near.slack
-        if last - first > 1:
-            tally[1] += 1
-            keep = least + _off(near, times[last] - times[first])
-            proven, n, _ = _proven(motion, near, swept, first, last, keep, keep, n)
-            if proven:
-                live &= (1 << first) - 1
-                continue
-            found, tested = _test(motion, near, swept, last, n, found, tested, tally)
+        k = highest_bit(live)
+        live &= ~(1 << k)
+        n = N[k], N[LANES + k], N[2 * LANES + k]
+        w = times[k + 1] - times[k]
+        keep = near.margin + near.slack + _off(near, w)
+        tally[1] += 1
+        proven, n, _ = _proven(motion, near, swept, k, k + 1, keep, keep, n)
+        if proven:
+            if live != 0:
+                live = _beyond(motion, near, swept, n, live)
+            continue
+        for end in range(k + 1, k - 1, -1):
+            found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
-        for k in range(last - 1, first - 1, -1):
-            live &= ~(1 << k)
-            w = times[k + 1] - times[k]
-            tally[1] += 1
-            keep = least + _off(near, w)
-            proven, n, _ = _proven(motion, near, swept, k, k + 1, keep, keep, n)
-            if proven:
-                continue
-            for end in range(k + 1, k - 1, -1):
-                found, tested = _test(motion, near, swept, end, n, found, tested, tally)
-                if _hit(found):
-                    return found, waiting_count
-            if _moved(near, w) <= _enough(motion, near):
-                found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), near.pair)
-                continue
-            waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
-            waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
-            e = waiting_count
-            ways[e, 0], ways[e, 1], ways[e, 2] = n
-            ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6] = near.bend, near.speed, near.margin, near.slack
-            ways[e, 7] = near.stray
-            waiting_count += 1
+        if _moved(near, w) <= _enough(motion, near):
+            found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), near.pair)
+            continue
+        waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
+        waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
+        e = waiting_count
+        ways[e, 0], ways[e, 1], ways[e, 2] = n
+        ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6] = near.bend, near.speed, near.margin, near.slack
+        ways[e, 7] = near.stray
+        waiting_count += 1
     return found, waiting_count
 
 
@@ -834,7 +769,6 @@ def _settle_block(motion, low, high, found, tally):
         configuration_at(problem.tree, course, times[k], Q, k)
     tally[0] += LANES
     _place_at(motion, swept.links)
-    _fresh_of(motion)[0] = 0
     sweep(problem, pieces, swept)
     widest = 0.0
     for k in range(INTERVALS):

@@ -1,0 +1,83 @@
+"""Gaps between a plane and a moving piece at eight configurations side by side.
+
+The plane is fixed to another body. A plane that parts two pieces in one interval of a motion often parts them in the
+neighbouring ones, and this finds out for less than a search.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
+from loewner._kernels.ellipsoids.contact import position_error
+from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, negated, one_norm
+from loewner._kernels.pieces.pack import placed
+from loewner._kernels.pieces.shapes import core_support, placed_support, radius
+from loewner._kernels.pieces.support import entry_of
+from loewner._kernels.robots.kinematics import rotation_of_link, translation_of_link
+from loewner._kernels.robots.sweeps import WIDER
+from loewner._kernels.simd.vectors import LANES, broadcast, load, minimum, store
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+
+# Vertices up to which all of them are multiplied; beyond it each configuration has a search of its own.
+FEW = 64
+
+
+@inline
+def seen_by(W, fixed, n):
+    """A direction in the frame of a link, or of the world, in the axes of the world."""
+    n = broadcast(n[0]), broadcast(n[1]), broadcast(n[2])
+    return apply(rotation_of_link(W, fixed), n) if fixed >= 0 else n
+
+
+@inline
+def _lows(A, m, out):
+    """The least products of a piece's core, in the frame of its body, with eight directions."""
+    for k in range(3):
+        store(out, (1 + k) * LANES, m[k])
+    for lane in range(LANES):
+        n = out[LANES + lane], out[2 * LANES + lane], out[3 * LANES + lane]
+        out[lane] = dot(core_support(A, negated(n)), n)
+    return load(out, 0)
+
+
+@njit()
+def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, out):
+    """Write lower bounds on the gaps between two pieces along n at eight configurations.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    W : ndarray
+        Poses of the links.
+    link, fixed : int
+        The link of piece i, and that of piece j, or -1 if j stands.
+    poses, row :
+        Poses of static bodies, and the row of j's body if it stands.
+    i, j : int
+        The pieces.
+    n : tuple of 3 float
+        Unit direction from j to i, in the frame of j's link or of the world.
+    out : ndarray, shape (32,)
+        Receives them in its first eight entries.
+    """
+    A, B = placed(pieces, i, poses, 0), placed(pieces, j, poses, row)
+    R, t = rotation_of_link(W, link), translation_of_link(W, link)
+    normal = seen_by(W, fixed, n)
+    if fixed >= 0:
+        below = dot(core_support(B, n), n)
+        shift = minus(t, translation_of_link(W, fixed))
+    else:
+        below = dot(placed_support(B, n), n)
+        shift = minus(t, (poses[row, 0, 3], poses[row, 1, 3], poses[row, 2, 3]))
+    m = apply_transposed(R, normal)
+    start, stop = pieces.layout[i, POINTS_FROM], pieces.layout[i, POINTS_TO]
+    if pieces.layout[i, KIND] == POLYTOPE and stop - start <= FEW:
+        low, points = broadcast(np.inf), pieces.points
+        for column in range(start, stop):
+            k = entry_of(column)
+            low = minimum(low, points[k] * m[0] + points[k + LANES] * m[1] + points[k + 2 * LANES] * m[2])
+    else:
+        low = _lows(A, m, out)
+    size = one_norm(shift) + (pieces.table[i, REACH] + pieces.table[j, REACH])
+    radii = (radius(A) + radius(B)) * WIDER
+    store(out, 0, dot(normal, shift) + low - (below + radii) - position_error(size, UNIT_ROUNDOFF))
