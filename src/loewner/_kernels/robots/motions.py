@@ -24,13 +24,13 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, MOST_POINTS, TOO_LONG, TOUCHING
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
-from loewner._kernels.linalg3 import dot, negated, scaled
+from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_fast
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.directed_strays import directed_strays, error_of_strays, longest_lever
+from loewner._kernels.robots.directed_strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import (
     UPWARD,
@@ -62,7 +62,7 @@ from loewner._kernels.simd.vectors import LANES, highest_bit, load, movemask, st
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
-FIRST_OFF = 0.03
+FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
 # Slightly more than the distance at which `collide` may report touching: a free motion has no such configuration.
@@ -169,6 +169,7 @@ MEMORY = Arena(
     configurations=floats(LANES, DOF),  # eight configurations
     part_times=floats(LANES),  # eight fractions, and gaps at these
     gaps=floats(4 * LANES),
+    planes=floats((2 + 4 * LINKS) * LANES),  # see `directed_strays`
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
     ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
@@ -189,8 +190,8 @@ _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, 
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
 )
-_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _gaps_of, _part_times_of = MEMORY.accessors(
-    "cut_links rates ways swept order off strays gaps part_times"
+_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _gaps_of, _planes_of, _part_times_of = MEMORY.accessors(
+    "cut_links rates ways swept order off strays gaps planes part_times"
 )
 _size = MEMORY.sizing()
 
@@ -317,15 +318,15 @@ def _moved(near, width):
     return near.speed * width / 2.0 + _off(near, width)
 
 
-@njit()
-def _write_gaps(motion, near, W, n):
-    """Write the gaps of a pair along n at eight configurations, whose links' poses are in W; see `planes`."""
+@inline
+def _write_gaps(motion, near, W, n, count):
+    """Write the gaps of a pair along n at eight configurations, whose links' poses are in W; see `planes.write_gaps`."""
     pieces, problem = pieces_of(motion.pack), problem_of(motion.problem)
     one, other, moving = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1], motion.counts.moving
     still, fixed, row = _standing_poses(problem), -1, other - moving
     if other < moving:
         fixed, row = problem.link[other], 0
-    write_gaps(pieces, W, problem.link[one], fixed, still, row, near.i, near.j, n, _gaps_of(motion))
+    write_gaps(pieces, W, problem.link[one], fixed, still, row, near.i, near.j, n, _planes_of(motion), count, _gaps_of(motion))
 
 
 @apart
@@ -334,7 +335,7 @@ def _beyond(motion, near, swept, n, live):
     times, gaps, widest = _times_of(motion), _gaps_of(motion), 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
-    _write_gaps(motion, near, swept.links, n)
+    _write_gaps(motion, near, swept.links, n, -1)
     clear = movemask(load(gaps, 0) > near.margin + near.slack + _off(near, widest))
     return live & ~(clear & (clear >> 1))
 
@@ -354,23 +355,21 @@ def _clear_between(motion, near, low, high, n):
         if k > 0:
             widest = max(widest, times[k] - times[k - 1])
     _place_at(motion, W)
-    _write_gaps(motion, near, W, n)
-    least, off = near.margin + (near.slack - near.stray), _off(near, widest)
-    ways = ways_between(tables, rates, one, link, fixed)
+    least, count = _least(near) + _off(near, widest), -1
     if near.stray > 0.0:
-        strays, radius = _strays_of(motion), pieces.hot[near.i, OUTER_RADIUS]
-        store(_normals_of(motion), 0, load(gaps, 0))
+        ways, strays = ways_between(tables, rates, one, link, fixed), _strays_of(motion)
         astray = ways_between(tables, strays, one, link, fixed)
         lever = longest_lever(tables, ways, astray)
-        directed_strays(problem.tree, tables, pieces.hot, W, strays, lever, link, fixed, near.i, n, gaps)
-        factor = (1.0 + motion.skew) * UPWARD
-        store(gaps, 0, load(_normals_of(motion), 0) - factor * load(gaps, 0))
-        least += factor * (error_of_strays(ways, astray, lever + radius, widest) + 0.5 * astray.bend)
+        count = write_strays_along(
+            problem.tree, tables, pieces.hot, W, strays, lever, link, fixed, near.i, n, _planes_of(motion)
+        )  # fmt: skip
+        least += error_of_strays(ways, astray, lever + pieces.hot[near.i, OUTER_RADIUS], widest) + astray.bend
+    _write_gaps(motion, near, W, n, count)
     lowest = gaps[0]
     for k in range(1, LANES):
         if not gaps[k] >= lowest:  # a NaN stays
             lowest = gaps[k]
-    return lowest > least + off
+    return lowest > least
 
 
 @njit()
@@ -598,6 +597,9 @@ def _halve_waiting(motion, count, found, tally):
             tally[0] += LANES
             if _clear_between(motion, near, times[k], times[k + 1], n):
                 continue
+        if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
+            found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
+            continue
         verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
         found = _worse(found, verdict, t, pair)
         if _hit(found):
@@ -667,11 +669,6 @@ def _search(motion, near, live, found, waiting_count, tally):
     swept, times, N = _swept_of(motion), _times_of(motion), _normals_of(motion)
     waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
     tested = 0
-    if live & (live - 1) != 0:
-        k = highest_bit(live)
-        n = N[k], N[LANES + k], N[2 * LANES + k]
-        tally[1] += 1
-        live = _beyond(motion, near, swept, scaled(1.0 / np.sqrt(dot(n, n)), n), live)
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
@@ -689,9 +686,6 @@ def _search(motion, near, live, found, waiting_count, tally):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
-        if _moved(near, w) <= _enough(motion, near):
-            found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), near.pair)
-            continue
         waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
         waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
         e = waiting_count

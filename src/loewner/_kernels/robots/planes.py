@@ -6,8 +6,8 @@ neighbouring ones, and this finds out for less than a search.
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
-from loewner._kernels.columns import KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
+from loewner._kernels._jit import inline
+from loewner._kernels.columns import BLOCK, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, negated, one_norm
 from loewner._kernels.pieces.pack import placed
@@ -15,11 +15,11 @@ from loewner._kernels.pieces.shapes import core_support, placed_support, radius
 from loewner._kernels.pieces.support import entry_of
 from loewner._kernels.robots.kinematics import rotation_of_link, translation_of_link
 from loewner._kernels.robots.sweeps import WIDER
-from loewner._kernels.simd.vectors import LANES, broadcast, load, minimum, store
+from loewner._kernels.simd.vectors import LANES, absolute, broadcast, load, minimum, store
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Vertices up to which all of them are multiplied; beyond it each configuration has a search of its own.
-FEW = 64
+FEW = 256
 
 
 @inline
@@ -27,6 +27,17 @@ def seen_by(W, fixed, n):
     """A direction in the frame of a link, or of the world, in the axes of the world."""
     n = broadcast(n[0]), broadcast(n[1]), broadcast(n[2])
     return apply(rotation_of_link(W, fixed), n) if fixed >= 0 else n
+
+
+@inline
+def _strayed(strays, count, x):
+    """How far a point may stray because of joints that turn."""
+    far = broadcast(0.0)
+    for k in range(count):
+        at = (2 + 4 * k) * LANES
+        v = load(strays, at), load(strays, at + LANES), load(strays, at + 2 * LANES)
+        far = far + absolute(dot(x, v) + load(strays, at + 3 * LANES))
+    return far
 
 
 @inline
@@ -40,9 +51,9 @@ def _lows(A, m, out):
     return load(out, 0)
 
 
-@njit()
-def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, out):
-    """Write lower bounds on the gaps between two pieces along n at eight configurations.
+@inline
+def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
+    """Write lower bounds on the gaps between two pieces along n at eight configurations, less what joints may stray.
 
     Parameters
     ----------
@@ -57,6 +68,10 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, out):
         The pieces.
     n : tuple of 3 float
         Unit direction from j to i, in the frame of j's link or of the world.
+    strays : ndarray
+        What `directed_strays.write_strays_along` wrote.
+    count : int
+        Its result; -1 if joints do not stray.
     out : ndarray, shape (32,)
         Receives them in its first eight entries.
     """
@@ -75,9 +90,14 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, out):
         low, points = broadcast(np.inf), pieces.points
         for column in range(start, stop):
             k = entry_of(column)
-            low = minimum(low, points[k] * m[0] + points[k + LANES] * m[1] + points[k + 2 * LANES] * m[2])
+            x = points[k], points[k + BLOCK], points[k + 2 * BLOCK]
+            low = minimum(low, dot(x, m) - _strayed(strays, count, x))
+        if count >= 0:
+            low = low - load(strays, 0)
     else:
         low = _lows(A, m, out)
+        if count >= 0:
+            low = low - load(strays, LANES)
     size = one_norm(shift) + (pieces.table[i, REACH] + pieces.table[j, REACH])
     radii = (radius(A) + radius(B)) * WIDER
     store(out, 0, dot(normal, shift) + low - (below + radii) - position_error(size, UNIT_ROUNDOFF))
