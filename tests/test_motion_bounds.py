@@ -1,121 +1,32 @@
 """The bounds that proofs of motions rest on hold for ways and poses computed without them, in extended precision."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from checker_oracle import random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker
 from loewner._kernels import columns
-from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
+from loewner._kernels.robots.motion_bounds import ways_between, write_strays
 from loewner._kernels.robots.motion_path import write_part
 from loewner.robots import courses
 from loewner.robots.robot import on_the_way
-from motion_oracle import AFLOAT, example, steps, written
-
-Real = np.longdouble
+from motion_oracle import (
+    AFLOAT,
+    Real,
+    bent,
+    checkers,
+    empty_rates,
+    example,
+    points_of,
+    rates,
+    real_poses,
+    steps,
+    straight,
+    written,
+)
 
 far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
-
-
-def empty_rates(robot):
-    return Rates(*(np.empty(len(robot.link_names)) for _ in Rates._fields))
-
-
-def rates(checker, course, width=1.0):
-    """What the kernel makes of a course, or of a part: rates of joints, and what its poses may be off by."""
-    robot, tables, made = checker.robot, checker._ready().motions.tables, empty_rates(checker.robot)
-    travel, angles, places = rates_of(robot.tree, course, width, made)
-    return tables, made, uncertainty(tables, travel, angles, places)[0]
-
-
-def straight(robot, a, b):
-    return courses.straight(robot, a[None], b[None])[0]
-
-
-def bent(robot, rng, q, degree, length):
-    """A course of some degree that begins at q; its orientations turn a little."""
-    points = q + np.cumsum(rng.uniform(-length, length, (degree + 1, robot.dof)), axis=0) / degree
-    points[0] = q
-    for at in robot._quaternions.values():
-        points[:, at] = q[at] + rng.uniform(-0.07, 0.07, (degree + 1, 4))
-    return points
-
-
-def real_configurations(robot, course, t):
-    """Configurations on a course, in extended precision."""
-    degree, points = len(course) - 1, course.astype(Real)
-    weights = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
-    Q = np.stack(weights, axis=1) @ points
-    for quaternion in robot._quaternions.values():
-        if degree > 1:
-            Q[:, quaternion] /= np.sqrt((Q[:, quaternion] ** 2).sum(axis=1))[:, None]
-            continue
-        p, q = (end[quaternion] / np.sqrt((end[quaternion] ** 2).sum()) for end in points)
-        half = np.arcsin(np.sqrt(((p - q) ** 2).sum()) / 2)  # of the angle between the two
-        across = p + q
-        across /= np.sqrt((across**2).sum())
-        along = (q - p) / max(np.sqrt(((q - p) ** 2).sum()), Real(1e-30))
-        angle = (2 * t - 1)[:, None] * half
-        Q[:, quaternion] = np.cos(angle) * across + np.sin(angle) * along
-    return Q
-
-
-def real_poses(robot, course, times):
-    """Poses of all links on the real course, in extended precision: (times, links, 4, 4)."""
-    tree, t = robot.tree, np.asarray(times, dtype=Real)
-    Q = real_configurations(robot, course, t)
-    out = np.zeros((len(t), len(tree.parent), 4, 4), dtype=Real)
-    out[..., 3, 3] = 1
-    for link, row in enumerate(tree.constants.astype(Real)):
-        fixed, sine, cosine = (row[k : k + 9].reshape(3, 3) for k in (columns.ROTATION, columns.SINE, columns.COSINE))
-        kind, at = tree.kind[link], tree.column[link]
-        value = Q[:, at] * Real(tree.multiplier[link]) + Real(tree.offset[link]) if kind else None
-        R, place = np.broadcast_to(fixed, (len(t), 3, 3)), np.broadcast_to(row[9:12], (len(t), 3)).copy()
-        if kind == columns.PLANAR:
-            place += Q[:, at, None] * row[30:33] + Q[:, at + 1, None] * row[33:36]
-            value = Q[:, at + 2]
-        if kind in (columns.REVOLUTE, columns.PLANAR):
-            R = fixed + np.sin(value)[:, None, None] * sine + np.cos(value)[:, None, None] * cosine
-        elif kind == columns.PRISMATIC:
-            place += value[:, None] * row[30:33]
-        elif kind == columns.FLOATING:
-            place += Q[:, at : at + 3] @ fixed.T
-            w, x, y, z = Q[:, at + 3 : at + 7].T
-            turned = [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-            R = fixed @ np.array(turned).transpose(2, 0, 1)
-        above = tree.parent[link]
-        if above >= 0:
-            A = out[:, above]
-            place = A[:, :3, 3] + (A[:, :3, :3] @ place[:, :, None])[..., 0]
-            R = A[:, :3, :3] @ R
-        out[:, link, :3, :3], out[:, link, :3, 3] = R, place
-    return out
-
-
-def checkers(tmp_path, seed):
-    rng = np.random.default_rng(seed)
-    bodies = simple_bodies(rng)
-    robot = random_robot(rng, tmp_path, 6, bodies)
-    return rng, CollisionChecker(robot, random_scene(rng, robot, 4, bodies), skip_adjacent=False)
-
-
-def points_of(checker):
-    """Points of each body in the frame of its link, or of its own if it stands; vertices, where there are any."""
-    ready = checker._ready()
-    found = []
-    for body in range(len(ready.names)):
-        pieces = ready.bodies[body].pieces
-        inner = [np.concatenate([p.inner.center + p.inner.factor.T, p.inner.center - p.inner.factor.T]) for p in pieces]
-        corners = [p.vertices if p.vertices is not None else points for p, points in zip(pieces, inner, strict=True)]
-        found.append(np.concatenate(corners))
-    return ready, found
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 5])
