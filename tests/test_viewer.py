@@ -300,7 +300,7 @@ def test_urdf_gone_since(dressed, arm):
     looks, faults = visual_meshes(dressed)
     assert looks == {}
     assert len(faults) == 1
-    assert "looks.urdf: expected a URDF, found no such file" in faults[0]
+    assert "looks.urdf: expected a URDF, but there is no such file" in faults[0]
     with viewer.show_robot(arm) as page:
         page._layers["meshes"].value = True
         page._tell("layers")
@@ -529,7 +529,10 @@ def test_nothing_to_check(lonely):
         (["--robot", "broken.urdf"], "broken.urdf, line 1: expected a URDF"),
         (["--robot", "none.urdf"], "none.urdf: expected"),
         (["part.npz", "part.npz", "--trajectory", "a.csv"], "expected --trajectory with --robot only"),
-        (["--robot", "arm.urdf", "--trajectory", "none.csv"], "none.csv: expected a trajectory, found no such file"),
+        (
+            ["--robot", "arm.urdf", "--trajectory", "none.csv"],
+            "none.csv: expected a trajectory, but there is no such file",
+        ),
         (["--robot", "arm.urdf", "--trajectory", "other.csv"], "trajectory: expected one of 'arm'"),
         (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
         (["part.npz", "nothing.npz"], "nothing.npz: expected a saved file"),

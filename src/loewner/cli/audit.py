@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from loewner import Verdict, planners
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
-from loewner.errors import InputError
+from loewner.errors import InputError, LoewnerError
 from loewner.robots import courses, curves
 
 # Times at which the nearest pair is measured, in addition to the times of verdicts.
@@ -29,9 +29,11 @@ CONTROLLERS = ("linear", "cubic", "quintic")
 EXAMPLES = """examples:
   loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3
+  loewner audit panda.urdf path.csv --srdf panda.srdf --scene shelf.yaml       a path of loewner plan -o path.csv
 
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
-  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint.
+  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint;
+  or a path without times that loewner plan has written (.csv or .json), whose straight motions are checked.
 
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
@@ -45,7 +47,9 @@ def add(commands: Any) -> None:
     """Add the command."""
     audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES)
     inputs.add_robot_options(audit)
-    audit.add_argument("trajectory", type=Path, metavar="FILE", help="points with times (.csv, .json, .yaml)")
+    audit.add_argument(
+        "trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)"
+    )
     audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     audit.add_argument(
         "--controller",
@@ -67,16 +71,62 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     inputs.refuse_no_pairs(checker, options.urdf)
-    points = _executed(planners.ControllerPoints.load(options.trajectory), options.controller)
     others = robot.configuration({})
     if options.others is not None:
         others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    answer = _answer(checker, _complete(points, robot, others), options)
+    given = _read(options.trajectory, robot)
+    if isinstance(given, planners.ControllerPoints):
+        proof = _of_points(checker, _complete(_executed(given, options.controller), robot, others), options)
+    else:
+        proof = _of_path(checker, given, options)
+    answer = _answer(checker, proof, options)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
         _print_answer(answer)
     return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+
+
+class _Proof(NamedTuple):
+    """The results for a trajectory or a path, and the courses of its pieces; a path has no controller."""
+
+    found: curves.CertifiedTrajectory
+    courses: Floats
+    controller: str | None
+
+
+def _read(path: Path, robot: loewner.Robot) -> planners.ControllerPoints | Floats:
+    """Read points with times, or a path without times, as `loewner plan` writes it, of shape (two or more, dof)."""
+    try:
+        return planners.ControllerPoints.load(path)
+    except LoewnerError:
+        if path.suffix.lower() not in configurations.WRITTEN:
+            raise
+        try:
+            rows = np.atleast_2d(robot.checked(configurations.read(path, robot, named=True), str(path)))
+        except LoewnerError:
+            rows = np.empty((0, robot.dof))
+        if len(rows) < 2:
+            raise  # the fault of the points
+        return rows
+
+
+def _of_points(
+    checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
+) -> _Proof:
+    """Prove the curve that a controller executes between points."""
+    curve = curves.curve_of(checker.robot, points, str(options.trajectory))
+    found = checker.certify_trajectory(points, joint_error=options.joint_error)
+    return _Proof(found, curve.courses, CONTROLLERS[_derivatives(points)])
+
+
+def _of_path(checker: loewner.CollisionChecker, rows: Floats, options: argparse.Namespace) -> _Proof:
+    """Prove the straight motions of a path as `loewner plan` does; numbers of configurations replace times."""
+    if options.controller not in (None, "linear"):
+        raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
+    found = checker.certify_edges(rows[:-1], rows[1:], joint_error=options.joint_error)
+    numbers = np.arange(len(rows), dtype=np.float64)
+    return _Proof(curves.of_segments(numbers, found), courses.straight(checker.robot, rows[:-1], rows[1:]), None)
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
@@ -110,12 +160,9 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
     return planners.ControllerPoints(points.times, positions, *rates, names=names)
 
 
-def _answer(
-    checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
-) -> dict[str, Any]:
+def _answer(checker: loewner.CollisionChecker, proof: _Proof, options: argparse.Namespace) -> dict[str, Any]:
     """Return the verdicts and distances of a trajectory and of its pieces, for printing."""
-    curve = curves.curve_of(checker.robot, points, str(options.trajectory))
-    found = checker.certify_trajectory(points, joint_error=options.joint_error)
+    found = proof.found
     times, fractions = found.times, found.segments.fraction
     unproven = np.flatnonzero(found.segments.verdict != Verdict.FREE)
     at = times[unproven] + fractions[unproven] * np.diff(times)[unproven]
@@ -124,7 +171,7 @@ def _answer(
     share = np.clip((ticks - times[piece]) / np.diff(times)[piece], 0.0, 1.0)
     piece, share = np.concatenate([piece, unproven]), np.concatenate([share, fractions[unproven]])
     ticks = np.concatenate([ticks, at])
-    Q = courses.configurations(checker.robot, curve.courses[piece], share)
+    Q = courses.configurations(checker.robot, proof.courses[piece], share)
     measured = checker.distance(Q, exact=True)
 
     def nearest(rows: Any) -> dict[str, Any]:
@@ -153,7 +200,8 @@ def _answer(
         "verdict": found.verdict.name,
         "time": None if free else float(found.time),
         "pair": None if free else list(found.names),
-        "controller": CONTROLLERS[_derivatives(points)],
+        "timed": proof.controller is not None,
+        "controller": proof.controller,
         "joint_error": options.joint_error,
         "begins": float(times[0]),
         "ends": float(times[-1]),
@@ -175,29 +223,35 @@ def _picture(times: Floats, verdicts: Any) -> str:
 
 
 def _print_answer(answer: dict[str, Any]) -> None:
+    unit, comma_unit = (" s", ", s") if answer["timed"] else ("", "")
     count = "1 piece" if answer["pieces"] == 1 else f"{answer['pieces']} pieces"
     if answer["verdict"] == "FREE":
-        print(f"FREE  {count}, proven free at every time")
+        print(f"FREE  {count}, proven free at every {'time' if answer['timed'] else 'configuration on the way'}")
     else:
         print(
             f"{answer['verdict']}  {len(answer['unproven'])} of {count} not proven free, "
-            f"{' and '.join(answer['pair'])} at {answer['time']:.6g} s"
+            f"{' and '.join(answer['pair'])} at {answer['time']:.6g}{unit}"
         )
         table = new_table(
-            "piece", "from, s", "to, s", "verdict", "at, s", "pair", "", "nearest, mm",
+            "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", f"at{comma_unit}", "pair", "", "nearest, mm",
             title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
         )  # fmt: skip
         for piece in answer["unproven"]:
             table.add_row(
                 str(piece["number"]), f"{piece['begins']:.6g}", f"{piece['ends']:.6g}", piece["verdict"],
-                f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:.3f}",
+                f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:z.3f}",
             )  # fmt: skip
         print_table(table)
-    print(f"time      {answer['begins']:.6g} s {answer['picture']} {answer['ends']:.6g} s")
+    what = "time " if answer["timed"] else "point"
+    print(f"{what}     {answer['begins']:.6g}{unit} {answer['picture']} {answer['ends']:.6g}{unit}")
     print("          . proven free   ? ambiguous   # collides, by pieces")
     print(
-        f"nearest   {1e3 * answer['nearest']:.3f} mm at {answer['nearest_time']:.6g} s, "
-        f"{' and '.join(answer['nearest_pair'])}: exact, but measured at {MEASURED} times; negative is a depth"
+        f"nearest   {1e3 * answer['nearest']:z.3f} mm at {answer['nearest_time']:.6g}{unit}, "
+        f"{' and '.join(answer['nearest_pair'])}: the least of the exact distances at {MEASURED} places; "
+        "negative is a depth"
     )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
-    print(f"curve     {answer['controller']} between points{error}")
+    if answer["timed"]:
+        print(f"curve     {answer['controller']} between points{error}")
+    else:
+        print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")

@@ -109,12 +109,12 @@ def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error
                     f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it, or lower joint_error"
                 )
             part: Any = (array[first:last] for array in proven)
-            found[k] = _of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
+            found[k] = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             first = last
     return [one for one in found if one is not None]
 
 
-def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
+def of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
     """Make the result of a curve from the earliest of its worst segments."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         for k in np.flatnonzero(segments.verdict == verdict)[:1]:
