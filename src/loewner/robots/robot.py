@@ -210,7 +210,7 @@ class Robot:
         UserWarning
             If the SRDF names links or joints that the robot does not have, or none that it has; if it names a different
             robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or the angles of
-            an origin are probably not in radians.
+            an origin or the limits of revolute joints are probably not in radians.
 
         Examples
         --------
