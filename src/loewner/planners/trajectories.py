@@ -14,7 +14,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +25,10 @@ from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
+from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
 from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import checked_checker
+from loewner.planners.straights import Straights, smallest
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
 
@@ -59,10 +61,6 @@ LARGEST_SHARE = 0.49
 # Largest number of rows on a straight line that are merged into one motion.
 MOST_MERGED = 4096
 
-# Limit on the seconds of a motion at full speed, on the seconds to reach it, and on their reciprocals: squares stay in
-# range.
-LARGEST_RATIO = 1e100
-
 # Allowed deviation of a file's pieces from constant acceleration, for each joint: as a share of its range, and in units
 # of its largest value and of the distance at its largest velocity in the whole time.
 FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
@@ -76,7 +74,7 @@ WRITTEN = (*ENDINGS, ".yaml")
 class Trajectory:
     """The position of a robot as a function of time; made by `trajectory`, or read by `load`.
 
-    Accelerations are constant between two consecutive `times`.
+    Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited.
 
     Attributes
     ----------
@@ -88,6 +86,8 @@ class Trajectory:
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
+    bends : ndarray, shape (n, dof), or None
+        Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
 
     Examples
     --------
@@ -106,6 +106,7 @@ class Trajectory:
     knots: Floats
     rates: Floats
     blended: Bools
+    bends: Floats | None = None
 
     def __repr__(self) -> str:
         stops, blends = len(self.stops), len(self.blends)
@@ -122,12 +123,14 @@ class Trajectory:
     @property
     def stops(self) -> Floats:
         """Times, between start and end, at which the robot rests at a corner."""
-        return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1)])
+        inside = self.blended[:-1] & self.blended[1:]  # where a blend turns back
+        return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1) & ~inside])
 
     @property
     def blends(self) -> Floats:
         """Times at which each blend begins and ends, shape (blends, 2)."""
-        return np.stack([self.times[:-1][self.blended], self.times[1:][self.blended]], axis=1)
+        changes = np.diff(self.blended.astype(np.int8), prepend=0, append=0)
+        return np.stack([self.times[changes == 1], self.times[changes == -1]], axis=1)
 
     def positions(self, t: ArrayLike) -> Floats:
         """Compute the configurations at given times.
@@ -153,6 +156,8 @@ class Trajectory:
         array([1., 0.])
         """
         k, x, T = self._pieces(t)
+        if self.bends is not None:
+            return self._cubics(k, x, T)
         # From the three control points of a parabola: it never leaves their hull, and ends where they do.
         middle = self.knots[k] + self.rates[k] * (T / 2)
         found: Floats = (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
@@ -180,8 +185,9 @@ class Trajectory:
                [1. , 0. ]])
         """
         k, x, T = self._pieces(t)
-        found: Floats = (1 - x) * self.rates[k] + x * self.rates[k + (T[..., 0] > 0)]
-        return found
+        m = k + (T[..., 0] > 0)
+        found: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
+        return found if self.bends is None else found + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
 
     def accelerations(self, t: ArrayLike) -> Floats:
         """Compute accelerations at given times; at a jump, the value after the jump.
@@ -204,8 +210,11 @@ class Trajectory:
                [ 0.,  0.],
                [-1.,  0.]])
         """
-        k, _, T = self._pieces(t)
-        change = self.rates[k + (T[..., 0] > 0)] - self.rates[k]
+        k, x, T = self._pieces(t)
+        m = k + (T[..., 0] > 0)
+        if self.bends is not None:
+            return np.asarray((1 - x) * self.bends[k] + x * self.bends[m])
+        change = self.rates[m] - self.rates[k]
         found: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
         return found
 
@@ -355,6 +364,15 @@ class Trajectory:
         x = np.divide(at - self.times[k], T, out=np.zeros_like(at), where=T > 0)
         return k, x[..., None], T[..., None]
 
+    def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
+        """Return positions on cubic pieces, from the nearer end, for which rounding leaves a straight line least."""
+        m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
+        near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z**3
+        a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)
+        from_a = a + ((far + away) * (b - a) + near * first - far * last)
+        from_b = b - ((far + away) * (b - a) + near * last - far * first)
+        return np.asarray(np.where(x < 0.5, from_a, from_b))
+
     def _ticks(self, rate: float) -> Floats:
         """Return the multiples of a period, and the end."""
         rate = _validate.positive_scalar(rate, "rate")
@@ -371,7 +389,8 @@ class Trajectory:
         apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > SHORTEST
         times = np.union1d(self.times, ticks[apart])
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
-        return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended)
+        bends = None if self.bends is None else self.accelerations(times)
+        return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended, bends)
 
     def _csv(self) -> str:
         out = io.StringIO()
@@ -397,8 +416,9 @@ class Trajectory:
 
     def _read_only(self) -> Trajectory:
         """Return the same trajectory with read-only arrays."""
-        for array in (self.times, self.knots, self.rates, self.blended):
-            array.setflags(write=False)
+        for array in (self.times, self.knots, self.rates, self.blended, self.bends):
+            if array is not None:
+                array.setflags(write=False)
         return self
 
     def _fault(self) -> str:
@@ -429,9 +449,13 @@ class Trajectory:
 
 @form_of.register(Trajectory)
 def _form(given: Trajectory, name: str) -> Curve:
-    """Make the curve that a robot executes, parabolas between knots; see `CollisionChecker.certify_trajectory`."""
-    T = np.diff(given.times)[:, None]
-    courses = np.stack([given.knots[:-1], given.knots[:-1] + given.rates[:-1] * (T / 2), given.knots[1:]], axis=1)
+    """Make the curve of parabolas or cubics between knots; see `CollisionChecker.certify_trajectory`."""
+    T, first, last = np.diff(given.times)[:, None], given.knots[:-1], given.knots[1:]
+    if given.bends is not None:
+        inner = first + given.rates[:-1] * (T / 3), last - given.rates[1:] * (T / 3)
+        courses = np.stack([first, *inner, last], axis=1)
+        return Curve(given.names, given.times, courses, CUBIC_ROUNDINGS * np.abs(courses).max(axis=1))
+    courses = np.stack([first, first + given.rates[:-1] * (T / 2), last], axis=1)
     return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
 
 
@@ -442,6 +466,7 @@ def trajectory(
     *,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
+    jerk: ArrayLike | None = None,
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
 ) -> Trajectory:
@@ -509,73 +534,17 @@ def trajectory(
     if checker is not None and checked_checker(checker).robot is not robot:
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
     rows = _corners(rows)
-    fastest, strongest = _limits(robot, rows, velocity, acceleration)
+    fastest, strongest, most = _limits(robot, rows, velocity, acceleration, jerk)
     judge = None if checker is None else Judge.of(checker, 0.0)
     if judge is not None and len(rows) > 1:
         refuse_unfree(judge, rows, "path")
-    straights = Straights.of(rows, fastest, strongest)
+    motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
     halves = np.zeros(max(len(rows) - 2, 0))
     if judge is not None and share > 0 and len(halves):
-        halves = _shortest(straights, _proven_blends(judge, straights, share))
-    return _timed(robot, straights, halves)
-
-
-class Straights(NamedTuple):
-    """The motions of a path.
-
-    Attributes
-    ----------
-    rows : ndarray, shape (k + 1, dof)
-        The ends of the motions.
-    lengths : ndarray, shape (k,)
-        Durations of the motions at full speed, in seconds.
-    full : ndarray, shape (k, dof)
-        Velocities at full speed, that is, with one joint at its limit.
-    gains : ndarray, shape (k,)
-        Fractions of full speed by which the speed can change per second.
-    strongest : ndarray, shape (dof,)
-        Limits of acceleration.
-    """
-
-    rows: Floats
-    lengths: Floats
-    full: Floats
-    gains: Floats
-    strongest: Floats
-
-    @classmethod
-    def of(cls, rows: Floats, fastest: Floats, strongest: Floats) -> Straights:
-        """Make the motions between rows, within limits."""
-        with np.errstate(all="ignore"):
-            ways = np.diff(rows, axis=0)
-            lengths = np.abs(ways / fastest).max(axis=1, initial=0.0)
-            full = ways / lengths[:, None]
-            gains = _least(strongest / np.abs(full))
-        ratios = np.concatenate([lengths, gains])
-        if not ((ratios > 1 / LARGEST_RATIO) & (ratios < LARGEST_RATIO)).all():
-            raise InputError(
-                f"expected a path and limits with ratios up to {LARGEST_RATIO:g}, found motions of "
-                f"{lengths.min():g} to {lengths.max():g} s at full speed, of which a second adds a share of "
-                f"{gains.min():g} to {gains.max():g}"
-            )
-        return cls(rows, lengths, full, gains, strongest)
-
-    def part(self, first: int, last: int) -> Straights:
-        """Select the motions at the corners from `first` up to, but without, `last`."""
-        motions = slice(first, last + 1)
-        return Straights(
-            self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
-        )
-
-    def at(self, k: Any, share: Floats) -> Floats:
-        """Return the configurations at fractions of motions."""
-        a, b = self.rows[k], self.rows[k + 1]
-        return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
-
-    def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the points where blends begin, the corners, and the points where blends end; see `_passed`."""
-        k = np.arange(len(halves))
-        return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
+        halves = _shortest(motions, _proven_blends(judge, motions, share))
+    if isinstance(motions, JerkLimited):
+        return Trajectory(robot.configuration_names, *motions.timed(halves))._read_only()
+    return _timed(robot, motions, halves)
 
 
 # -- arguments ----------------------------------------------------------------------------------
@@ -594,9 +563,9 @@ def _checked(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def _limits(
-    robot: Robot, rows: Floats, velocity: ArrayLike | None, acceleration: ArrayLike | None
-) -> tuple[Floats, Floats]:
-    """Return velocity and acceleration limits, shape (dof,) each; infinite for joints that do not move."""
+    robot: Robot, rows: Floats, velocity: ArrayLike | None, acceleration: ArrayLike | None, jerk: ArrayLike | None
+) -> tuple[Floats, Floats, Floats | None]:
+    """Return limits of velocity, acceleration and perhaps jerk, shape (dof,); infinite for joints that do not move."""
     moves = (rows != rows[0]).any(axis=0)
     fastest = robot.velocity if velocity is None else _per_joint(robot, velocity, "velocity")
     unknown = moves & ~np.isfinite(fastest)
@@ -607,7 +576,8 @@ def _limits(
             f"give velocity=, one number or {robot.dof}"
         )
     strongest = fastest / UP_IN if acceleration is None else _per_joint(robot, acceleration, "acceleration")
-    return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf)
+    most = None if jerk is None else np.where(moves, _per_joint(robot, jerk, "jerk"), np.inf)
+    return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf), most
 
 
 def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
@@ -644,27 +614,30 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
     return bool(ordered and (off <= ROUNDED * np.maximum(np.abs(a), np.abs(b))).all())
 
 
-def _least(ratios: Floats) -> Floats:
-    """Return the smallest ratio in each row, ignoring 0 / 0."""
-    return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
-
-
 # -- blends -------------------------------------------------------------------------------------
 
 
-def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Floats]:
+def _proven_blends(judge: Judge, motions: Straights | JerkLimited, share: float) -> list[Floats]:
     """Find for each corner the blend sizes that are proven free, largest first; the last is 0, a stop."""
+    straights = motions if isinstance(motions, Straights) else motions.straights
     lengths = straights.lengths
     turns = np.abs(np.diff(straights.full, axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = 1 / (2 * _least(straights.strongest / turns))  # so that it is passed at full speed
+        wanted = 1 / (2 * smallest(straights.strongest / turns))  # so that it is passed at full speed
+    if isinstance(motions, JerkLimited):
+        wanted = motions.wanted
     shorter = np.minimum(lengths[:-1], lengths[1:])
     halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
-    astray = BLEND_ROUNDINGS * speeds * _duration(straights, np.zeros(len(halves)))
+    astray = BLEND_ROUNDINGS * speeds * _duration(motions, np.zeros(len(halves)))
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
-        free = _free(judge, *straights.corners(halves), astray) & (halves > SHORTEST * shorter)
+        free = (
+            motions.free(judge, halves, astray)
+            if isinstance(motions, JerkLimited)
+            else _free(judge, *straights.corners(halves), astray)
+        )
+        free &= halves > SHORTEST * shorter
         for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
             if good:
                 sizes.append(half)
@@ -681,7 +654,7 @@ def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Flo
     return judge.proven(courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + astray)
 
 
-def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
+def _shortest(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose one of the proven blend sizes for each corner, `CHOSEN_AT_A_TIME` corners at a time."""
     parts = [
         _shortest_part(straights.part(first, first + len(sizes)), sizes)
@@ -691,7 +664,7 @@ def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
     return stops if _duration(straights, stops) < _duration(straights, halves) else halves
 
 
-def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
+def _shortest_part(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose blend sizes for a path with few corners, such that no change of a single size shortens the duration."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = _duration(straights, halves)
@@ -721,7 +694,7 @@ def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[flo
         blend's end; 0 for a stop.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = _least(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
+        room = smallest(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
         limits = np.sqrt(np.where(halves > 0, 2 * halves * room, 0.0))
     taken = np.concatenate([[0.0], halves, [0.0]])
     left = np.maximum(straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
@@ -758,8 +731,10 @@ def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
     return found
 
 
-def _duration(straights: Straights, halves: Floats) -> float:
+def _duration(straights: Straights | JerkLimited, halves: Floats) -> float:
     """Compute the total duration in seconds."""
+    if isinstance(straights, JerkLimited):
+        return straights.duration(halves)
     speeds, left = _passed(straights, halves)
     total = sum(2 * half / speed if half else 0.0 for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True))
     for k, (length, gain) in enumerate(zip(left, straights.gains.tolist(), strict=True)):
