@@ -14,7 +14,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from loewner import _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
-from loewner._validate import Bools, Floats
+from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
 from loewner.planners.judge import Judge, checked_path, refuse_unfree
@@ -218,19 +218,29 @@ class Trajectory:
         found: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
         return found
 
-    def sample(self, rate: float) -> tuple[Floats, Floats]:
+    @overload
+    def sample(self, rate: float, *, full: Literal[False] = False) -> tuple[Floats, Floats]: ...
+
+    @overload
+    def sample(self, rate: float, *, full: Literal[True]) -> tuple[Floats, Floats, Floats, Floats]: ...
+
+    def sample(self, rate: float, *, full: bool = False) -> tuple[Floats, ...]:
         """Sample the trajectory at a constant rate: times, and positions at these times.
 
         Parameters
         ----------
         rate : float
             Samples per second.
+        full : bool
+            Also return velocities and accelerations.
 
         Returns
         -------
         times : ndarray, shape (m,)
             Multiples of 1 / rate, and the end of the trajectory.
         positions : ndarray, shape (m, dof)
+        velocities, accelerations : ndarray, shape (m, dof)
+            Only if `full`; they are the arrays that `velocities` and `accelerations` return.
 
         Raises
         ------
@@ -248,27 +258,32 @@ class Trajectory:
                [2. , 0. ]]))
         """
         times = self._ticks(rate)
-        return times, self.positions(times)
+        if not _validate.flag(full, "full"):
+            return times, self.positions(times)
+        return times, self.positions(times), self.velocities(times), self.accelerations(times)
 
-    def save(self, path: str | os.PathLike[str], *, rate: float | None = None) -> None:
-        """Write times, positions and velocities to a file, in full precision.
+    def save(self, path: str | os.PathLike[str], *, rate: float | None = None, message: bool = False) -> None:
+        """Write times, positions and velocities to a file, in full precision, and accelerations if jerk is limited.
 
         Parameters
         ----------
         path : path
-            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, and
-            ``blend``, which is 1 if the robot cuts a corner between this row and the next. `load` reads ``.csv`` and
-            ``.json`` files. A ``.yaml`` file contains a ROS ``trajectory_msgs/JointTrajectory`` with times rounded to
-            nanoseconds. It has no accelerations, since a controller follows the trajectory if it interpolates only
-            positions and velocities.
+            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, ``NAME
+            acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
+            and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
+            ``trajectory_msgs/JointTrajectory`` with times rounded to nanoseconds. Where accelerations jump it has none,
+            since a controller follows the trajectory if it interpolates only positions and velocities.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
-            the knots, between which accelerations are constant.
+            the knots, between which accelerations are constant or change linearly.
+        message : bool
+            Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
 
         Raises
         ------
         InputError
-            If the file has any other extension, or the rate is not a number above 0.
+            If the file has any other extension, the rate is not a number above 0, or a ``.csv`` file is to be a
+            message.
         FileError
             If the file cannot be written; an existing file is then left unchanged.
 
@@ -283,7 +298,12 @@ class Trajectory:
         target = _with_ending(path, WRITTEN)
         saved = self if rate is None else self._with_ticks(rate)
         suffix = target.suffix.lower()
-        text = saved._csv() if suffix == ".csv" else saved._json() if suffix == ".json" else saved._yaml()
+        if _validate.flag(message, "message") and suffix == ".csv":
+            raise InputError("message: expected False for a .csv file, found True; messages are .json or .yaml files")
+        if suffix == ".csv":
+            text = saved._csv()
+        else:
+            text = saved._yaml() if suffix == ".yaml" else json.dumps(saved._message() if message else saved._held())
         with replacing(target) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="")
 
@@ -395,23 +415,38 @@ class Trajectory:
     def _csv(self) -> str:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(_header(self.names))
-        table = np.column_stack([self.times, self.knots, self.rates]).tolist()
+        writer.writerow(_header(self.names, self.bends is not None))
+        bends = [] if self.bends is None else [self.bends]
+        table = np.column_stack([self.times, self.knots, self.rates, *bends]).tolist()
         writer.writerows([*row, int(bent)] for row, bent in zip(table, [*self.blended, False], strict=True))
         return out.getvalue()
 
-    def _json(self) -> str:
-        return json.dumps({
+    def _held(self) -> dict[str, Any]:
+        held = {
             "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
             "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
-        })  # fmt: skip
+        }  # fmt: skip
+        return held if self.bends is None else held | {"accelerations": self.bends.tolist()}
+
+    def _message(self) -> dict[str, Any]:
+        """Return the contents of a message of type trajectory_msgs/JointTrajectory."""
+        columns = {"positions": self.knots, "velocities": self.rates}
+        if self.bends is not None:
+            columns["accelerations"] = self.bends
+        points: list[dict[str, Any]] = []
+        for k, time in enumerate(self.times.tolist()):
+            seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
+            points.append({kind: rows[k].tolist() for kind, rows in columns.items()})
+            points[-1]["time_from_start"] = {"sec": seconds, "nanosec": nanoseconds}
+        return {"joint_names": self.names, "points": points}
 
     def _yaml(self) -> str:
-        lines = [f"joint_names: {json.dumps(self.names)}", "points:"]
-        for time, knot, rate in zip(self.times.tolist(), self.knots.tolist(), self.rates.tolist(), strict=True):
-            seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
-            lines.append(f"- positions: {_listed(knot)}\n  velocities: {_listed(rate)}")
-            lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
+        message = self._message()
+        lines = [f"joint_names: {json.dumps(message['joint_names'])}", "points:"]
+        for point in message["points"]:
+            time = point.pop("time_from_start")
+            lines.append("- " + "\n  ".join(f"{kind}: {_listed(values)}" for kind, values in point.items()))
+            lines.append(f"  time_from_start: {{sec: {time['sec']}, nanosec: {time['nanosec']}}}")
         return "\n".join(lines) + "\n"
 
     def _read_only(self) -> Trajectory:
@@ -424,26 +459,32 @@ class Trajectory:
     def _fault(self) -> str:
         """Describe the first requirement that a trajectory violates; "" if there is none."""
         n, dof = self.times.size, len(self.names)
-        shapes = [a.shape for a in (self.times, self.knots, self.rates, self.blended)]
-        if n == 0 or dof == 0 or shapes != [(n,), (n, dof), (n, dof), (n - 1,)]:
+        columns = [self.knots, self.rates] + ([] if self.bends is None else [self.bends])
+        shapes = [a.shape for a in (self.times, self.blended, *columns)]
+        if n == 0 or dof == 0 or shapes != [(n,), (n - 1,), *[(n, dof)] * len(columns)]:
             return "a time, a position and a velocity of every joint in each row, found something else"
-        if not all(np.isfinite(a).all() for a in (self.times, self.knots, self.rates)):
+        if not all(np.isfinite(a).all() for a in (self.times, *columns)):
             return "finite numbers, found others"
         T = np.diff(self.times)
         if self.times[0] != 0 or not (T > 0).all():
             return "times that start at 0 and increase, found others"
         if self.rates[[0, -1]].any():
             return "rest at both ends, found a velocity"
-        with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused below
-            off = np.abs(np.diff(self.knots, axis=0) - (self.rates[1:] + self.rates[:-1]) * T[:, None] / 2)
-            size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
-            bad = ~(off <= FILE_TOLERANCE * np.ptp(self.knots, axis=0) + FILE_ROUNDINGS * size)
-        if bad.any():
-            k, joint = np.argwhere(bad)[0]
-            return (
-                "constant accelerations between rows, "
-                f"found others of {self.names[joint]} after the time {self.times[k]:g}"
-            )
+        if self.bends is None:
+            return self._jump(self.knots, self.rates, 0.0, "constant accelerations")
+        bent = np.diff(self.bends, axis=0) * T[:, None] ** 2 / 12
+        linear = "accelerations that change linearly"
+        return self._jump(self.rates, self.bends, 0.0, linear) or self._jump(self.knots, self.rates, bent, linear)
+
+    def _jump(self, values: Floats, rates: Floats, bent: FloatOrFloats, wanted: str) -> str:
+        """Describe the first row whose values do not follow from linear rates, less `bent`, since the row before."""
+        T = np.diff(self.times)[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused
+            off = np.abs(np.diff(values, axis=0) - (rates[1:] + rates[:-1]) * T / 2 + bent)
+            size = np.abs(values).max(axis=0) + np.abs(rates).max(axis=0) * self.duration
+            bad = ~(off <= FILE_TOLERANCE * np.ptp(values, axis=0) + FILE_ROUNDINGS * size)
+        for k, joint in np.argwhere(bad)[:1]:
+            return f"{wanted} between rows, found others of {self.names[joint]} after the time {self.times[k]:g}"
         return ""
 
 
@@ -785,29 +826,32 @@ def _listed(numbers: list[float]) -> str:
     return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"
 
 
-def _header(names: tuple[str, ...]) -> list[str]:
-    return ["time", *names, *(f"{name} velocity" for name in names), "blend"]
+def _header(names: tuple[str, ...], bends: bool) -> list[str]:
+    kinds = ("", " velocity", " acceleration") if bends else ("", " velocity")
+    return ["time", *(name + kind for kind in kinds for name in names), "blend"]
 
 
 def _read_csv(text: str) -> Trajectory:
     """Read a string written by `_csv`."""
     header, *rows = csv.reader(io.StringIO(text), strict=True)
-    names = tuple(header[1 : len(header) // 2])
-    if header != _header(names):
+    bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
+    names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
+    if header != _header(names, bends):
         raise ValueError(f"the header {_validate.short(header)}")
     table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
-    knots, rates = np.split(table[:, 1:-1], 2, axis=1)
-    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0)
+    knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
+    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, *more)
 
 
 def _read_json(text: str) -> Trajectory:
-    """Read a string written by `_json`."""
+    """Read a string written by `save`."""
     held = json.loads(text)
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
         raise ValueError("other names than texts, or blends that are neither true nor false")
-    times, knots, rates = (np.array(held[key], dtype=np.float64) for key in ("times", "positions", "velocities"))
-    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool))
+    keys = ["times", "positions", "velocities", *(["accelerations"] if "accelerations" in held else [])]
+    times, knots, rates, *more = (np.array(held[key], dtype=np.float64) for key in keys)
+    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), *more)
 
 
 def _why(error: Exception) -> str:
