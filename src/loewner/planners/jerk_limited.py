@@ -22,15 +22,13 @@ from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
 # Share of each limit that is left to rounding. The shortest phase is chosen so that rounding stays within it.
 TO_ROUNDING = 1e-6
 
-# Bound on the error of a limit in a phase, in units of the largest position divided by a power of the duration.
-NOISE = 256.0 * tolerances.UNIT_ROUNDOFF
-
-# The shortest phase as a share of an upper bound on the duration with stops: differences of times are as accurate.
-SHARE = 2.0**-30
+# Bound on the error of a velocity, an acceleration or a jerk on one phase, in units of the largest position, plus the
+# distance at full speed in the whole time, divided by a power of the phase's duration; see docs/certified.md, "Blends".
+NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 
 # Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
 # whole time.
-CUBIC_ROUNDINGS = 96.0 * tolerances.UNIT_ROUNDOFF  # derived 61, certified.md B52
+CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B52
 
 
 class Timed(NamedTuple):
@@ -67,10 +65,11 @@ class JerkLimited(NamedTuple):
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             ways = np.abs(straights.full), np.abs(np.diff(straights.full, axis=0))
             gains, jerks = ([smallest(limit / way) for way in ways] for limit in (strongest, jerk))
-            noise = NOISE / TO_ROUNDING * np.abs(rows).max(axis=0)
             lengths = straights.lengths
             stopping = lengths + 2 * np.sqrt(lengths / gains[0]) + np.cbrt(32 * lengths / jerks[0])
-            leasts = [noise / fastest, np.sqrt(noise / strongest), np.cbrt(noise / jerk), SHARE * stopping.sum()]
+            covered = np.where(np.isfinite(fastest), fastest, 0.0) * stopping.sum()
+            noise = NOISE / TO_ROUNDING * (np.abs(rows).max(axis=0) + covered)
+            leasts = [noise / fastest, np.sqrt(noise / strongest), np.cbrt(noise / jerk)]
         if not (np.concatenate(jerks) > 1 / LARGEST_RATIO).all():
             raise InputError(
                 f"jerk: expected limits of at least {1 / LARGEST_RATIO:g} of full speed per second squared, found "
@@ -116,8 +115,7 @@ class JerkLimited(NamedTuple):
         taken = [0.0, *halves.tolist(), 0.0]
         for k, profile in enumerate(profiles):
             gone = np.cumsum([taken[k], *(phase.way for phase in profile)])[1:]
-            gone[-1] = on.lengths[k] - taken[k + 1]
-            at = on.at(np.full(len(gone), k), gone / on.lengths[k])
+            at = [*on.at(np.full(len(gone) - 1, k), gone[:-1] / on.lengths[k]), [*knots[:, 0], on.rows[-1]][k]]
             for phase, knot in zip(profile, at, strict=True):
                 rows.append((phase.seconds, knot, phase.speed * on.full[k], phase.acceleration * on.full[k], False))
             if taken[k + 1] > 0:

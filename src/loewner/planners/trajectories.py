@@ -26,14 +26,12 @@ from loewner._kernels import tolerances
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
+from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import checked_checker
 from loewner.planners.straights import Straights, smallest
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
-
-# Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
-UP_IN = 1.0
 
 # A blend that is not proven is halved this many times; then the robot stops at the corner.
 HALVINGS = 5
@@ -389,8 +387,8 @@ class Trajectory:
         m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
         near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z**3
         a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)
-        from_a = a + ((far + away) * (b - a) + near * first - far * last)
-        from_b = b - ((far + away) * (b - a) + near * last - far * first)
+        way = (far + away) * (b - a)
+        from_a, from_b = a + ((near * first - far * last) + way), b - ((near * last - far * first) + way)
         return np.asarray(np.where(x < 0.5, from_a, from_b))
 
     def _ticks(self, rate: float) -> Floats:
@@ -508,14 +506,15 @@ def trajectory(
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     jerk: ArrayLike | None = None,
+    limits: JointLimits | None = None,
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path, as fast as velocity and acceleration limits allow.
+    """Assign times to a path, as fast as limits of velocity, acceleration and perhaps jerk allow.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
-    parabolas (blends) that are proven free of collisions at every instant; the robot stops at a corner where no blend
-    can be proven.
+    blends that are proven free of collisions at every instant: parabolas, or cubic polynomials if the jerk is limited.
+    The robot stops at a corner where no blend can be proven.
 
     Parameters
     ----------
@@ -524,10 +523,14 @@ def trajectory(
         Two or more configurations, as from `plan`; each joint value changes linearly from one configuration to the
         next.
     velocity : float or array_like, shape (dof,), optional
-        Velocity limits [rad/s or m/s]. Default: the limits of the URDF, `Robot.velocity`.
+        Velocity limits [rad/s or m/s]. Default: those of `limits`, or of the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. A URDF has none; by default a joint reaches its velocity limit in one
-        second.
+        Acceleration limits [rad/s² or m/s²]. Default: those of `limits`. A URDF has none; a joint without a limit
+        reaches its velocity limit in one second.
+    jerk : float or array_like, shape (dof,), optional
+        Jerk limits [rad/s³ or m/s³]. Default: those of `limits`. Without any, accelerations jump.
+    limits : JointLimits, optional
+        Limits from a file.
     checker : CollisionChecker, optional
         A checker for this robot. The motions of the path must be proven free.
     blend : float
@@ -543,7 +546,8 @@ def trajectory(
     ------
     InputError
         If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the robot has a
-        floating or ball joint, whose orientations do not change linearly; or if the checker belongs to another robot.
+        floating or ball joint, whose orientations do not change linearly; or if the checker or the limits belong to
+        another robot.
     PlanningError
         If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
         bodies.
@@ -554,9 +558,10 @@ def trajectory(
 
     Notes
     -----
-    If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, and
-    is as fast as the limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to
-    rounding.
+    If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, or
+    begins and ends without acceleration if the jerk is limited, and is as fast as the limits and the neighbouring
+    motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk is limited, a millionth of
+    each limit is left to rounding, and no phase is shorter than about half a millisecond for an arm.
 
     Examples
     --------
@@ -567,6 +572,8 @@ def trajectory(
     Trajectory(3 s, 2 joints, stops at 1 corner, 0 blends)
     >>> trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=CollisionChecker(robot))
     Trajectory(2.5 s, 2 joints, stops at 0 corners, 1 blend)
+    >>> trajectory(robot, path, velocity=1.0, acceleration=2.0, jerk=20.0, checker=CollisionChecker(robot))
+    Trajectory(2.6 s, 2 joints, stops at 0 corners, 1 blend)
     """
     rows = _checked(robot, path)
     share = _validate.positive_scalar(blend, "blend", zero=True)
@@ -575,7 +582,7 @@ def trajectory(
     if checker is not None and checked_checker(checker).robot is not robot:
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
     rows = _corners(rows)
-    fastest, strongest, most = _limits(robot, rows, velocity, acceleration, jerk)
+    fastest, strongest, most = limits_of(robot, rows, limits, velocity, acceleration, jerk)
     judge = None if checker is None else Judge.of(checker, 0.0)
     if judge is not None and len(rows) > 1:
         refuse_unfree(judge, rows, "path")
@@ -593,42 +600,13 @@ def trajectory(
 
 def _checked(robot: Robot, path: ArrayLike) -> Floats:
     """Check a user's path."""
-    if not isinstance(robot, Robot):
-        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    expect_robot(robot)
     if not robot.runs_straight:
         raise InputError(
             f"robot: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "
             "whose orientations do not"
         )
     return checked_path(robot, path)
-
-
-def _limits(
-    robot: Robot, rows: Floats, velocity: ArrayLike | None, acceleration: ArrayLike | None, jerk: ArrayLike | None
-) -> tuple[Floats, Floats, Floats | None]:
-    """Return limits of velocity, acceleration and perhaps jerk, shape (dof,); infinite for joints that do not move."""
-    moves = (rows != rows[0]).any(axis=0)
-    fastest = robot.velocity if velocity is None else _per_joint(robot, velocity, "velocity")
-    unknown = moves & ~np.isfinite(fastest)
-    if unknown.any():
-        names = ", ".join(name for name, none in zip(robot.configuration_names, unknown, strict=True) if none)
-        raise InputError(
-            f"velocity: expected a limit of each joint that moves, found none above 0 in the URDF for {names}; "
-            f"give velocity=, one number or {robot.dof}"
-        )
-    strongest = fastest / UP_IN if acceleration is None else _per_joint(robot, acceleration, "acceleration")
-    most = None if jerk is None else np.where(moves, _per_joint(robot, jerk, "jerk"), np.inf)
-    return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf), most
-
-
-def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
-    """Check positive numbers, one or one per joint, and return one per joint."""
-    array = _validate.positive_array(limit, name, ("...",))
-    if array.shape not in ((), (robot.dof,)):
-        raise InputError(
-            f"{name}: expected one number or shape ({robot.dof},), found {_validate.shape_text(array.shape)}"
-        )
-    return np.broadcast_to(array, robot.dof)
 
 
 def _corners(rows: Floats) -> Floats:
