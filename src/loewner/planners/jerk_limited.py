@@ -7,7 +7,6 @@ begin and end without acceleration. docs/motions.md and docs/design/trajectories
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,16 +28,6 @@ NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 # Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
 # whole time.
 CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B52
-
-
-class Timed(NamedTuple):
-    """A trajectory's arrays; see `Trajectory`."""
-
-    times: Floats
-    knots: Floats
-    rates: Floats
-    blended: Bools
-    bends: Floats
 
 
 class JerkLimited(NamedTuple):
@@ -107,8 +96,8 @@ class JerkLimited(NamedTuple):
         blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
         return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
 
-    def timed(self, halves: Floats) -> Timed:
-        """Compute the trajectory of all phases in sequence."""
+    def timed(self, halves: Floats) -> tuple[Floats, Floats, Floats, Bools, Floats]:
+        """Compute the arrays of a `Trajectory` of all phases in sequence."""
         on, (speeds, profiles) = self.straights, self._profiles(halves)
         (knots, ways, shares), still = self._bends(halves), np.zeros_like(on.rows[0])
         rows = [(0.0, on.rows[0], still, still, False)]
@@ -126,7 +115,7 @@ class JerkLimited(NamedTuple):
                     if shares[k, m, 0] > 0:
                         rows.append((shares[k, m, 0] * seconds, knots[k, m + 1], ways[k, m + 1] / seconds, bend, True))
         seconds, positions, rates, pushes, blended = (np.array(column) for column in zip(*rows, strict=True))
-        return Timed(np.cumsum(seconds), positions, rates, blended[1:].astype(bool), pushes)
+        return np.cumsum(seconds), positions, rates, blended[1:].astype(bool), pushes
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -142,22 +131,13 @@ class JerkLimited(NamedTuple):
             speeds[k + 1] = min(speeds[k + 1], reached(length, limits, speeds[k]))
         for k in range(len(left) - 1, -1, -1):
             speeds[k] = min(speeds[k], reached(left[k], self.along[k], speeds[k + 1]))
-        return speeds, [
-            phases(length, limits, *ends)
-            for length, limits, ends in zip(left, self.along, pairwise(speeds), strict=True)
-        ]
+        return speeds, [phases(left[k], self.along[k], speeds[k], speeds[k + 1]) for k in range(len(left))]
 
     def _bends(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Compute the cubic pieces of blends.
+        """Compute three cubic pieces of each blend; the second may have no duration.
 
-        Returns
-        -------
-        knots : ndarray, shape (corners, 4, dof)
-            The ends of the three pieces. The second may have no duration.
-        ways : ndarray, shape (corners, 4, dof)
-            Velocities at the knots times the blend's duration.
-        shares : ndarray, shape (corners, 3, 1)
-            The durations of the pieces as shares of the blend's.
+        The arrays are the ends of the pieces, shape (corners, 4, dof); the velocities there, times the duration of the
+        blend; and the durations of the pieces as shares of it, shape (corners, 3, 1).
         """
         first, _, last = self.straights.corners(halves)
         sized = zip(halves.tolist(), self.across, strict=True)

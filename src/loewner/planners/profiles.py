@@ -14,7 +14,7 @@ from typing import NamedTuple
 # Accuracy of computed speeds; they are never larger than allowed, and the distance that this loses is made up for.
 ACCURACY = 1e-13
 
-# Number of profiles that are kept: the choice of blends asks for the same ones again and again.
+# Number of profiles that are kept: the choice of blends needs most of them repeatedly.
 KEPT = 2**14
 
 
@@ -90,7 +90,7 @@ def phases(length: float, limits: Limits, first: float, last: float) -> tuple[Ph
 
     peak = _largest(needed, max(first, last), 1.0, length)
     ramps, level, slower = needed(peak), length - needed(peak), 1.0
-    if ramps > 0 and level < limits.least * peak:  # the ramps take the whole length, and are slower by so much
+    if ramps > 0 and level < limits.least * peak:  # the ramps are stretched to take the whole length
         level, slower = 0.0, length / ramps
     cruise = [Phase(level / peak, level, peak, 0.0)] if level > 0 else []
     up, down = _ramped(first, peak, slower, limits), _ramped(peak, last, slower, limits)

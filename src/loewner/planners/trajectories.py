@@ -523,12 +523,12 @@ def trajectory(
         Two or more configurations, as from `plan`; each joint value changes linearly from one configuration to the
         next.
     velocity : float or array_like, shape (dof,), optional
-        Velocity limits [rad/s or m/s]. Default: those of `limits`, or of the URDF (`Robot.velocity`).
+        Velocity limits [rad/s or m/s]. Default: from `limits`, or from the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. Default: those of `limits`. A URDF has none; a joint without a limit
+        Acceleration limits [rad/s² or m/s²]. Default: from `limits`. A URDF has none; a joint without a limit
         reaches its velocity limit in one second.
     jerk : float or array_like, shape (dof,), optional
-        Jerk limits [rad/s³ or m/s³]. Default: those of `limits`. Without any, accelerations jump.
+        Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without any, accelerations jump.
     limits : JointLimits, optional
         Limits from a file.
     checker : CollisionChecker, optional
