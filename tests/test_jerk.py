@@ -21,6 +21,8 @@ from loewner.planners.joint_limits import limits_of
 from loewner.planners.judge import Judge
 from loewner.planners.profiles import Limits, phases, ramp, ramp_way, reached
 from loewner.planners.trajectories import _corners
+from loewner.robots.courses import configurations
+from loewner.robots.curves import curve_of
 from motion_oracle import FINGERS, example, free_configurations, ring, steps, written
 from test_trajectories import dense, in_blend, off_polyline, paths
 
@@ -291,6 +293,35 @@ def test_joints_far_from_zero(robot):
     moved = trajectory(robot, path, velocity=1.0, acceleration=10.0, jerk=1e3)
     for found, limit in zip(extremes(moved.times, moved.knots, moved.rates), (1.0, 10.0, 1e3), strict=True):
         assert (found <= limit).all()
+
+
+def test_short_motions_between_blends(robot, alone):
+    """What blends leave of short motions is passed so slowly that it takes no less than the shortest phase."""
+    path = 1e-3 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0], [2, 2, 0]]) + [10.0, 0.0, 0.0]
+    given_limits = {"velocity": np.full(3, 10.0), "acceleration": np.full(3, 1e6), "jerk": np.full(3, 1e10)}
+    moved = trajectory(robot, path, checker=alone, blend=0.49, **given_limits)
+    assert len(moved.blends) == 3
+    assert np.diff(moved.times).min() >= least(path, given_limits) * (1 - 1e-9)
+    for found, limit in zip(extremes(moved.times, moved.knots, moved.rates), given_limits.values(), strict=True):
+        assert (found <= limit).all()
+
+
+def test_long_trajectories_of_short_motions(robot):
+    """Late in a long trajectory times are less accurate, and limits are kept nevertheless."""
+    path = np.zeros((3001, 3))
+    path[1::2, 0] = 1e-3
+    moved = trajectory(robot, path, velocity=1.0, acceleration=1e4, jerk=1e14)
+    for found, limit in zip(extremes(moved.times, moved.knots, moved.rates), (1.0, 1e4, 1e14), strict=True):
+        assert (found <= limit).all()
+
+
+def test_courses_are_the_trajectory(robot, smooth):
+    """What is proven, piece by piece, are the positions that are computed."""
+    curve, s = curve_of(robot, smooth, "curve"), np.linspace(0, 1, 7)
+    for k, course in enumerate(curve.courses):
+        t = smooth.times[k] + s * (smooth.times[k + 1] - smooth.times[k])
+        values = configurations(robot, np.broadcast_to(course, (7, *course.shape)), s)
+        assert values == pytest.approx(smooth.positions(np.minimum(t, smooth.duration)), abs=1e-14)
 
 
 @pytest.mark.parametrize("jerk", [5e-324, 1e-250])

@@ -77,7 +77,7 @@ class JerkLimited(NamedTuple):
 
     @property
     def wanted(self) -> Floats:
-        """For each corner, the size of the blend that is passed at full speed; see `speeds`."""
+        """For each corner, the size of the blend that is passed at full speed."""
         edges = [ramp(1.0, limits) for limits in self.across]
         return np.array([edge + flat / 2 for edge, flat in edges])
 
@@ -101,10 +101,10 @@ class JerkLimited(NamedTuple):
         on, (speeds, profiles) = self.straights, self._profiles(halves)
         (knots, ways, shares), still = self._bends(halves), np.zeros_like(on.rows[0])
         rows = [(0.0, on.rows[0], still, still, False)]
-        taken = [0.0, *halves.tolist(), 0.0]
+        taken, ends = [0.0, *halves.tolist(), 0.0], [*knots[:, 0], on.rows[-1]]
         for k, profile in enumerate(profiles):
             gone = np.cumsum([taken[k], *(phase.way for phase in profile)])[1:]
-            at = [*on.at(np.full(len(gone) - 1, k), gone[:-1] / on.lengths[k]), [*knots[:, 0], on.rows[-1]][k]]
+            at = [*on.at(np.full(len(gone) - 1, k), gone[:-1] / on.lengths[k]), ends[k]]
             for phase, knot in zip(profile, at, strict=True):
                 rows.append((phase.seconds, knot, phase.speed * on.full[k], phase.acceleration * on.full[k], False))
             if taken[k + 1] > 0:
