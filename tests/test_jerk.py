@@ -324,11 +324,21 @@ def test_courses_are_the_trajectory(robot, smooth):
         assert values == pytest.approx(smooth.positions(np.minimum(t, smooth.duration)), abs=1e-14)
 
 
-@pytest.mark.parametrize("jerk", [5e-324, 1e-250])
-def test_jerk_out_of_range(robot, jerk):
+def test_limits_that_are_never_reached(robot, alone):
+    """Very high limits of velocity or acceleration make no difference."""
+    path = [[0, 0, 0], [0.5, 0, 1], [0.5, 0.5, 0]]
+    for checker, unequal in ((None, [1e3, 1e90, 1e80]), (alone, 1e80)):
+        expected = trajectory(robot, path, velocity=1e3, acceleration=1e3, jerk=10.0, checker=checker)
+        for velocity, acceleration in ((1e12, 1e3), (1e3, 1e12), (1e12, 1e12), (unequal, 1e3)):
+            moved = trajectory(robot, path, velocity=velocity, acceleration=acceleration, jerk=10.0, checker=checker)
+            assert moved.duration == pytest.approx(expected.duration, rel=1e-4)
+
+
+@pytest.mark.parametrize(("velocity", "jerk"), [(1.0, 5e-324), (1.0, 1e-250)])
+def test_jerk_out_of_range(robot, velocity, jerk):
     """Limits that no time can be computed from are refused."""
     with pytest.raises(InputError, match="jerk"):
-        trajectory(robot, [[0, 0, 0], [1, 1, 0]], velocity=1.0, jerk=jerk)
+        trajectory(robot, [[0, 0, 0], [1, 1, 0]], velocity=velocity, acceleration=1.0, jerk=jerk)
 
 
 # -- proven blends ------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
 TO_ROUNDING = 1e-6
 
 # Bound on the error of a velocity, an acceleration or a jerk on one phase, in units of the largest position, plus the
-# distance at full speed in the whole time, divided by a power of the phase's duration; see docs/certified.md, "Blends".
+# distance at the highest speed in the whole time, divided by a power of the phase's duration; see docs/certified.md.
 NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 
 # Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
@@ -56,15 +56,21 @@ class JerkLimited(NamedTuple):
             gains, jerks = ([smallest(limit / way) for way in ways] for limit in (strongest, jerk))
             lengths = straights.lengths
             stopping = lengths + 2 * np.sqrt(lengths / gains[0]) + np.cbrt(32 * lengths / jerks[0])
-            covered = np.where(np.isfinite(fastest), fastest, 0.0) * stopping.sum()
+            # No corner, and no motion between two corners, can be passed at a higher share of full speed.
+            shorter = np.minimum(lengths[:-1], lengths[1:])
+            at = np.minimum(np.sqrt(gains[1] * shorter), np.cbrt(jerks[1] * shorter**2))
+            at = np.minimum(np.maximum(np.append(0.0, at), np.append(at, 0.0)), 1.0)[: len(lengths)]
+            top = np.minimum(np.sqrt(at**2 + 2 * gains[0] * lengths), np.cbrt(at**3 + jerks[0] * lengths**2))
+            speeds = np.minimum(top, 1.0)[:, None] * ways[0]
+            covered = speeds.max(axis=0, initial=0.0) * stopping.sum()
             noise = NOISE / TO_ROUNDING * (np.abs(rows).max(axis=0) + covered)
             leasts = [noise / fastest, np.sqrt(noise / strongest), np.cbrt(noise / jerk)]
-        if not (np.concatenate(jerks) > 1 / LARGEST_RATIO).all():
+        least, lowest = float(np.max(leasts)), float(np.concatenate(jerks).min(initial=np.inf))
+        if not (lowest > 1 / LARGEST_RATIO and least < LARGEST_RATIO):
             raise InputError(
-                f"jerk: expected limits of at least {1 / LARGEST_RATIO:g} of full speed per second squared, found "
-                f"{jerks[0].min():g}"
+                f"jerk: expected a path and limits with ratios up to {LARGEST_RATIO:g}, found a jerk of {lowest:g} of "
+                f"full speed per second squared, and phases of at least {least:g} s"
             )
-        least = max(float(np.max(each)) for each in leasts)
         along, across = (
             [Limits(*each, least) for each in zip(gain.tolist(), most.tolist(), strict=True)]
             for gain, most in zip(gains, jerks, strict=True)

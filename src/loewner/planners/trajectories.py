@@ -50,6 +50,9 @@ ROUNDED = 1e-15
 # blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
 SHORTEST = 1e-7
 
+# A row at a constant rate is left out if it is nearer than this share of the period to a knot with limited jerk.
+CLOSEST = 0.05
+
 # Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
 CHOSEN_AT_A_TIME = 32
 
@@ -403,8 +406,9 @@ class Trajectory:
         """Return the same trajectory with more knots."""
         ticks = self._ticks(rate)
         after = np.searchsorted(self.times, ticks)  # the last is the end itself
-        # Between two rows that are almost at the same time, accelerations would be noise.
-        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > SHORTEST
+        # Between two rows that are almost at the same time, accelerations or jerks would be noise.
+        closest = SHORTEST if self.bends is None else CLOSEST
+        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > closest
         times = np.union1d(self.times, ticks[apart])
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
         bends = None if self.bends is None else self.accelerations(times)
