@@ -323,6 +323,7 @@ BAD = {
     "path": ([[0, 0, 0]], [0, 0, 0], [[0, 0], [1, 1]], [[0, 0, np.nan], [0, 0, 0]], "path", None, []),
     "velocity": (0.0, -1.0, np.nan, np.inf, [1.0, 1.0], [1.0, 1.0, 0.0], "fast", True),
     "acceleration": (0.0, -1.0, np.nan, np.inf, [1.0, 1.0], [1.0, 1.0, 0.0], "fast", True),
+    "jerk": (0.0, -1.0, np.nan, np.inf, [1.0, 1.0], [1.0, 1.0, 0.0], "fast", True),
     "blend": (-0.1, 0.5, np.nan, "much", None),
     "checker": ("checker", 1, object()),
 }
