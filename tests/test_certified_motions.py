@@ -520,7 +520,7 @@ def long_sweeps(arm):
     rng = np.random.default_rng(3)
     scene = ring(rng, 45, 0.35, 0.9, 0.04)
     checker = CollisionChecker(arm, scene)
-    Q = free_configurations(checker, 3000)
+    Q = free_configurations(checker, 6000)
     return checker, Q, steps(arm, rng, Q, 4.0)
 
 
