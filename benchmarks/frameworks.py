@@ -24,8 +24,8 @@ from samples import Array
 SIZES = {1: 200, 1000: 5}
 
 
-def main() -> None:
-    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+def main(arguments: list[str] | None = None) -> None:
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args(arguments)
     sample = panda()
     checker = CollisionChecker(sample.robot, obstacles(0))
     Q = sample.robot.random_configurations(max(SIZES), 1)

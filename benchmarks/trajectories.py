@@ -1,9 +1,10 @@
-"""Trajectories along planned paths for Panda: blends beside stops, and TOPP-RA along the same curves.
+"""Trajectories along planned paths for Panda: blends beside stops, limits of jerk, and TOPP-RA and Ruckig beside them.
 
     python benchmarks/trajectories.py --data FILE [--every N] [--out FOLDER]
 
 FILE is the set of 700 problems that docs/scenes.md describes. Results go to benchmarks/results/<machine>/, or to
-FOLDER. toppra (pip install toppra) is asked for times along the blended paths, if it is there.
+FOLDER. If toppra and ruckig are installed (pip install toppra ruckig), toppra is asked for times along the blended
+paths, and ruckig for motions between the corners.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 import report
 from clock import threads_set_to
@@ -32,6 +34,10 @@ HERE = Path(__file__).parent
 # Limits of acceleration: what the maker of the arm states (rad/s², the finger m/s²), and those of `trajectory`.
 STATED = [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0, 1.0]
 LIMITS = {"stated": STATED, "default": None}
+# Limits of jerk, in units of the limits of acceleration: the maker's.
+JERK = 500.0
+# A motion of Ruckig leaves the straight line if it is farther from it than this (rad), at so many times.
+OFF_LINE, TIMES = 1e-6, 200
 # Where TOPP-RA holds limits, beside the ends of blends; and where what it found is looked at.
 GRID, LOOKS = 800, 20_000
 SAMPLES = 2_000
@@ -53,6 +59,16 @@ class Result:
     toppra_share, toppra_ms, toppra_excess : float or None
         TOPP-RA on the same curve: seconds as a share of `blended`, milliseconds, and the largest acceleration as a
         multiple of the limit.
+    smooth_stopping, smooth_blended : float
+        Seconds with limits of jerk.
+    smooth_blends : int
+    smooth_excess : float
+        The largest velocity, acceleration or jerk of both, at any real time, as a multiple of its limit.
+    smooth_verdict : int
+        Verdict of the blended one.
+    ruckig_share, ruckig_off : float, int or None
+        Seconds of Ruckig for the motions on which it stays on the straight line, as a share of those of `trajectory`;
+        and the number of motions on which it does not.
     """
 
     group: str
@@ -67,6 +83,13 @@ class Result:
     toppra_share: float | None
     toppra_ms: float | None
     toppra_excess: float | None
+    smooth_stopping: float
+    smooth_blended: float
+    smooth_blends: int
+    smooth_excess: float
+    smooth_verdict: int
+    ruckig_share: float | None
+    ruckig_off: int | None
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -114,6 +137,7 @@ def measured(task: Task) -> list[Result]:
             Result(
                 task.problem.group, name, len(path) - 2, len(blended.blends), stopping.duration, blended.duration,
                 stopping_ms, blended_ms, int(hits.sum()), *(rival or (None, None, None)),
+                *smooth(task, path, acceleration),
             )
         )  # fmt: skip
     return found
@@ -127,6 +151,54 @@ def best(make: Any, rounds: int = 5) -> tuple[Trajectory, float]:
         made = make()
         seconds.append(time.perf_counter() - began)
     return made, 1e3 * min(seconds)
+
+
+def smooth(task: Task, path: Array, acceleration: Array) -> list[Any]:
+    """Trajectories with limits of jerk, and Ruckig's motions between the corners."""
+    robot, jerk = task.checker.robot, JERK * acceleration
+    stopping = planners.trajectory(robot, path, acceleration=acceleration, jerk=jerk)
+    blended = planners.trajectory(robot, path, acceleration=acceleration, jerk=jerk, checker=task.checker)
+    excess = max(largest_share(moved, (robot.velocity, acceleration, jerk)) for moved in (stopping, blended))
+    verdict = int(task.checker.certify_trajectory(blended, tolerance=1e-7).verdict)
+    rival = by_ruckig(robot, path, acceleration, jerk) or (None, None)
+    return [stopping.duration, blended.duration, len(blended.blends), excess, verdict, *rival]
+
+
+def largest_share(moved: Trajectory, limits: Sequence[Array]) -> float:
+    """The largest velocity, acceleration or jerk of the cubics through the knots, as a multiple of its limit."""
+    pieces = CubicHermiteSpline(moved.times, moved.knots, moved.rates)
+    T = np.diff(moved.times)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turning = np.nan_to_num(np.clip(-pieces.c[1] / (3 * pieces.c[0]), 0, T))  # where the acceleration is 0
+    speeds = [(3 * pieces.c[0] * t + 2 * pieces.c[1]) * t + pieces.c[2] for t in (0 * T, T, turning)]
+    accelerations = [6 * pieces.c[0] * t + 2 * pieces.c[1] for t in (0 * T, T)]
+    found = zip((speeds, accelerations, [6 * pieces.c[0]]), limits, strict=True)
+    return max(float((np.abs(values) / limit).max()) for values, limit in found)
+
+
+def by_ruckig(robot: Robot, path: Array, acceleration: Array, jerk: Array) -> tuple[float | None, int] | None:
+    """Ruckig's seconds, with phase synchronisation, as a share, and the number of its motions that leave the line."""
+    try:
+        import ruckig
+    except ImportError:
+        return None
+    ours, theirs, off = 0.0, 0.0, 0
+    for a, b in zip(path[:-1], path[1:], strict=True):
+        given = ruckig.InputParameter(robot.dof)
+        given.current_position, given.target_position = a.tolist(), b.tolist()
+        given.max_velocity, given.max_acceleration = robot.velocity.tolist(), acceleration.tolist()
+        given.max_jerk, given.synchronization = jerk.tolist(), ruckig.Synchronization.Phase
+        found = ruckig.Trajectory(robot.dof)
+        if ruckig.Ruckig(robot.dof).calculate(given, found) < 0:
+            continue
+        Q = np.array([found.at_time(t)[0] for t in np.linspace(0, found.duration, TIMES)])
+        shares = (Q - a) @ (b - a) / ((b - a) @ (b - a))
+        if np.abs(a + shares[:, None] * (b - a) - Q).max() > OFF_LINE:
+            off += 1
+            continue
+        theirs += found.duration
+        ours += planners.trajectory(robot, [a, b], acceleration=acceleration, jerk=jerk).duration
+    return theirs / ours if ours else None, off
 
 
 class Curve:
@@ -208,7 +280,22 @@ def summary(name: str, found: Sequence[Result]) -> str:
             f"{np.median(took):.0f} ms, with accelerations up to {np.median(excess):.2f} of the limits "
             f"(most {excess.max():.2f})"
         )
-    return text
+    else:
+        text += "; without TOPP-RA, since toppra is not installed"
+    stopping, blended = (sum(getattr(result, key) for result in found) for key in ("smooth_stopping", "smooth_blended"))
+    text += (
+        f"\n  with limits of jerk: {sum(r.smooth_blends for r in found)} corners blended; "
+        f"{stopping / len(found):.2f} s with stops, {blended / len(found):.2f} s with blends "
+        f"({blended / stopping:.3f}); at most {max(r.smooth_excess for r in found):.7f} of a limit at any time; "
+        f"{sum(r.smooth_verdict == 0 for r in found)} of {len(found)} blended ones are proven free"
+    )
+    shares = np.array([r.ruckig_share for r in found if r.ruckig_share is not None])
+    if not len(shares):
+        return text + "; without Ruckig, since ruckig is not installed"
+    return text + (
+        f"; Ruckig takes {shares.min():.4f} to {shares.max():.4f} of the time with stops, and leaves the line on "
+        f"{sum(r.ruckig_off or 0 for r in found)} motions"
+    )
 
 
 def write(found: Sequence[Result], path: Path) -> None:

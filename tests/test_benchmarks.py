@@ -233,7 +233,7 @@ def test_frameworks_are_benchmarked(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     jax = pytest.importorskip("jax")
     monkeypatch.setattr(frameworks, "SIZES", {1: 1, 3: 1})
     try:
-        frameworks.main()
+        frameworks.main([])
     finally:
         jax.config.update("jax_enable_x64", False)
     lines = capsys.readouterr().out.splitlines()
@@ -412,6 +412,10 @@ def test_trajectories_of_planned_paths(arm: robot_samples.Sample, problems: Path
         assert row["blends"] <= row["corners"]
         assert row["colliding"] == "0"
         assert row["toppra_share"] == "" or 0.8 < float(row["toppra_share"]) < 1.01
+        assert float(row["blended"]) <= float(row["smooth_blended"]) <= float(row["smooth_stopping"])
+        assert float(row["smooth_excess"]) <= 1
+        assert row["smooth_verdict"] == "0"
+        assert row["ruckig_share"] == "" or 0.95 < float(row["ruckig_share"]) < 1.01
     assert capsys.readouterr().out.count("1 paths") == 2
     assert trajectories.main(["--data", str(tmp_path / "none.json")]) == 0
     assert "not run" in capsys.readouterr().out

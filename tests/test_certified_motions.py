@@ -518,9 +518,9 @@ def closing(tmp_path):
 def long_sweeps(arm):
     """Motions of 4 rad of an arm among thin plates."""
     rng = np.random.default_rng(3)
-    scene = ring(rng, 14, 0.35, 0.8, 0.1)
+    scene = ring(rng, 45, 0.35, 0.9, 0.04)
     checker = CollisionChecker(arm, scene)
-    Q = free_configurations(checker, 400)
+    Q = free_configurations(checker, 6000)
     return checker, Q, steps(arm, rng, Q, 4.0)
 
 

@@ -74,6 +74,14 @@ def test_check_prints_the_exact_distance(saved, capsys):
     assert re.search(r"normal +1 -?0 -?0, from A to B", out)
 
 
+def test_contact_is_0_m_apart(saved, capsys):
+    """Two faces in contact are 0 m apart, without a sign, in both commands."""
+    loewner.Body.box([1, 1, 1]).save("unit.npz")
+    loewner.Body.box([1, 1, 1]).transformed([[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).save("next.npz")
+    assert "            0 m, exact" in run(capsys, "check", "unit.npz", "next.npz")[1]
+    assert re.search(r"COLLIDING +│ 0 ", run(capsys, "clearance", "unit.npz", "next.npz")[1])
+
+
 def test_check_json(saved, capsys):
     """--json prints one JSON object that agrees with the library."""
     status, out, _ = run(capsys, "check", "a.npz", "b.npz", "--pose-b", "0 1.25 0", "--json")
@@ -123,7 +131,7 @@ def test_poses_in_every_form_agree(saved, capsys):
     ("arguments", "message"),
     [
         (["none.npz", "b.npz"], "none.npz"),
-        (["none.stl", "b.npz"], "none.stl: expected a mesh file, found no such file"),
+        (["none.stl", "b.npz"], "none.stl: expected a mesh file, but there is no such file"),
         (["empty.stl", "b.npz"], "empty.stl: expected a mesh file, found an empty one"),
         (["text.npz", "b.npz"], "text.npz"),
         (["a.npz", "b.npz", "--pose-a", "1 2"], "--pose-a: expected"),
@@ -595,7 +603,7 @@ def test_robot_check_files(folder, capsys):
         (["bare.urdf", "--random", "5"], "robot: expected a robot with collision geometry, found none in 'bare'"),
         ([*ROBOT, "--state", "left", "--margin", "0.1"], "--margin: expected --scene with it"),
         ([*ROBOT, "--scene", "wall.yaml", "--state", "left", "--margin", "-1"], "margin: expected"),
-        ([*WITH_WALL, "--configs", "none.npy"], "none.npy: expected configurations, found no such file"),
+        ([*WITH_WALL, "--configs", "none.npy"], "none.npy: expected configurations, but there is no such file"),
         ([*WITH_WALL, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy, .csv or .json file, found .urdf"),
         ([*WITH_WALL, "--configs", "text.npy"], "text.npy: expected an array of numbers"),
         ([*WITH_WALL, "--configs", "narrow.npy"], "narrow.npy: expected shape (..., 3)"),
@@ -608,7 +616,15 @@ def test_robot_check_files(folder, capsys):
         ([*WITH_WALL, "--configs", "two.csv"], "two.csv: expected a column for each joint value, found none for turn"),
         ([*WITH_WALL, "--configs", "twice.csv"], "twice.csv: expected each column once, found x 2 times"),
         ([*WITH_WALL, "--configs", "half.csv"], "half.csv: expected 3 numbers in each row, found 1,2,a in row 1"),
-        ([*WITH_WALL, "--configs", "german.csv"], "german.csv: expected numbers divided by commas, found semicolons"),
+        ([*WITH_WALL, "--configs", "german.csv"], "german.csv: expected numbers separated by commas, found semicolons"),
+        (
+            [*WITH_WALL, "--configs", "spaces.csv"],
+            "spaces.csv: expected numbers separated by commas, found spaces: 0.5 1 2",
+        ),
+        (
+            [*WITH_WALL, "--configs", "below.csv"],
+            "below.csv: expected numbers separated by commas, found spaces: 0.5 1 2",
+        ),
         ([*WITH_WALL, "--configs", "hole.csv"], "hole.csv: expected 3 numbers in each row, found ,, in row 2"),
         ([*WITH_WALL, "--configs", "quoted.csv"], "quoted.csv: expected 3 numbers in each row, found 0,5,1,2 in row 1"),
         ([*WITH_WALL, "--configs", "ragged.csv"], "ragged.csv: expected 3 numbers in each row, found 1,2 in row 2"),
@@ -628,6 +644,8 @@ def test_robot_check_errors(folder, capsys, arguments, message):
     Path("hole.csv").write_text("1,2,3\n,,\n1,2,3\n")
     Path("quoted.csv").write_text('"0,5",1,2\n')
     Path("german.csv").write_text("0,5;1;2\n")
+    Path("spaces.csv").write_text("0.5 1 2\n")
+    Path("below.csv").write_text("x,y,turn\n0.5 1 2\n")
     Path("bare.urdf").write_text('<robot name="bare"><link name="a"/></robot>')
     Path("ragged.csv").write_text("1,2,3\n1,2\n")
     Path("empty.csv").touch()
@@ -698,7 +716,9 @@ def test_plan_prints_a_table(with_end, capsys):
     assert [int(k) for k, _, _ in rows] == list(range(count))
     length = float(re.search(r"^length +([0-9.]+)", out, flags=re.M)[1])
     assert sum(float(part) for _, part, _ in rows) == pytest.approx(length, rel=1e-3)
-    nearest = float(re.search(r"^nearest +([0-9.]+) mm, on motion \d+: exact, but measured at 33", out, flags=re.M)[1])
+    nearest = float(
+        re.search(r"^nearest +([0-9.]+) mm, on motion \d+: the least of the exact distances at 33", out, flags=re.M)[1]
+    )
     assert nearest == min(float(part) for _, _, part in rows)
 
 
@@ -815,7 +835,7 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", "0,,1,2"], "--goal: expected numbers, a .npy, .csv or .json file, or with --srdf"),
         (["--start", HERE, "--goal", "0,5 1 2"], "not by both, and no decimal commas, found '5 1 2'"),
         (["--start", "two.csv", "--goal", THERE], "--start: expected one configuration, shape (3,), found (2, 3)"),
-        (["--start", HERE, "--goal", "none.npy"], "none.npy: expected configurations, found no such file"),
+        (["--start", HERE, "--goal", "none.npy"], "none.npy: expected configurations, but there is no such file"),
         (["--start", HERE, "--goal", "empty.csv"], "goal: expected shape (3,) or (goals, 3), found (0, 3)"),
         (["--start", HERE, "--goal", "text.json"], "text.json: expected an array of numbers, found something else"),
         (["--start", HERE, "--goal", "keys.json"], "\"names\" and \"configurations\", found 'names', 'values'"),
@@ -956,6 +976,51 @@ def test_audit_of_a_collision(with_end, capsys):
     assert len(re.findall(r"^│ [12] +│ ", out, flags=re.M)) == 2
 
 
+@pytest.mark.parametrize("name", ["path.csv", "path.json"])
+def test_audit_of_a_path_that_plan_has_written(with_end, capsys, name):
+    """The audit proves the same motions as the plan, by number, and says that there are no times."""
+    planned = json.loads(run(capsys, *AROUND, "-o", name, "--json")[1])
+    audit = ("audit", *ROBOT, name, "--scene", "end.yaml")
+    status, out, err = run(capsys, *audit, "--json")
+    answer = json.loads(out)
+    assert (status, err, answer["verdict"], answer["timed"]) == (0, "", "FREE", False)
+    assert (answer["begins"], answer["ends"]) == (0, len(planned["motions"]))
+    out = run(capsys, *audit)[1]
+    assert out.startswith(f"FREE  {len(planned['motions'])} pieces, proven free at every configuration on the way\n")
+    assert "; it has no times\n" in out
+    assert " s\n" not in out
+    status, _, err = run(capsys, *audit, "--controller", "cubic")
+    assert (status, err) == (
+        2,
+        "loewner: error: --controller cubic: expected points with times, found a path without\n",
+    )
+
+
+def test_audit_of_a_path_that_collides(with_end, capsys):
+    """A motion of a path collides where `certify_edges` finds it; columns may be in any order."""
+    Path("path.csv").write_text("turn,x,y\n1.5,-0.5,0.7\n1.5,0,0.7\n1.5,0,-0.5\n1.5,0.5,0.7\n")
+    status, out, _ = run(capsys, "audit", *ROBOT, "path.csv", "--scene", "end.yaml", "--json")
+    answer = json.loads(out)
+    path = np.array([[-0.5, 0.7, 1.5], [0, 0.7, 1.5], [0, -0.5, 1.5], [0.5, 0.7, 1.5]])
+    found = checker_of_folder().certify_edges(path[:-1], path[1:])
+    assert (status, answer["verdict"], answer["time"]) == (1, "COLLIDING", 1 + found.fraction[1])
+    assert [piece["number"] for piece in answer["unproven"]] == [1, 2]
+    assert answer["nearest"] == pytest.approx(-0.15, abs=1e-6)
+    assert run(capsys, "audit", *ROBOT, "path.csv", "--scene", "end.yaml", "-o", "path.svg")[0] == 1
+    drawn = Path("path.svg").read_text()
+    for text in ("COLLIDING", "ball and wall", "150 mm", "number of the configuration"):
+        assert f"<!-- {text} -->" in drawn
+
+
+def test_audit_refuses_tables_without_names(with_end, capsys):
+    """A first column of times without a header is never read as a joint."""
+    for text in ("0,0.7,1.5\n1,0.7,1.5\n", "x,y,tool\n0,0.7,1.5\n1,0.7,1.5\n", "x,y,turn\n0,0.7,1.5\n"):
+        Path("moves.csv").write_text(text)
+        status, _, err = run(capsys, *AUDIT)
+        assert status == 2
+        assert "where time and different joints should be named" in err
+
+
 def test_audit_follows_the_controller(with_end, capsys):
     """Between the same points the straight line is free, and the cubic with these velocities is not."""
     Path("moves.csv").write_text(
@@ -1085,9 +1150,12 @@ def test_installed_program(saved):
     assert done.stdout.startswith("FREE")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "told"),
-    [
+def test_without_rich_tables_are_plain(saved):
+    """Status and cells are those with Rich; there are no lines about them, and no progress."""
+    gantry(saved)
+    (saved / "wall.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1]}\n")
+    (saved / "end.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1], position: [0, -1.5, 0]}\n")
+    cases = [
         (["fit", "cube.stl", "-o", "out"], 0, r"loewner fit\nbody +pieces +vertices .*\nout/cube.npz +1 +8 "),
         (["robot", "info", "gantry.urdf"], 0, r"(?m)^turn +-?inf +inf$|^turn "),
         (
@@ -1101,19 +1169,21 @@ def test_installed_program(saved):
             r"(?m)^motion +length +verdict +nearest, mm +pair +poses +searches$",
         ),
         (["paper", "--pairs", "5"], 0, r"(?m)^table +detector "),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_without_rich_tables_are_plain(saved, arguments, status, told):
-    """Status and cells are those with Rich; there are no lines about them, and no progress."""
-    gantry(saved)
-    (saved / "wall.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1]}\n")
-    (saved / "end.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1], position: [0, -1.5, 0]}\n")
-    code = f"import sys; sys.modules['rich'] = None; from loewner import cli; sys.exit(cli.main({arguments}))"
+    ]
+    code = f"""
+import sys
+sys.modules["rich"] = None
+from loewner import cli
+for arguments in {[arguments for arguments, _, _ in cases]}:
+    print(cli.main(arguments), end="\\0")
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode in (status, 0), done.stderr
-    assert re.search(told, done.stdout), done.stdout
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (0, "")
+    *outputs, rest = done.stdout.split("\0")
+    assert rest == ""
+    for (_, status, told), out in zip(cases, outputs, strict=True):
+        assert out.splitlines()[-1] in (str(status), "0"), out
+        assert re.search(told, out), out
 
 
 def test_a_setting_that_is_wrong_is_told_by_info():

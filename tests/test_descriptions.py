@@ -4,6 +4,7 @@ import json
 import math
 import os
 import pickle
+import re
 import threading
 import time
 import warnings
@@ -421,6 +422,24 @@ def test_origins_in_degrees_are_told_once(tmp_path):
     (tmp_path / "s.yaml").write_text("bodies:\n  a:\n    sphere: {radius: 1}\n    rpy: [0, 0, 90]\n")
     with pytest.warns(UserWarning, match="s.yaml, line 4: expected roll, pitch and yaw in radians, found 90"):
         load_scene(tmp_path / "s.yaml")
+
+
+@pytest.mark.parametrize("limits", ["-180 .. 180", "0 .. 45", "-720 .. 0"])
+def test_limits_in_degrees_are_told_once(tmp_path, limits):
+    """Limits of revolute joints that are probably in degrees cause one warning, and those of slides none."""
+    lower, upper = limits.split(" .. ")
+    text = chain(4, lambda k: f'<limit lower="{lower}" upper="{upper}"/>')
+    expected = f"line 2: joint 'j0': expected limits in radians, found {limits}; are they in degrees? (2 more like it)"
+    with pytest.warns(UserWarning, match=re.escape(expected)) as told:
+        read(tmp_path, text)
+    assert len(told) == 1
+    read(tmp_path, text.replace("revolute", "prismatic"))
+
+
+@pytest.mark.parametrize("limit", [12.5, 1000, 1e16])
+def test_limits_of_two_turns_and_no_limits_are_plausible(tmp_path, limit):
+    """A warning is an error here."""
+    read(tmp_path, chain(3, lambda k: f'<limit lower="{-limit}" upper="{limit}"/>'))
 
 
 def test_the_order_of_quaternions_is_said(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from gantry import gantry
+from loewner import load_scene
 from robot_oracle import robots_folder
 
 ROOT = Path(__file__).parent.parent
@@ -60,6 +61,13 @@ def test_readme_prints_what_it_says(folder_with_meshes, capsys):
     out = capsys.readouterr().out.splitlines()
     assert out[:2] == ["<Verdict.FREE: 0>", "False"]
     assert any("found all of them in a plane" in line for line in out)
+
+
+def test_the_scene_in_the_readme_loads(tmp_path):
+    """The README shows a complete file."""
+    (text,) = re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "README.md").read_text(), flags=re.M | re.S)
+    (tmp_path / "shelf.yaml").write_text(text)
+    assert load_scene(tmp_path / "shelf.yaml").names == ("board",)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))

@@ -123,7 +123,9 @@ def test_impossible_names(name, tmp_path):
 @pytest.mark.skipif(not os.path.exists("/proc/self/mem"), reason="needs Linux's /proc")
 def test_failing_read():
     """An input/output error while reading is a FileError."""
-    with pytest.raises(FileError, match="/proc/self/mem: expected a text, found input/output error"):
+    with pytest.raises(
+        FileError, match=r"/proc/self/mem: expected a text, but it could not be read \(Input/output error\)"
+    ):
         read_regular("/proc/self/mem", "a text", 10)
 
 

@@ -171,7 +171,7 @@ def _joint(rng: np.random.Generator) -> str:
     axis, place, turn = rng.normal(size=3), rng.normal(size=3), rng.uniform(-3, 3, 3)
     text = " ".join(map(str, axis / np.linalg.norm(axis)))
     where = f'<origin xyz="{" ".join(map(str, place))}" rpy="{" ".join(map(str, turn))}"/>'
-    return f'{where}<axis xyz="{text}"/><limit lower="-100" upper="100" effort="1" velocity="1"/>'
+    return f'{where}<axis xyz="{text}"/><limit lower="-1000" upper="1000" effort="1" velocity="1"/>'
 
 
 # -- robots ----------------------------------------------------------------------------------------

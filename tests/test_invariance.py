@@ -171,7 +171,7 @@ def test_bounds_hold_under_bent_poses():
 def test_neighbours_and_precision_of_the_batch(offset: float):
     """A verdict is the pair's own: alone, in a batch, in any order, or beside pieces too small for single precision."""
     rng = np.random.default_rng(0)
-    n = 2000
+    n = 1000
     rods = [0.3 * rng.normal(size=(12, 3)) * [1, 1e-3, 1e-3] for _ in range(20)]
     bodies = Bodies.from_points(rods)
     i, j = rng.integers(20, size=(2, n))

@@ -420,7 +420,7 @@ def gltf(change=None):
         (lambda t: t["buffers"][0].update(uri="https://a.example/b.bin"), "in the folder of this one or below"),
         (
             lambda t: t["buffers"][0].update(uri="none.bin"),
-            "none.bin: expected a buffer of a glTF file, found no such file",
+            "none.bin: expected a buffer of a glTF file, but there is no such file",
         ),
         (lambda t: t["buffers"][0].update(uri="%00.bin"), "a name that no file can have"),
         (lambda t: t.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco_mesh_compression"),

@@ -178,6 +178,18 @@ def test_a_trajectory_is_drawn_by_pairs(ball_and_wall):
     assert "depth, up to 150 mm" in [text.get_text() for text in ax.get_legend().get_texts()]
 
 
+def test_a_path_is_drawn_by_numbers(ball_and_wall):
+    """A path has the picture of the curve that reaches its configurations at the times 0, 1, 2, and so on."""
+    points = through_the_wall()
+    path, curve = plots.trajectory(ball_and_wall, points.positions), plots.trajectory(ball_and_wall, points)
+    assert (path.get_xlabel(), curve.get_xlabel()) == ("number of the configuration", "time, s")
+    assert bars_of(path) == bars_of(curve)
+    shapes = [ax.collections[0].get_paths()[0].vertices for ax in (path, curve)]
+    np.testing.assert_allclose(*shapes, atol=1e-9)
+    with pytest.raises(InputError, match=r"path: expected shape \(k, 3\) with k >= 2, found \(1, 3\)"):
+        plots.trajectory(ball_and_wall, points.positions[:1])
+
+
 def test_a_trajectory_may_be_free_or_ambiguous(ball_and_wall):
     """A free curve has no rows; one that an error of the joints may bring to the wall has a bar and no depth."""
     aside = planners.ControllerPoints([0, 2], [[-0.5, 0.5, 1.5], [0.5, 0.5, 1.5]])

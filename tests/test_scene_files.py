@@ -250,18 +250,35 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
         (
             "bodies:\n  a: {box: [1, 1, 1],\n   pose: [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}",
             3,
-            "pose: matrix: expected a rot",
+            "pose: matrix: expected a rot.*; a pose is a 4x4 matrix, in four rows of four; position with rpy or quat",
+        ),
+        (
+            "bodies:\n  a: {box: [1, 1, 1], pose: [0, 0, 1]}",
+            2,
+            "pose: expected a sequence of 4, found a sequence of 3; a pose is a 4x4 matrix.*; position with",
+        ),
+        (
+            "bodies:\n  a: {box: [1, 1, 1], pose: [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]}",
+            2,
+            r"pose\[0\]: expected a sequence of 4, found a sequence of 3; a pose is a 4x4 matrix",
+        ),
+        ("bodies:\n  a: {box: [1, 1, 1], position: [0, 1]}", 2, r"expected a sequence of 3 \(x, y, z\), found"),
+        ("bodies:\n  a: {box: [1, 1, 1], rpy: [0]}", 2, r"expected a sequence of 3 \(roll, pitch, yaw\), found"),
+        (
+            "bodies:\n  a: {box: [1, 1, 1], quaternion_wxyz: [0, 0, 0]}",
+            2,
+            r"expected a sequence of 4 \(w, x, y, z\), found",
         ),
         ("bodies:\n  a: {box: [1, 1, 1], attach: {touch: []}}", 2, "attach: expected the key link, found touch"),
         ("bodies:\n  a: {box: [1, 1, 1], attach: hand}", 2, "attach: expected a mapping, found 'hand'"),
         ("bodies:\n  a: {box: [1, 1, 1], attach: {link: }}", 2, "attach/link: expected a name, found nothing"),
         ("bodies:\n  a: {points: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}", 2, "points: .*expected"),
         ("bodies:\n  a: {points: []}", 2, "points: .*expected"),
-        ("bodies:\n  a: {mesh: none.stl}", 2, "mesh: .*none.stl: expected a mesh file, found no such file"),
+        ("bodies:\n  a: {mesh: none.stl}", 2, "mesh: .*none.stl: expected a mesh file, but there is no such file"),
         ("bodies:\n  a: {mesh: scene.yaml}", 2, "mesh: .*scene.yaml: expected one of .stl"),
         ("bodies:\n  a: {mesh: parts/part.stl, scale: 0}", 2, "scale: expected factors other than 0"),
         ("bodies:\n  a: {mesh: parts/part.stl, decompose: maybe}", 2, "expected true or false, found 'maybe'"),
-        ("bodies:\n  a: {saved: none.npz}", 2, "saved: .*none.npz: expected a saved file, found no such file"),
+        ("bodies:\n  a: {saved: none.npz}", 2, "saved: .*none.npz: expected a saved file, but there is no such file"),
         ("bodies:\n  '': {box: [1, 1, 1]}", 2, "bodies/: name: expected a name, found ''"),
         ("bodies:\n  [a, b]: {box: [1, 1, 1]}", 2, "bodies: expected a name as key, found a sequence of 2"),
         ("bodies:\n  a: !box {box: [1, 1, 1]}", 2, "expected a mapping, found the tag !box"),
@@ -304,7 +321,7 @@ def test_files_that_are_no_yaml_are_refused(folder, data):
 
 def test_missing_scene_file(tmp_path):
     """A missing file and a directory are refused as what they are."""
-    with pytest.raises(FileError, match="none.yaml: expected a scene in YAML, found no such file"):
+    with pytest.raises(FileError, match="none.yaml: expected a scene in YAML, but there is no such file"):
         load_scene(tmp_path / "none.yaml")
     with pytest.raises(FileError, match="found a directory"):
         load_scene(tmp_path)

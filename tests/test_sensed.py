@@ -568,7 +568,7 @@ def test_scene_files_know_sensor_data(rng: np.random.Generator, tmp_path: Path) 
         assert (loewner.collide(again[name], again.pose(name), SHAPES["ball"], T) == expected).all()
     for text, message in (
         ("cloud: {file: points.npy}", "found none"),
-        ("cloud: {file: none.npy, radius: 1}", "found no such file"),
+        ("cloud: {file: none.npy, radius: 1}", "but there is no such file"),
         ("cloud: {file: scene.yaml, radius: 1}", "ends in .npy"),
         ("voxels: {file: points.npy, size: 1}", "array of bool"),
         ("spheres: [[0, 0, 0]]", "sequence of 4"),

@@ -279,6 +279,18 @@ def test_path_of_a_planner(robot):
     assert_lawful(moved, path, 1.0, 1.0)
 
 
+def test_certify_passes_its_tolerance_on(robot):
+    """The ball passes a wall at 1 µm: less than the default tolerance, but more than a smaller one."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]))
+    checker, x = CollisionChecker(replace(robot, bodies={"ball": Body.sphere(RADIUS)}), scene), -0.05 - RADIUS - 1e-6
+    moved = trajectory(robot, [[x - 0.5, -0.5, 0], [x, 0, 0], [x - 0.5, 0.5, 0]], velocity=1.0)
+    assert moved.certify(checker).verdict == checker.certify_trajectory(moved).verdict == Verdict.AMBIGUOUS
+    assert moved.certify(checker, tolerance=1e-7).verdict == Verdict.FREE
+    with pytest.raises(InputError, match="tolerance: expected"):
+        moved.certify(checker, tolerance=0.0)
+
+
 # -- limits and arguments -----------------------------------------------------------------------
 
 
@@ -323,6 +335,7 @@ BAD = {
     "path": ([[0, 0, 0]], [0, 0, 0], [[0, 0], [1, 1]], [[0, 0, np.nan], [0, 0, 0]], "path", None, []),
     "velocity": (0.0, -1.0, np.nan, np.inf, [1.0, 1.0], [1.0, 1.0, 0.0], "fast", True),
     "acceleration": (0.0, -1.0, np.nan, np.inf, [1.0, 1.0], [1.0, 1.0, 0.0], "fast", True),
+    "jerk": (0.0, -1.0, np.nan, np.inf, [1.0, 1.0], [1.0, 1.0, 0.0], "fast", True),
     "blend": (-0.1, 0.5, np.nan, "much", None),
     "checker": ("checker", 1, object()),
 }

@@ -141,7 +141,7 @@ def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, A
                 raise FileError(f"{name}: expected a regular file, found another kind")
             return _read(stream, name, kind, make)
     except FileNotFoundError:
-        raise FileError(f"{name}: expected a saved file, found no such file") from None
+        raise FileError(f"{name}: expected a saved file, but there is no such file") from None
     except FileError:
         raise
     except OSError as error:

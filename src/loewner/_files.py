@@ -52,10 +52,12 @@ def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
             while size <= limit and (part := file.read(min(CHUNK, max(status.st_size - size, 0) + 1))):
                 parts.append(part)
                 size += len(part)
+    except FileError:
+        raise
+    except FileNotFoundError:
+        raise FileError(f"{name}: expected {what}, but there is no such file") from None
     except OSError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"{name}: expected {what}, found {(error.strerror or str(error)).lower()}") from None
+        raise FileError(f"{name}: expected {what}, but it could not be read ({error.strerror or error})") from None
     except ValueError:  # NUL, or a surrogate that stands for no byte
         raise FileError(f"{name}: expected {what}, found a name that no file can have") from None
     except MemoryError:

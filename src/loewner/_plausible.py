@@ -16,6 +16,10 @@ from contextlib import contextmanager
 # A rotation in a file is written within one turn; two turns leave a margin for any convention [rad].
 LARGEST_RPY = 4 * math.pi
 
+# A joint between stops makes few turns, and limits in degrees of a joint that turns freely end at two turns; some files
+# write a thousand or more for no limit [rad].
+LIMITS_IN_DEGREES = 4 * math.pi, 720.0
+
 # Larger limits are programs' way to write none [rad or m]: 1e16, or the largest float.
 FARTHEST_LIMIT = 1e6
 
@@ -69,3 +73,10 @@ def doubt_about_rpy(rpy: Sequence[float]) -> str:
     """Why roll, pitch and yaw may be in degrees; empty if plausible."""
     most = max(abs(angle) for angle in rpy)
     return f"roll, pitch and yaw in radians, found {most:g}; is it in degrees?" if most > LARGEST_RPY else ""
+
+
+def doubt_about_limits(lower: float, upper: float) -> str:
+    """Why the limits of a revolute joint may be in degrees; empty if plausible."""
+    least, most = LIMITS_IN_DEGREES
+    doubtful = least < max(abs(lower), abs(upper)) <= most
+    return f"limits in radians, found {lower:g} .. {upper:g}; are they in degrees?" if doubtful else ""

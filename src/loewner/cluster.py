@@ -76,7 +76,7 @@ class Fitted:
     Examples
     --------
     >>> from pathlib import Path
-    >>> Fitted({Path("a.stl"): Path("a.npz")}, {}, {Path("b.stl"): "b.stl: found no such file"}, {})
+    >>> Fitted({Path("a.stl"): Path("a.npz")}, {}, {Path("b.stl"): "b.stl: there is no such file"}, {})
     Fitted(1 done, 0 skipped, 1 failed)
     """
 

@@ -164,7 +164,7 @@ class FileError(LoewnerError, OSError):
     >>> loewner.Body.load("none.npz")
     Traceback (most recent call last):
         ...
-    loewner.errors.FileError: none.npz: expected a saved file, found no such file
+    loewner.errors.FileError: none.npz: expected a saved file, but there is no such file
     """
 
 

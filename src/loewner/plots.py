@@ -222,8 +222,9 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     Parameters
     ----------
     checker : CollisionChecker
-    curve : PPoly, BPoly, BSpline, planners.Trajectory or planners.ControllerPoints
-        As for `CollisionChecker.certify_trajectory`.
+    curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or ndarray, shape (k, dof)
+        As for `CollisionChecker.certify_trajectory`; or a path, whose straight motions are proven by
+        `CollisionChecker.certify_edges` and drawn along the numbers of its configurations, since it has no times.
     joint_error : float or array_like, shape (dof,)
         Radians or metres, as for `CollisionChecker.certify_trajectory`.
     ax : matplotlib axes, optional
@@ -237,7 +238,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     Raises
     ------
     InputError
-        If `checker` is not a checker; otherwise as for `CollisionChecker.certify_trajectory`.
+        If `checker` is not a checker; otherwise as for `CollisionChecker.certify_trajectory`, or for
+        `CollisionChecker.certify_edges` if the curve is a path.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -254,9 +256,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     """
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
-    given = curves.curve_of(checker.robot, curve, "curve")
-    found = checker.certify_trajectory(curve, joint_error=joint_error)
-    ticks, _, Q = curves.sampled(checker.robot, given, found)
+    courses, found = curves.proven(checker, curve, joint_error)
+    ticks, _, Q = curves.sampled(checker.robot, courses, found)
     touching = checker.distance_by_pair(Q, within=0.0)
     ax = _flat_axes(ax)
     verdicts, named = found.segments.verdict, [tuple(names) for names in found.segments.names.tolist()]
@@ -277,7 +278,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
         ax.text(1.01, row, f"{1e3 * depths[row].max():.3g} mm", transform=ax.get_yaxis_transform(), va="center")
         label = "_"  # in the legend once
     ax.set_yticks(range(len(pairs)), [" and ".join(names) for names in pairs])
-    ax.set(xlim=(ticks[0], found.times[-1]), ylim=(max(len(pairs), 1) - 0.5, -0.5), xlabel="time, s")
+    ax.set(xlim=(ticks[0], found.times[-1]), ylim=(max(len(pairs), 1) - 0.5, -0.5))
+    ax.set(xlabel="number of the configuration" if isinstance(curve, np.ndarray) else "time, s")
     ax.set_title(found.verdict.name)
     if pairs:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, fontsize="small", frameon=False)

@@ -174,7 +174,8 @@ class Scene:
         return self.snapshot().__dict__
 
     def __repr__(self) -> str:
-        return f"Scene({len(self)} bodies, {len(self._attachments)} of them attached)"
+        count = "1 body" if len(self) == 1 else f"{len(self)} bodies"
+        return f"Scene({count}, {len(self._attachments)} attached)"
 
     # -- contents -----------------------------------------------------------------------------
 
@@ -339,7 +340,7 @@ class Scene:
         doubt = doubt_about_size(radius, max(map(abs, T[:3, 3].tolist())))
         if doubt:
             self._doubted = True
-            warn(f"body {name!r}: expected {doubt} (told once a scene)")
+            warn(f"body {name!r}: expected {doubt} (this warning is given once for each scene)")
 
     def remove(self, name: str) -> None:
         """Remove a body, with all margins and allowed pairs that name it.

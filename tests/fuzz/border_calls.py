@@ -337,6 +337,10 @@ def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
 
+def joint_limits() -> planners.JointLimits:
+    return planners.JointLimits.load("limits.yaml", robot())
+
+
 def roadmap() -> planners.Roadmap:
     return planners.roadmap(checker(), 20, joints="y", fixed=[-0.5, 0.25, 0.0])
 
@@ -440,6 +444,7 @@ def write_files() -> None:
     Path("pole.xml").write_text("<mujoco><worldbody><body><joint/><geom size='0.5'/></body></worldbody></mujoco>")
     np.save("configs.npy", np.zeros((2, 3)))
     moved().save("moved.json")
+    Path("limits.yaml").write_text("joint_limits: {x: {max_velocity: 1.0, max_jerk: 9.0}}")
     FILES.update(os.listdir())
 
 
@@ -1026,6 +1031,8 @@ CALLS: dict[str, Call] = {
             "path": array(PATH, FINITE, "without the first row", "turned over"),
             "velocity": array([1.0, 0.5, 2.0], FINITE, NUMBERS, "a number alone"),
             "acceleration": array([1.0, 0.5, 2.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "jerk": array([8.0, 5.0, 20.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "limits": arg(joint_limits, NONE),
             "checker": arg(checker, NONE),
             "blend": arg(0.25, ZERO, "5e-324"),
         },
@@ -1033,11 +1040,20 @@ CALLS: dict[str, Call] = {
     "planners.Trajectory.positions": Call(on(moved, "positions"), {"t": TIMES}),
     "planners.Trajectory.velocities": Call(on(moved, "velocities"), {"t": TIMES}),
     "planners.Trajectory.accelerations": Call(on(moved, "accelerations"), {"t": TIMES}),
-    "planners.Trajectory.sample": Call(on(moved, "sample"), {"rate": positive()}),
-    "planners.Trajectory.save": Call(on(moved, "save"), {"path": arg("out.csv"), "rate": positive(0.5, NONE)}),
+    "planners.Trajectory.sample": Call(on(moved, "sample"), {"rate": positive(), "full": flag()}),
+    "planners.Trajectory.save": Call(
+        on(moved, "save"), {"path": arg("out.json"), "rate": positive(0.5, NONE), "message": flag()}
+    ),
+    "planners.JointLimits.load": Call(
+        planners.JointLimits.load, {"path": arg("limits.yaml"), "robot": arg(robot, "Robot"), "scaled": flag()}
+    ),
     "planners.Trajectory.certify": Call(
         on(moved, "certify"),
-        {"checker": arg(checker), "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone")},
+        {
+            "checker": arg(checker),
+            "tolerance": positive(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+        },
     ),
     "planners.ControllerPoints": Call(
         planners.ControllerPoints,
@@ -1433,7 +1449,8 @@ RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
     "CertifiedMotions", "CertifiedTrajectory",
     "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
-    "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.Trajectory",
+    "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
+    "planners.Trajectory",
     "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.

@@ -68,8 +68,14 @@ def _arrays() -> list[bytes]:
 
 
 def _trajectory(suffix: str) -> list[bytes]:
-    moved = planners.trajectory(slider().robot, [[0.0], [0.5]], acceleration=1.0)
-    return [_written("t" + suffix, moved.save)]
+    moved = [planners.trajectory(slider().robot, [[0.0], [0.5]], acceleration=1.0, jerk=jerk) for jerk in (None, 9.0)]
+    return [_written("t" + suffix, each.save) for each in moved]
+
+
+LIMITS = b"""default_velocity_scaling_factor: 0.1
+joint_limits:
+  rail: {has_velocity_limits: true, max_velocity: 2.5, has_jerk_limits: false, max_acceleration: 3, max_position: 1}
+"""
 
 
 def _roadmap() -> list[bytes]:
@@ -134,5 +140,6 @@ READERS: dict[str, Reader] = {
     "octree": Reader(_octree, ".bt", Body.from_octree),
     "roadmap": Reader(_roadmap, ".npz", lambda path: planners.Roadmap.load(path, slider())),
     "trajectory-csv": Reader(lambda: _trajectory(".csv"), ".csv", planners.Trajectory.load),
+    "joint-limits": Reader(lambda: [LIMITS], ".yaml", lambda path: planners.JointLimits.load(path, slider().robot)),
     "trajectory-json": Reader(lambda: _trajectory(".json"), ".json", planners.Trajectory.load),
 }

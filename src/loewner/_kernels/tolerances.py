@@ -10,7 +10,7 @@ SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 
 # Likewise for positions (translation, rotated center, dot product), in units of the lengths that were added: for gaps
 # between ellipsoids, support planes of vertices, boxes of trees, support planes of vertices at two poses, curved
-# pieces, curved pieces at two poses, and depths of surfaces.
+# pieces, curved pieces at two poses, depths of surfaces, and gaps at eight configurations.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 33, certified.md B14
 # derived 11, certified.md B19
@@ -18,6 +18,7 @@ POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 54, certified.md B33
 # derived 62, certified.md B34
 # derived 54, certified.md B49
+# derived 63, certified.md B53
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 
 # Allowed deviation of RᵀR from the identity (largest entry). It is wide enough for poses that went through float32

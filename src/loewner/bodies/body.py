@@ -617,7 +617,7 @@ class Body(_Bodies):
         >>> Body.from_octree("none.bt")
         Traceback (most recent call last):
             ...
-        loewner.errors.FileError: none.bt: expected an octree in .bt, found no such file or directory
+        loewner.errors.FileError: none.bt: expected an octree in .bt, but there is no such file
         """
         from loewner.bodies.octrees import occupied_leaves
 
@@ -986,7 +986,7 @@ class Body(_Bodies):
         >>> Body.load("none.npz")
         Traceback (most recent call last):
             ...
-        loewner.errors.FileError: none.npz: expected a saved file, found no such file
+        loewner.errors.FileError: none.npz: expected a saved file, but there is no such file
         """
         from loewner.bodies import files
 

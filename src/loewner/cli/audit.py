@@ -14,7 +14,7 @@ from loewner import Verdict, planners, plots
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
-from loewner.errors import FileError, InputError
+from loewner.errors import FileError, InputError, LoewnerError
 from loewner.robots import curves
 
 # Width of the picture along time, in characters.
@@ -27,9 +27,11 @@ CONTROLLERS = ("linear", "cubic", "quintic")
 EXAMPLES = """examples:
   loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3 -o moves.svg
+  loewner audit panda.urdf path.csv --srdf panda.srdf --scene shelf.yaml       a path of loewner plan -o path.csv
 
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
-  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint.
+  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint;
+  or a path without times that loewner plan has written (.csv or .json), whose straight motions are checked.
 
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
@@ -43,7 +45,9 @@ def add(commands: Any) -> None:
     """Add the command."""
     audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES)
     inputs.add_robot_options(audit)
-    audit.add_argument("trajectory", type=Path, metavar="FILE", help="points with times (.csv, .json, .yaml)")
+    audit.add_argument(
+        "trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)"
+    )
     audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     audit.add_argument(
         "--controller",
@@ -57,7 +61,7 @@ def add(commands: Any) -> None:
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
     audit.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along time (.png or .svg)"
+        "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
     )
     audit.add_argument("--json", action="store_true", help="print JSON")
     audit.set_defaults(run=_run)
@@ -70,19 +74,38 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     inputs.refuse_no_pairs(checker, options.urdf)
-    points = _executed(planners.ControllerPoints.load(options.trajectory), options.controller)
     others = robot.configuration({})
     if options.others is not None:
         others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    points = _complete(points, robot, others)
-    answer = _answer(checker, points, options)
+    given = _read(options.trajectory, robot)
+    if isinstance(given, planners.ControllerPoints):
+        given = _complete(_executed(given, options.controller), robot, others)
+    elif options.controller not in (None, "linear"):
+        raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
+    answer = _answer(checker, given, options)
     if options.out is not None:
-        plots.save(plots.trajectory(checker, points, joint_error=options.joint_error), options.out)
+        plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), options.out)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
         _print_answer(answer)
     return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+
+
+def _read(path: Path, robot: loewner.Robot) -> planners.ControllerPoints | Floats:
+    """Read points with times, or a path without times, as `loewner plan` writes it, of shape (two or more, dof)."""
+    try:
+        return planners.ControllerPoints.load(path)
+    except LoewnerError:
+        if path.suffix.lower() not in configurations.WRITTEN:
+            raise
+        try:
+            rows = np.atleast_2d(robot.checked(configurations.read(path, robot, named=True), str(path)))
+        except LoewnerError:
+            rows = np.empty((0, robot.dof))
+        if len(rows) < 2:
+            raise  # the fault of the points
+        return rows
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
@@ -117,11 +140,10 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
 
 
 def _answer(
-    checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
+    checker: loewner.CollisionChecker, given: planners.ControllerPoints | Floats, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """Return the verdicts and distances of a trajectory and of its pieces, for printing."""
-    curve = curves.curve_of(checker.robot, points, str(options.trajectory))
-    found = checker.certify_trajectory(points, joint_error=options.joint_error)
+    """Return the verdicts and distances of a trajectory or path and of its pieces, for printing."""
+    curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory))
     times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     ticks, piece, Q = curves.sampled(checker.robot, curve, found)
     measured = checker.distance(Q, exact=True)
@@ -147,12 +169,14 @@ def _answer(
         for k, time in zip(unproven.tolist(), ticks[curves.MEASURED :], strict=True)
     ]
     free = found.verdict == Verdict.FREE
+    controller = CONTROLLERS[_derivatives(given)] if isinstance(given, planners.ControllerPoints) else None
     return {
         "robot": checker.robot.name,
         "verdict": found.verdict.name,
         "time": None if free else float(found.time),
         "pair": None if free else list(found.names),
-        "controller": CONTROLLERS[_derivatives(points)],
+        "timed": controller is not None,
+        "controller": controller,
         "joint_error": options.joint_error,
         "begins": float(times[0]),
         "ends": float(times[-1]),
@@ -174,29 +198,35 @@ def _picture(times: Floats, verdicts: Any) -> str:
 
 
 def _print_answer(answer: dict[str, Any]) -> None:
+    unit, comma_unit = (" s", ", s") if answer["timed"] else ("", "")
     count = "1 piece" if answer["pieces"] == 1 else f"{answer['pieces']} pieces"
     if answer["verdict"] == "FREE":
-        print(f"FREE  {count}, proven free at every time")
+        print(f"FREE  {count}, proven free at every {'time' if answer['timed'] else 'configuration on the way'}")
     else:
         print(
             f"{answer['verdict']}  {len(answer['unproven'])} of {count} not proven free, "
-            f"{' and '.join(answer['pair'])} at {answer['time']:.6g} s"
+            f"{' and '.join(answer['pair'])} at {answer['time']:.6g}{unit}"
         )
         table = new_table(
-            "piece", "from, s", "to, s", "verdict", "at, s", "pair", "", "nearest, mm",
+            "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", f"at{comma_unit}", "pair", "", "nearest, mm",
             title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
         )  # fmt: skip
         for piece in answer["unproven"]:
             table.add_row(
                 str(piece["number"]), f"{piece['begins']:.6g}", f"{piece['ends']:.6g}", piece["verdict"],
-                f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:.3f}",
+                f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:z.3f}",
             )  # fmt: skip
         print_table(table)
-    print(f"time      {answer['begins']:.6g} s {answer['picture']} {answer['ends']:.6g} s")
+    what = "time " if answer["timed"] else "point"
+    print(f"{what}     {answer['begins']:.6g}{unit} {answer['picture']} {answer['ends']:.6g}{unit}")
     print("          . proven free   ? ambiguous   # collides, by pieces")
     print(
-        f"nearest   {1e3 * answer['nearest']:.3f} mm at {answer['nearest_time']:.6g} s, "
-        f"{' and '.join(answer['nearest_pair'])}: exact, but measured at {curves.MEASURED} times; negative is a depth"
+        f"nearest   {1e3 * answer['nearest']:z.3f} mm at {answer['nearest_time']:.6g}{unit}, "
+        f"{' and '.join(answer['nearest_pair'])}: the least of the exact distances at {curves.MEASURED} places; "
+        "negative is a depth"
     )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
-    print(f"curve     {answer['controller']} between points{error}")
+    if answer["timed"]:
+        print(f"curve     {answer['controller']} between points{error}")
+    else:
+        print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")

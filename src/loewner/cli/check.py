@@ -15,6 +15,8 @@ from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text, is_sur
 # Share of the mesh's volume by which pieces may exceed it without a note.
 WORTH_TELLING = 0.01
 
+POSE_HELP = '"x y z", "x y z qw qx qy qz" (metres; the quaternion\'s scalar first), or a file (the origin)'
+
 EXAMPLES = """examples:
   loewner check cup.stl spoon.stl --pose-b "0 0 0.02"            the meshes themselves
   loewner check cup.stl spoon.stl --model pieces                 convex pieces of both
@@ -33,8 +35,8 @@ def add(commands: Any) -> None:
     check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES)
     check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
     check.add_argument("b", metavar="B", type=Path)
-    check.add_argument("--pose-a", metavar="POSE", help="pose of A (the origin)")
-    check.add_argument("--pose-b", metavar="POSE", help="pose of B (the origin)")
+    check.add_argument("--pose-a", metavar="POSE", help=f"pose of A: {POSE_HELP}")
+    check.add_argument("--pose-b", metavar="POSE", help=f"pose of B: {POSE_HELP}")
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
     check.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
     check.add_argument("--json", action="store_true", help="print JSON")
@@ -100,9 +102,9 @@ def _print_answer(
     relation = {loewner.Verdict.FREE: "by more than", loewner.Verdict.COLLIDING: "or closer than"}
     keep = f" {relation.get(verdict, 'with a margin of')} {options.margin:g} m" if options.margin else ""
     print(f"{verdict.name}{keep}  ({how})")
-    print(f"distance    {found.lower:.6g} .. {found.upper:.6g} m, from the ellipsoids")
+    print(f"distance    {found.lower:z.6g} .. {found.upper:z.6g} m, from the ellipsoids")
     if found.distance is not None:
-        print(f"            {found.distance:.9g} m, {_kind_of_distance(a, b, found.distance)}")
+        print(f"            {found.distance:z.9g} m, {_kind_of_distance(a, b, found.distance)}")
         print(f"on A        {_numbers(found.witness_a)}")
         print(f"on B        {_numbers(found.witness_b)}")
         print(f"normal      {_numbers(found.normal)}, from A to B")

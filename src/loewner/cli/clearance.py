@@ -94,7 +94,7 @@ def _tell(names: list[str], found: _Found, path: Path | None) -> None:
     """Write the pairs to a file, or print them."""
     if path is None:
         table = new_table(*COLUMNS, title="loewner clearance")
-        for row in _rows(names, found, "{:.6g}"):
+        for row in _rows(names, found, "{:z.6g}"):
             table.add_row(*row)
         print_table(table)
         return

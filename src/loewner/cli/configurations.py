@@ -26,8 +26,11 @@ WRITTEN = (".csv", ".json")
 MOST_BYTES = 2**33
 
 
-def read(path: Path, robot: loewner.Robot) -> Floats:
-    """Read the numbers of a file and order them as the robot's columns; the caller checks their shape."""
+def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
+    """Read the numbers of a file and order them as the robot's columns; the caller checks their shape.
+
+    If `named`, the file must name its columns, as `write` does; a .npy file cannot.
+    """
     suffix = path.suffix.lower()
     if suffix not in READ:
         raise FileError(f"{path}: expected a .npy, .csv or .json file, found {path.suffix or 'no suffix'}")
@@ -39,6 +42,8 @@ def read(path: Path, robot: loewner.Robot) -> Floats:
         found: Any = json.loads(text) if suffix == ".json" else _rows(text)
     except (ValueError, OverflowError, MemoryError, RecursionError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
+    if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found)):
+        raise FileError(f"{path}: expected names of the columns, found none")
     return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
 
 
@@ -81,13 +86,21 @@ def _rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
 
 
+def _has_header(rows: list[list[str]]) -> bool:
+    """Return whether the first row of a table names the columns."""
+    return bool(rows) and not any(_are_numbers([cell]) for cell in rows[0])
+
+
 def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
     """Read the numbers of a table, whose first row may name the columns."""
     names = list(robot.configuration_names)
-    if rows and any(";" in cell for cell in rows[0]):
-        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {','.join(rows[0])}")
+    for row in rows:
+        for cell in row:
+            if ";" in cell or (len(cell.split()) > 1 and _are_numbers(cell.split())):
+                found = "semicolons" if ";" in cell else "spaces"
+                raise FileError(f"{path}: expected numbers separated by commas, found {found}: {','.join(row)}")
     order = names
-    if rows and not any(_are_numbers([cell]) for cell in rows[0]):
+    if _has_header(rows):
         order = rows.pop(0)
         _check_columns(order, names, path)
     for k, row in enumerate(rows):

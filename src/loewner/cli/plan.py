@@ -201,14 +201,14 @@ def _print_answer(answer: dict[str, Any]) -> None:
     )  # fmt: skip
     for k, motion in enumerate(motions):
         table.add_row(
-            str(k), f"{motion['length']:.4g}", motion["verdict"], f"{1e3 * motion['nearest']:.3f}",
+            str(k), f"{motion['length']:.4g}", motion["verdict"], f"{1e3 * motion['nearest']:z.3f}",
             *motion["nearest_pair"], f"{motion['poses']:,}", f"{motion['searches']:,}",
         )  # fmt: skip
     print_table(table)
     if motions:
         k = min(range(len(motions)), key=lambda k: motions[k]["nearest"])
         print(
-            f"nearest   {1e3 * motions[k]['nearest']:.3f} mm, on motion {k}: exact, but measured at "
+            f"nearest   {1e3 * motions[k]['nearest']:z.3f} mm, on motion {k}: the least of the exact distances at "
             f"{answer['measured']} configurations of each motion; margins are not subtracted"
         )
     work = [sum(motion[kind] for motion in motions) for kind in ("poses", "searches")]

@@ -1,9 +1,20 @@
 """Plan paths whose motions are proven free from start to goal, and make trajectories from the paths."""
 
 from loewner.planners.controller_points import ControllerPoints
+from loewner.planners.joint_limits import JointLimits
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
 from loewner.planners.roadmaps import Roadmap, roadmap
 from loewner.planners.trajectories import Trajectory, trajectory
 
-__all__ = ["ControllerPoints", "Roadmap", "Trajectory", "plan", "roadmap", "shorten", "space_information", "trajectory"]
+__all__ = [
+    "ControllerPoints",
+    "JointLimits",
+    "Roadmap",
+    "Trajectory",
+    "plan",
+    "roadmap",
+    "shorten",
+    "space_information",
+    "trajectory",
+]

@@ -160,7 +160,8 @@ class ControllerPoints:
     def _of_message(cls, held: Any) -> ControllerPoints:
         """Read points from a message or from a file written by `Trajectory.save`."""
         if isinstance(held, Mapping) and "blended" in held:
-            return cls(held["times"], held["positions"], held["velocities"], names=held["names"])
+            arrays = held["positions"], held["velocities"], held.get("accelerations")
+            return cls(held["times"], *arrays, names=held["names"])
         message = _message(held, DEEPEST)
         if message is None:
             raise KeyError("points")

@@ -174,7 +174,7 @@ class Space:
             return "a collision, which was gone when it was looked at: the scene has changed"
         named = ", ".join(
             f"{contact.name_a} and {contact.name_b} ("
-            + (f"{1e3 * -contact.distance:.3g} mm deep" if contact.distance <= 0 else
+            + (f"{1e3 * abs(contact.distance):.3g} mm deep" if contact.distance <= 0 else
                f"within their margin, {1e3 * contact.distance:.3g} mm apart")
             + ")"
             for contact in contacts[:NAMED]

@@ -14,7 +14,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,16 +23,16 @@ from loewner import _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
-from loewner._validate import Bools, Floats
+from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
+from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
+from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, refuse_unfree
 from loewner.planners.space import checked_checker
+from loewner.planners.straights import Straights, smallest
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
 from loewner.robots.edges import checked_path
-
-# Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
-UP_IN = 1.0
 
 # A blend that is not proven is halved this many times; then the robot stops at the corner.
 HALVINGS = 5
@@ -51,6 +51,9 @@ ROUNDED = 1e-15
 # blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
 SHORTEST = 1e-7
 
+# A row at a constant rate is left out if it is nearer than this share of the period to a knot with limited jerk.
+CLOSEST = 0.05
+
 # Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
 CHOSEN_AT_A_TIME = 32
 
@@ -59,10 +62,6 @@ LARGEST_SHARE = 0.49
 
 # Largest number of rows on a straight line that are merged into one motion.
 MOST_MERGED = 4096
-
-# Limit on the seconds of a motion at full speed, on the seconds to reach it, and on their reciprocals: squares stay in
-# range.
-LARGEST_RATIO = 1e100
 
 # Allowed deviation of a file's pieces from constant acceleration, for each joint: as a share of its range, and in units
 # of its largest value and of the distance at its largest velocity in the whole time.
@@ -77,7 +76,7 @@ WRITTEN = (*ENDINGS, ".yaml")
 class Trajectory:
     """The position of a robot as a function of time; made by `trajectory`, or read by `load`.
 
-    Accelerations are constant between two consecutive `times`.
+    Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited.
 
     Attributes
     ----------
@@ -89,6 +88,8 @@ class Trajectory:
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
+    bends : ndarray, shape (n, dof), or None
+        Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
 
     Examples
     --------
@@ -107,6 +108,7 @@ class Trajectory:
     knots: Floats
     rates: Floats
     blended: Bools
+    bends: Floats | None = None
 
     def __repr__(self) -> str:
         stops, blends = len(self.stops), len(self.blends)
@@ -123,12 +125,14 @@ class Trajectory:
     @property
     def stops(self) -> Floats:
         """Times, between start and end, at which the robot rests at a corner."""
-        return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1)])
+        inside = self.blended[:-1] & self.blended[1:]  # where a blend turns back
+        return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1) & ~inside])
 
     @property
     def blends(self) -> Floats:
         """Times at which each blend begins and ends, shape (blends, 2)."""
-        return np.stack([self.times[:-1][self.blended], self.times[1:][self.blended]], axis=1)
+        changes = np.diff(self.blended.astype(np.int8), prepend=0, append=0)
+        return np.stack([self.times[changes == 1], self.times[changes == -1]], axis=1)
 
     def positions(self, t: ArrayLike) -> Floats:
         """Compute the configurations at given times.
@@ -154,6 +158,8 @@ class Trajectory:
         array([1., 0.])
         """
         k, x, T = self._pieces(t)
+        if self.bends is not None:
+            return self._cubics(k, x, T)
         # From the three control points of a parabola: it never leaves their hull, and ends where they do.
         middle = self.knots[k] + self.rates[k] * (T / 2)
         found: Floats = (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
@@ -181,8 +187,9 @@ class Trajectory:
                [1. , 0. ]])
         """
         k, x, T = self._pieces(t)
-        found: Floats = (1 - x) * self.rates[k] + x * self.rates[k + (T[..., 0] > 0)]
-        return found
+        m = k + (T[..., 0] > 0)
+        found: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
+        return found if self.bends is None else found + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
 
     def accelerations(self, t: ArrayLike) -> Floats:
         """Compute accelerations at given times; at a jump, the value after the jump.
@@ -205,24 +212,37 @@ class Trajectory:
                [ 0.,  0.],
                [-1.,  0.]])
         """
-        k, _, T = self._pieces(t)
-        change = self.rates[k + (T[..., 0] > 0)] - self.rates[k]
+        k, x, T = self._pieces(t)
+        m = k + (T[..., 0] > 0)
+        if self.bends is not None:
+            return np.asarray((1 - x) * self.bends[k] + x * self.bends[m])
+        change = self.rates[m] - self.rates[k]
         found: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
         return found
 
-    def sample(self, rate: float) -> tuple[Floats, Floats]:
+    @overload
+    def sample(self, rate: float, *, full: Literal[False] = False) -> tuple[Floats, Floats]: ...
+
+    @overload
+    def sample(self, rate: float, *, full: Literal[True]) -> tuple[Floats, Floats, Floats, Floats]: ...
+
+    def sample(self, rate: float, *, full: bool = False) -> tuple[Floats, ...]:
         """Sample the trajectory at a constant rate: times, and positions at these times.
 
         Parameters
         ----------
         rate : float
             Samples per second.
+        full : bool
+            Also return velocities and accelerations.
 
         Returns
         -------
         times : ndarray, shape (m,)
             Multiples of 1 / rate, and the end of the trajectory.
         positions : ndarray, shape (m, dof)
+        velocities, accelerations : ndarray, shape (m, dof)
+            Only if `full`; they are the arrays that `velocities` and `accelerations` return.
 
         Raises
         ------
@@ -240,27 +260,32 @@ class Trajectory:
                [2. , 0. ]]))
         """
         times = self._ticks(rate)
-        return times, self.positions(times)
+        if not _validate.flag(full, "full"):
+            return times, self.positions(times)
+        return times, self.positions(times), self.velocities(times), self.accelerations(times)
 
-    def save(self, path: str | os.PathLike[str], *, rate: float | None = None) -> None:
-        """Write times, positions and velocities to a file, in full precision.
+    def save(self, path: str | os.PathLike[str], *, rate: float | None = None, message: bool = False) -> None:
+        """Write times, positions and velocities to a file, in full precision, and accelerations if jerk is limited.
 
         Parameters
         ----------
         path : path
-            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, and
-            ``blend``, which is 1 if the robot cuts a corner between this row and the next. `load` reads ``.csv`` and
-            ``.json`` files. A ``.yaml`` file contains a ROS ``trajectory_msgs/JointTrajectory`` with times rounded to
-            nanoseconds. It has no accelerations, since a controller follows the trajectory if it interpolates only
-            positions and velocities.
+            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, ``NAME
+            acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
+            and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
+            ``trajectory_msgs/JointTrajectory`` with times rounded to nanoseconds. Where accelerations jump it has none,
+            since a controller follows the trajectory if it interpolates only positions and velocities.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
-            the knots, between which accelerations are constant.
+            the knots, between which accelerations are constant or change linearly.
+        message : bool
+            Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
 
         Raises
         ------
         InputError
-            If the file has any other extension, or the rate is not a number above 0.
+            If the file has any other extension, the rate is not a number above 0, or a ``.csv`` file is to be a
+            message.
         FileError
             If the file cannot be written; an existing file is then left unchanged.
 
@@ -275,7 +300,12 @@ class Trajectory:
         target = _with_ending(path, WRITTEN)
         saved = self if rate is None else self._with_ticks(rate)
         suffix = target.suffix.lower()
-        text = saved._csv() if suffix == ".csv" else saved._json() if suffix == ".json" else saved._yaml()
+        if _validate.flag(message, "message") and suffix == ".csv":
+            raise InputError("message: expected False for a .csv file, found True; messages are .json or .yaml files")
+        if suffix == ".csv":
+            text = saved._csv()
+        else:
+            text = saved._yaml() if suffix == ".yaml" else json.dumps(saved._message() if message else saved._held())
         with replacing(target) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="")
 
@@ -319,13 +349,17 @@ class Trajectory:
             raise FileError(f"{name}: expected {fault}")
         return read._read_only()
 
-    def certify(self, checker: CollisionChecker, *, joint_error: ArrayLike = 0.0) -> CertifiedTrajectory:
+    def certify(
+        self, checker: CollisionChecker, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
+    ) -> CertifiedTrajectory:
         """Prove that the robot is free of collisions at every instant; see `CollisionChecker.certify_trajectory`.
 
         Parameters
         ----------
         checker : CollisionChecker
             A checker for a robot whose joints have these names.
+        tolerance : float
+            Metres, as for `CollisionChecker.certify_trajectory`.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the trajectory at any time.
 
@@ -340,7 +374,7 @@ class Trajectory:
         >>> trajectory(robot, [[0, 0], [2, 0]], acceleration=1.0).certify(CollisionChecker(robot)).verdict
         <Verdict.FREE: 0>
         """
-        return checked_checker(checker).certify_trajectory(self, joint_error=joint_error)
+        return checked_checker(checker).certify_trajectory(self, tolerance=tolerance, joint_error=joint_error)
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -356,6 +390,15 @@ class Trajectory:
         x = np.divide(at - self.times[k], T, out=np.zeros_like(at), where=T > 0)
         return k, x[..., None], T[..., None]
 
+    def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
+        """Return positions on cubic pieces, from the nearer end, for which rounding leaves a straight line least."""
+        m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
+        near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z**3
+        a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)
+        way = (far + away) * (b - a)
+        from_a, from_b = a + ((near * first - far * last) + way), b - ((near * last - far * first) + way)
+        return np.asarray(np.where(x < 0.5, from_a, from_b))
+
     def _ticks(self, rate: float) -> Floats:
         """Return the multiples of a period, and the end."""
         rate = _validate.positive_scalar(rate, "rate")
@@ -368,71 +411,99 @@ class Trajectory:
         """Return the same trajectory with more knots."""
         ticks = self._ticks(rate)
         after = np.searchsorted(self.times, ticks)  # the last is the end itself
-        # Between two rows that are almost at the same time, accelerations would be noise.
-        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > SHORTEST
+        # Between two rows that are almost at the same time, accelerations or jerks would be noise.
+        closest = SHORTEST if self.bends is None else CLOSEST
+        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > closest
         times = np.union1d(self.times, ticks[apart])
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
-        return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended)
+        bends = None if self.bends is None else self.accelerations(times)
+        return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended, bends)
 
     def _csv(self) -> str:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(_header(self.names))
-        table = np.column_stack([self.times, self.knots, self.rates]).tolist()
+        writer.writerow(_header(self.names, self.bends is not None))
+        bends = [] if self.bends is None else [self.bends]
+        table = np.column_stack([self.times, self.knots, self.rates, *bends]).tolist()
         writer.writerows([*row, int(bent)] for row, bent in zip(table, [*self.blended, False], strict=True))
         return out.getvalue()
 
-    def _json(self) -> str:
-        return json.dumps({
+    def _held(self) -> dict[str, Any]:
+        held = {
             "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
             "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
-        })  # fmt: skip
+        }  # fmt: skip
+        return held if self.bends is None else held | {"accelerations": self.bends.tolist()}
+
+    def _message(self) -> dict[str, Any]:
+        """Return the contents of a message of type trajectory_msgs/JointTrajectory."""
+        columns = {"positions": self.knots, "velocities": self.rates}
+        if self.bends is not None:
+            columns["accelerations"] = self.bends
+        points: list[dict[str, Any]] = []
+        for k, time in enumerate(self.times.tolist()):
+            seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
+            points.append({kind: rows[k].tolist() for kind, rows in columns.items()})
+            points[-1]["time_from_start"] = {"sec": seconds, "nanosec": nanoseconds}
+        return {"joint_names": self.names, "points": points}
 
     def _yaml(self) -> str:
-        lines = [f"joint_names: {json.dumps(self.names)}", "points:"]
-        for time, knot, rate in zip(self.times.tolist(), self.knots.tolist(), self.rates.tolist(), strict=True):
-            seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
-            lines.append(f"- positions: {_listed(knot)}\n  velocities: {_listed(rate)}")
-            lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
+        message = self._message()
+        lines = [f"joint_names: {json.dumps(message['joint_names'])}", "points:"]
+        for point in message["points"]:
+            time = point.pop("time_from_start")
+            lines.append("- " + "\n  ".join(f"{kind}: {_listed(values)}" for kind, values in point.items()))
+            lines.append(f"  time_from_start: {{sec: {time['sec']}, nanosec: {time['nanosec']}}}")
         return "\n".join(lines) + "\n"
 
     def _read_only(self) -> Trajectory:
         """Return the same trajectory with read-only arrays."""
-        for array in (self.times, self.knots, self.rates, self.blended):
-            array.setflags(write=False)
+        for array in (self.times, self.knots, self.rates, self.blended, self.bends):
+            if array is not None:
+                array.setflags(write=False)
         return self
 
     def _fault(self) -> str:
         """Describe the first requirement that a trajectory violates; "" if there is none."""
         n, dof = self.times.size, len(self.names)
-        shapes = [a.shape for a in (self.times, self.knots, self.rates, self.blended)]
-        if n == 0 or dof == 0 or shapes != [(n,), (n, dof), (n, dof), (n - 1,)]:
+        columns = [self.knots, self.rates] + ([] if self.bends is None else [self.bends])
+        shapes = [a.shape for a in (self.times, self.blended, *columns)]
+        if n == 0 or dof == 0 or shapes != [(n,), (n - 1,), *[(n, dof)] * len(columns)]:
             return "a time, a position and a velocity of every joint in each row, found something else"
-        if not all(np.isfinite(a).all() for a in (self.times, self.knots, self.rates)):
+        if not all(np.isfinite(a).all() for a in (self.times, *columns)):
             return "finite numbers, found others"
         T = np.diff(self.times)
         if self.times[0] != 0 or not (T > 0).all():
             return "times that start at 0 and increase, found others"
         if self.rates[[0, -1]].any():
             return "rest at both ends, found a velocity"
-        with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused below
-            off = np.abs(np.diff(self.knots, axis=0) - (self.rates[1:] + self.rates[:-1]) * T[:, None] / 2)
-            size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
-            bad = ~(off <= FILE_TOLERANCE * np.ptp(self.knots, axis=0) + FILE_ROUNDINGS * size)
-        if bad.any():
-            k, joint = np.argwhere(bad)[0]
-            return (
-                "constant accelerations between rows, "
-                f"found others of {self.names[joint]} after the time {self.times[k]:g}"
-            )
+        if self.bends is None:
+            return self._jump(self.knots, self.rates, 0.0, "constant accelerations")
+        bent = np.diff(self.bends, axis=0) * T[:, None] ** 2 / 12
+        linear = "accelerations that change linearly"
+        return self._jump(self.rates, self.bends, 0.0, linear) or self._jump(self.knots, self.rates, bent, linear)
+
+    def _jump(self, values: Floats, rates: Floats, bent: FloatOrFloats, wanted: str) -> str:
+        """Describe the first row whose values do not follow from linear rates, less `bent`, since the row before."""
+        T = np.diff(self.times)[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused
+            off = np.abs(np.diff(values, axis=0) - (rates[1:] + rates[:-1]) * T / 2 + bent)
+            size = np.abs(values).max(axis=0) + np.abs(rates).max(axis=0) * self.duration
+            bad = ~(off <= FILE_TOLERANCE * np.ptp(values, axis=0) + FILE_ROUNDINGS * size)
+        for k, joint in np.argwhere(bad)[:1]:
+            return f"{wanted} between rows, found others of {self.names[joint]} after the time {self.times[k]:g}"
         return ""
 
 
 @form_of.register(Trajectory)
 def _form(given: Trajectory, name: str) -> Curve:
-    """Make the curve that a robot executes, parabolas between knots; see `CollisionChecker.certify_trajectory`."""
-    T = np.diff(given.times)[:, None]
-    courses = np.stack([given.knots[:-1], given.knots[:-1] + given.rates[:-1] * (T / 2), given.knots[1:]], axis=1)
+    """Make the curve of parabolas or cubics between knots; see `CollisionChecker.certify_trajectory`."""
+    T, first, last = np.diff(given.times)[:, None], given.knots[:-1], given.knots[1:]
+    if given.bends is not None:
+        inner = first + given.rates[:-1] * (T / 3), last - given.rates[1:] * (T / 3)
+        courses = np.stack([first, *inner, last], axis=1)
+        return Curve(given.names, given.times, courses, CUBIC_ROUNDINGS * np.abs(courses).max(axis=1))
+    courses = np.stack([first, first + given.rates[:-1] * (T / 2), last], axis=1)
     return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
 
 
@@ -443,14 +514,16 @@ def trajectory(
     *,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
+    jerk: ArrayLike | None = None,
+    limits: JointLimits | None = None,
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path, as fast as velocity and acceleration limits allow.
+    """Assign times to a path, as fast as limits of velocity, acceleration and perhaps jerk allow.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
-    parabolas (blends) that are proven free of collisions at every instant; the robot stops at a corner where no blend
-    can be proven.
+    blends that are proven free of collisions at every instant: parabolas, or cubic polynomials if the jerk is limited.
+    The robot stops at a corner where no blend can be proven.
 
     Parameters
     ----------
@@ -459,10 +532,14 @@ def trajectory(
         Two or more configurations, as from `plan`; each joint value changes linearly from one configuration to the
         next.
     velocity : float or array_like, shape (dof,), optional
-        Velocity limits [rad/s or m/s]. Default: the limits of the URDF, `Robot.velocity`.
+        Velocity limits [rad/s or m/s]. Default: from `limits`, or from the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. A URDF has none; by default a joint reaches its velocity limit in one
-        second.
+        Acceleration limits [rad/s² or m/s²]. Default: from `limits`. A URDF has none; a joint without a limit
+        reaches its velocity limit in one second.
+    jerk : float or array_like, shape (dof,), optional
+        Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without any, accelerations jump.
+    limits : JointLimits, optional
+        Limits from a file.
     checker : CollisionChecker, optional
         A checker for this robot. The motions of the path must be proven free.
     blend : float
@@ -478,7 +555,8 @@ def trajectory(
     ------
     InputError
         If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the robot has a
-        floating or ball joint, whose orientations do not change linearly; or if the checker belongs to another robot.
+        floating or ball joint, whose orientations do not change linearly; or if the checker or the limits belong to
+        another robot.
     PlanningError
         If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
         bodies.
@@ -489,9 +567,10 @@ def trajectory(
 
     Notes
     -----
-    If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, and
-    is as fast as the limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to
-    rounding.
+    If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, or
+    begins and ends without acceleration if the jerk is limited, and is as fast as the limits and the neighbouring
+    motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk is limited, a millionth of
+    each limit is left to rounding, and no phase is shorter than about half a millisecond for an arm.
 
     Examples
     --------
@@ -502,6 +581,8 @@ def trajectory(
     Trajectory(3 s, 2 joints, stops at 1 corner, 0 blends)
     >>> trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=CollisionChecker(robot))
     Trajectory(2.5 s, 2 joints, stops at 0 corners, 1 blend)
+    >>> trajectory(robot, path, velocity=1.0, acceleration=2.0, jerk=20.0, checker=CollisionChecker(robot))
+    Trajectory(2.6 s, 2 joints, stops at 0 corners, 1 blend)
     """
     rows = _checked(robot, path)
     share = _validate.positive_scalar(blend, "blend", zero=True)
@@ -510,73 +591,17 @@ def trajectory(
     if checker is not None and checked_checker(checker).robot is not robot:
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
     rows = _corners(rows)
-    fastest, strongest = _limits(robot, rows, velocity, acceleration)
+    fastest, strongest, most = limits_of(robot, rows, limits, velocity, acceleration, jerk)
     judge = None if checker is None else Judge.of(checker, 0.0)
     if judge is not None and len(rows) > 1:
         refuse_unfree(judge, rows, "path")
-    straights = Straights.of(rows, fastest, strongest)
+    motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
     halves = np.zeros(max(len(rows) - 2, 0))
     if judge is not None and share > 0 and len(halves):
-        halves = _shortest(straights, _proven_blends(judge, straights, share))
-    return _timed(robot, straights, halves)
-
-
-class Straights(NamedTuple):
-    """The motions of a path.
-
-    Attributes
-    ----------
-    rows : ndarray, shape (k + 1, dof)
-        The ends of the motions.
-    lengths : ndarray, shape (k,)
-        Durations of the motions at full speed, in seconds.
-    full : ndarray, shape (k, dof)
-        Velocities at full speed, that is, with one joint at its limit.
-    gains : ndarray, shape (k,)
-        Fractions of full speed by which the speed can change per second.
-    strongest : ndarray, shape (dof,)
-        Limits of acceleration.
-    """
-
-    rows: Floats
-    lengths: Floats
-    full: Floats
-    gains: Floats
-    strongest: Floats
-
-    @classmethod
-    def of(cls, rows: Floats, fastest: Floats, strongest: Floats) -> Straights:
-        """Make the motions between rows, within limits."""
-        with np.errstate(all="ignore"):
-            ways = np.diff(rows, axis=0)
-            lengths = np.abs(ways / fastest).max(axis=1, initial=0.0)
-            full = ways / lengths[:, None]
-            gains = _least(strongest / np.abs(full))
-        ratios = np.concatenate([lengths, gains])
-        if not ((ratios > 1 / LARGEST_RATIO) & (ratios < LARGEST_RATIO)).all():
-            raise InputError(
-                f"expected a path and limits with ratios up to {LARGEST_RATIO:g}, found motions of "
-                f"{lengths.min():g} to {lengths.max():g} s at full speed, of which a second adds a share of "
-                f"{gains.min():g} to {gains.max():g}"
-            )
-        return cls(rows, lengths, full, gains, strongest)
-
-    def part(self, first: int, last: int) -> Straights:
-        """Select the motions at the corners from `first` up to, but without, `last`."""
-        motions = slice(first, last + 1)
-        return Straights(
-            self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
-        )
-
-    def at(self, k: Any, share: Floats) -> Floats:
-        """Return the configurations at fractions of motions."""
-        a, b = self.rows[k], self.rows[k + 1]
-        return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
-
-    def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the points where blends begin, the corners, and the points where blends end; see `_passed`."""
-        k = np.arange(len(halves))
-        return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
+        halves = _shortest(motions, _proven_blends(judge, motions, share))
+    if isinstance(motions, JerkLimited):
+        return Trajectory(robot.configuration_names, *motions.timed(halves))._read_only()
+    return _timed(robot, motions, halves)
 
 
 # -- arguments ----------------------------------------------------------------------------------
@@ -584,41 +609,13 @@ class Straights(NamedTuple):
 
 def _checked(robot: Robot, path: ArrayLike) -> Floats:
     """Check a user's path."""
-    if not isinstance(robot, Robot):
-        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    expect_robot(robot)
     if not robot.runs_straight:
         raise InputError(
             f"robot: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "
             "whose orientations do not"
         )
     return checked_path(robot, path)
-
-
-def _limits(
-    robot: Robot, rows: Floats, velocity: ArrayLike | None, acceleration: ArrayLike | None
-) -> tuple[Floats, Floats]:
-    """Return velocity and acceleration limits, shape (dof,) each; infinite for joints that do not move."""
-    moves = (rows != rows[0]).any(axis=0)
-    fastest = robot.velocity if velocity is None else _per_joint(robot, velocity, "velocity")
-    unknown = moves & ~np.isfinite(fastest)
-    if unknown.any():
-        names = ", ".join(name for name, none in zip(robot.configuration_names, unknown, strict=True) if none)
-        raise InputError(
-            f"velocity: expected a limit of each joint that moves, found none above 0 in the URDF for {names}; "
-            f"give velocity=, one number or {robot.dof}"
-        )
-    strongest = fastest / UP_IN if acceleration is None else _per_joint(robot, acceleration, "acceleration")
-    return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf)
-
-
-def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
-    """Check positive numbers, one or one per joint, and return one per joint."""
-    array = _validate.positive_array(limit, name, ("...",))
-    if array.shape not in ((), (robot.dof,)):
-        raise InputError(
-            f"{name}: expected one number or shape ({robot.dof},), found {_validate.shape_text(array.shape)}"
-        )
-    return np.broadcast_to(array, robot.dof)
 
 
 def _corners(rows: Floats) -> Floats:
@@ -645,27 +642,30 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
     return bool(ordered and (off <= ROUNDED * np.maximum(np.abs(a), np.abs(b))).all())
 
 
-def _least(ratios: Floats) -> Floats:
-    """Return the smallest ratio in each row, ignoring 0 / 0."""
-    return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
-
-
 # -- blends -------------------------------------------------------------------------------------
 
 
-def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Floats]:
+def _proven_blends(judge: Judge, motions: Straights | JerkLimited, share: float) -> list[Floats]:
     """Find for each corner the blend sizes that are proven free, largest first; the last is 0, a stop."""
+    straights = motions if isinstance(motions, Straights) else motions.straights
     lengths = straights.lengths
     turns = np.abs(np.diff(straights.full, axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = 1 / (2 * _least(straights.strongest / turns))  # so that it is passed at full speed
+        wanted = 1 / (2 * smallest(straights.strongest / turns))  # so that it is passed at full speed
+    if isinstance(motions, JerkLimited):
+        wanted = motions.wanted
     shorter = np.minimum(lengths[:-1], lengths[1:])
     halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
-    astray = BLEND_ROUNDINGS * speeds * _duration(straights, np.zeros(len(halves)))
+    astray = BLEND_ROUNDINGS * speeds * _duration(motions, np.zeros(len(halves)))
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
-        free = _free(judge, *straights.corners(halves), astray) & (halves > SHORTEST * shorter)
+        free = (
+            motions.free(judge, halves, astray)
+            if isinstance(motions, JerkLimited)
+            else _free(judge, *straights.corners(halves), astray)
+        )
+        free &= halves > SHORTEST * shorter
         for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
             if good:
                 sizes.append(half)
@@ -682,7 +682,7 @@ def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Flo
     return judge.proven(courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + astray)
 
 
-def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
+def _shortest(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose one of the proven blend sizes for each corner, `CHOSEN_AT_A_TIME` corners at a time."""
     parts = [
         _shortest_part(straights.part(first, first + len(sizes)), sizes)
@@ -692,7 +692,7 @@ def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
     return stops if _duration(straights, stops) < _duration(straights, halves) else halves
 
 
-def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
+def _shortest_part(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose blend sizes for a path with few corners, such that no change of a single size shortens the duration."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = _duration(straights, halves)
@@ -722,7 +722,7 @@ def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[flo
         blend's end; 0 for a stop.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = _least(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
+        room = smallest(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
         limits = np.sqrt(np.where(halves > 0, 2 * halves * room, 0.0))
     taken = np.concatenate([[0.0], halves, [0.0]])
     left = np.maximum(straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
@@ -759,8 +759,10 @@ def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
     return found
 
 
-def _duration(straights: Straights, halves: Floats) -> float:
+def _duration(straights: Straights | JerkLimited, halves: Floats) -> float:
     """Compute the total duration in seconds."""
+    if isinstance(straights, JerkLimited):
+        return straights.duration(halves)
     speeds, left = _passed(straights, halves)
     total = sum(2 * half / speed if half else 0.0 for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True))
     for k, (length, gain) in enumerate(zip(left, straights.gains.tolist(), strict=True)):
@@ -811,29 +813,32 @@ def _listed(numbers: list[float]) -> str:
     return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"
 
 
-def _header(names: tuple[str, ...]) -> list[str]:
-    return ["time", *names, *(f"{name} velocity" for name in names), "blend"]
+def _header(names: tuple[str, ...], bends: bool) -> list[str]:
+    kinds = ("", " velocity", " acceleration") if bends else ("", " velocity")
+    return ["time", *(name + kind for kind in kinds for name in names), "blend"]
 
 
 def _read_csv(text: str) -> Trajectory:
     """Read a string written by `_csv`."""
     header, *rows = csv.reader(io.StringIO(text), strict=True)
-    names = tuple(header[1 : len(header) // 2])
-    if header != _header(names):
+    bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
+    names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
+    if header != _header(names, bends):
         raise ValueError(f"the header {_validate.short(header)}")
     table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
-    knots, rates = np.split(table[:, 1:-1], 2, axis=1)
-    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0)
+    knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
+    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, *more)
 
 
 def _read_json(text: str) -> Trajectory:
-    """Read a string written by `_json`."""
+    """Read a string written by `save`."""
     held = json.loads(text)
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
         raise ValueError("other names than texts, or blends that are neither true nor false")
-    times, knots, rates = (np.array(held[key], dtype=np.float64) for key in ("times", "positions", "velocities"))
-    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool))
+    keys = ["times", "positions", "velocities", *(["accelerations"] if "accelerations" in held else [])]
+    times, knots, rates, *more = (np.array(held[key], dtype=np.float64) for key in keys)
+    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), *more)
 
 
 def _why(error: Exception) -> str:

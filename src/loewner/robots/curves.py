@@ -16,7 +16,8 @@ from loewner._kernels import codes, tolerances
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.queries import Verdict
-from loewner.robots.courses import configurations
+from loewner.robots.courses import configurations, straight
+from loewner.robots.edges import checked_path
 from loewner.robots.motions import CertifiedMotions, Found
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
@@ -113,12 +114,12 @@ def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error
                     f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it, or lower joint_error"
                 )
             part: Any = (array[first:last] for array in proven)
-            found[k] = _of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
+            found[k] = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             first = last
     return [one for one in found if one is not None]
 
 
-def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
+def of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
     """Make the result of a curve from the earliest of its worst segments."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         for k in np.flatnonzero(segments.verdict == verdict)[:1]:
@@ -126,6 +127,19 @@ def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajecto
             a, b = segments.names[k].tolist()
             return CertifiedTrajectory(verdict, float(time), (a, b), times, segments)
     return CertifiedTrajectory(Verdict.FREE, np.nan, ("", ""), times, segments)
+
+
+def proven(checker: Any, given: Any, joint_error: ArrayLike, name: str = "curve") -> tuple[Curve, CertifiedTrajectory]:
+    """Return the courses of a curve, and whether it is free.
+
+    An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
+    """
+    if not isinstance(given, np.ndarray):
+        return curve_of(checker.robot, given, name), checker.certify_trajectory(given, joint_error=joint_error)
+    rows = checked_path(checker.robot, given)
+    a, b = rows[:-1], rows[1:]
+    curve = Curve(None, np.arange(len(rows), dtype=np.float64), straight(checker.robot, a, b), np.zeros_like(a))
+    return curve, of_segments(curve.times, checker.certify_edges(a, b, joint_error=joint_error))
 
 
 def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Floats, Ints, Floats]:

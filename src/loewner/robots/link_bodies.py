@@ -237,9 +237,9 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
             "which is no regular file"
         )
     raise FileError(
-        f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found no such file; "
-        f"looked at {', '.join(map(str, looked)) or 'no place'}. Other folders of packages can be given (package_dirs, "
-        "--package-dir)"
+        f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, but there is no such "
+        f"file; looked at {', '.join(map(str, looked)) or 'no place'}. Other folders of packages can be given "
+        "(package_dirs, --package-dir)"
     )
 
 

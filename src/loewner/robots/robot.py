@@ -101,6 +101,8 @@ class Robot:
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies that are connected directly by a joint, or through links without bodies and at
         most one moving joint.
+    mimics : dict
+        Name of a joint that mimics another to the other joint's name and the factor between their rates.
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
@@ -133,12 +135,12 @@ class Robot:
     states: dict[str, State]
     disabled_pairs: frozenset[Pair]
     adjacent_pairs: frozenset[Pair]
+    mimics: dict[str, tuple[str, float]]
     tree: Tree
     urdf: Path
     package_dirs: tuple[Path, ...]
     _columns: dict[str, slice] = field(repr=False)
-    # For messages: the joint that each mimicking joint follows, and the links that only have visual geometry.
-    _mimics: dict[str, str] = field(repr=False)
+    # For messages: the links that only have visual geometry.
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
     # The source format, "URDF" or "MJCF", and the text if it was not read from a file.
@@ -210,7 +212,7 @@ class Robot:
         UserWarning
             If the SRDF names links or joints that the robot does not have, or none that it has; if it names a different
             robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or the angles of
-            an origin are probably not in radians.
+            an origin or the limits of revolute joints are probably not in radians.
 
         Examples
         --------
@@ -266,12 +268,12 @@ class Robot:
             states=Named("state", semantics.states),
             disabled_pairs=semantics.disabled_pairs,
             adjacent_pairs=adjacent,
+            mimics={j.name: (j.mimic.joint, j.mimic.multiplier) for j in robot.joints.values() if j.mimic is not None},
             tree=tree_of(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
             package_dirs=tuple(place.absolute() for place in places),
             _columns=columns,
-            _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,
             _watch=Watch(robot.name, names, lower, upper, turns, free),
             _format=format,
@@ -630,8 +632,8 @@ class Robot:
             q[quaternion.start] = 1.0
         places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
         for name, value in (values or {}).items():
-            if name in self._mimics:
-                followed = self._mimics[name]
+            if name in self.mimics:
+                followed, _ = self.mimics[name]
                 raise UnknownNameError(
                     f"joint: expected one with a value of its own, found {name!r}: {name} mimics {followed}; "
                     f"set {followed!r}"

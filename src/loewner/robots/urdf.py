@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loewner._plausible import FARTHEST_LIMIT, doubt_about_rpy, warn
+from loewner._plausible import FARTHEST_LIMIT, doubt_about_limits, doubt_about_rpy, warn
 from loewner._rotations import from_rpy
 from loewner._validate import Floats
 from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
@@ -174,6 +174,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
             )
     order = _parents_first(root, list(links), joint_above)
     _doubt_angles(root)
+    _doubt_limits(root.path, joints)
     return Description(
         name=root.attributes.get("name", root.path.stem),
         path=root.path,
@@ -374,6 +375,15 @@ def _doubt_angles(root: Element) -> None:
         if origin is not None and doubt:
             warn(f"{root.path}, line {origin.line}: expected {doubt}")
             return
+
+
+def _doubt_limits(path: Path, joints: dict[str, Joint]) -> None:
+    """Warn, once for all revolute joints, if their limits seem to be in degrees."""
+    doubts = {j: doubt_about_limits(j.lower, j.upper) for j in joints.values() if j.kind == "revolute"}
+    doubtful = [joint for joint, doubt in doubts.items() if doubt]
+    if doubtful:
+        joint, more = doubtful[0], f" ({len(doubtful) - 1} more like it)" if len(doubtful) > 1 else ""
+        warn(f"{path}, line {joint.line}: joint {joint.name!r}: expected {doubts[joint]}{more}")
 
 
 def _origin(element: Element) -> Floats:

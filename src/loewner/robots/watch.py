@@ -101,5 +101,5 @@ class Watch:
         unit, slip = ("rad", "degrees") if self._turns[k] else ("m", "millimetres")
         warn(
             f"{where}: expected a value near the limits, found {self._names[k]} = {value:.6g} {unit} with {limits}; "
-            f"is it in {slip}? (told once for {self._robot!r})"
+            f"is it in {slip}? (this warning is given once for robot {self._robot!r})"
         )

@@ -94,9 +94,12 @@ class Node(ABC):
                 raise self.error(f"expected the key {key}, found {some(found) or 'none'}")
         return found
 
-    def items(self, *lengths: int) -> list[Self]:
-        """Return the places of a sequence, which has one of these lengths, or any length if none is given."""
-        wanted = f"a sequence of {' or '.join(map(str, lengths))}" if lengths else "a sequence"
+    def items(self, *lengths: int, names: str = "") -> list[Self]:
+        """Return the places of a sequence, which has one of these lengths, or any length if none is given.
+
+        Names of its entries are shown in messages.
+        """
+        wanted = f"a sequence of {' or '.join(map(str, lengths))}{names and f' ({names})'}" if lengths else "a sequence"
         entries = self.expect("sequence", wanted)
         if lengths and len(entries) not in lengths:
             raise self.error(f"expected {wanted}, found {self.described()}")
@@ -115,9 +118,9 @@ class Node(ABC):
             raise self.error(f"expected a number of metres >= 0, found {number:g}")
         return number
 
-    def numbers(self, length: int) -> list[float]:
-        """Read a given count of finite numbers."""
-        return [item.number() for item in self.items(length)]
+    def numbers(self, length: int, names: str = "") -> list[float]:
+        """Read a given count of finite numbers, whose names are shown in messages."""
+        return [item.number() for item in self.items(length, names=names)]
 
     def rows(self, length: int) -> list[list[float]]:
         """Read rows, each with a given number of finite values."""

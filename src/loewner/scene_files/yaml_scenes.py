@@ -35,6 +35,7 @@ MOST_ENTRIES = 2_000_000
 
 TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
+POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
 BODY_KEYS = (*POSE_KEYS, "attach", "margin")
 MARGIN_KEYS = ("of", "margin", "against", "lower")
 SURFACE_KEYS = ("radius", "solid")
@@ -90,7 +91,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     >>> from pathlib import Path
     >>> _ = Path("table.yaml").write_text("bodies: {table: {box: [1, 1, 0.1], position: [0, 0, 0.5]}}")
     >>> load_scene("table.yaml")
-    Scene(1 bodies, 0 of them attached)
+    Scene(1 body, 0 attached)
     """
     file = _validate.path(path, "path")
     if file.suffix.lower() in MJCF_SUFFIXES:
@@ -426,19 +427,22 @@ def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
         raise entry.error("expected one rotation, found rpy and quaternion_wxyz")
     T = np.eye(4)
     if "pose" in given:
-        rows = [row.numbers(4) for row in keys["pose"].items(4)]
-        with keys["pose"].blamed():
-            T = _validate.poses(rows, "matrix")
+        try:
+            rows = [row.numbers(4) for row in keys["pose"].items(4)]
+            with keys["pose"].blamed():
+                T = _validate.poses(rows, "matrix")
+        except FileError as error:
+            raise FileError(f"{error}; {POSE_HINT}") from None
     if "position" in given:
-        T[:3, 3] = keys["position"].numbers(3)
+        T[:3, 3] = keys["position"].numbers(3, "x, y, z")
     if "rpy" in given:
-        rpy = keys["rpy"].numbers(3)
+        rpy = keys["rpy"].numbers(3, "roll, pitch, yaw")
         doubt = doubt_about_rpy(rpy)
         if doubt:
             warn(f"{entry.file}, line {keys['rpy'].line}: expected {doubt}")
         T[:3, :3] = from_rpy(*rpy)
     if "quaternion_wxyz" in given:
-        wxyz = keys["quaternion_wxyz"].numbers(4)
+        wxyz = keys["quaternion_wxyz"].numbers(4, "w, x, y, z")
         with keys["quaternion_wxyz"].blamed():
             T[:3, :3] = from_quaternion(wxyz, "rotation")
     return T

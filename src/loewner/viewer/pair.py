@@ -229,8 +229,8 @@ class PairViewer(Viewer):
         rows = [
             ("exact", "COLLIDING" if self.colliding else "FREE"),
             (kind, f"{abs(found.distance):.6g} m"),
-            ("bounds", f"{found.lower:.6g} .. {found.upper:.6g} m"),
-            ("estimate", f"{found.estimate:.6g} m"),
+            ("bounds", f"{found.lower:z.6g} .. {found.upper:z.6g} m"),
+            ("estimate", f"{found.estimate:z.6g} m"),
             ("on A", _numbers(found.witness_a)),
             ("on B", _numbers(found.witness_b)),
             ("normal", _numbers(found.normal)),

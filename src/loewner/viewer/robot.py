@@ -592,7 +592,7 @@ class RobotViewer(Viewer):
         deepest = sorted(self.contacts, key=lambda contact: contact.distance)
         lines = [
             f"{c.name_a} – {c.name_b}: " + (f"{-1e3 * c.distance:.3g} mm deep" if c.distance < 0 else
-                                            f"{1e3 * c.distance:.3g} mm apart")
+                                            f"{1e3 * c.distance:z.3g} mm apart")
             for c in deepest
         ]  # fmt: skip
         return cut_short(lines)

@@ -1,7 +1,5 @@
 """GJK between a piece and the hull of another one at two poses: find a plane between them."""
 
-import numpy as np
-
 from loewner._kernels._jit import inline
 from loewner._kernels.codes import APART, OVERLAPPING, TOUCHING
 from loewner._kernels.linalg3 import dot, minus, negated, plus
@@ -49,8 +47,8 @@ def separated(A, first, last, n, least, keep, stretch, memory):
     yes : bool
     n : tuple of 3 float
         Unit direction that was reached.
-    gaps : tuple of 2 float
-        Unless proven, lower bounds on the gaps along n at both poses; -inf where there are none above `least`.
+    open : bool
+        If not proven: whether they may be more than `least` apart.
     """
     shift = shift_between(A, first), shift_between(A, last)
     error = max(rounding_error(A, first, shift[0]), rounding_error(A, last, shift[1]))
@@ -60,9 +58,4 @@ def separated(A, first, last, n, least, keep, stretch, memory):
         lost = max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
     W, result = vertices_of(memory), result_of(memory)
     status, _, _, n = _search(A, (first, last), shift, W, 0, n, error, least + radii, keep + lost, result)
-    gaps = -np.inf, -np.inf
-    if not (status == APART or status == TOUCHING or status == OVERLAPPING):
-        a, b = placed_support(A, n), plus(placed_support(first, negated(n)), shift[0])
-        c = plus(placed_support(last, negated(n)), shift[1])
-        gaps = dot(minus(b, a), n) - (error + lost), dot(minus(c, a), n) - (error + lost)
-    return status == APART, n, gaps
+    return status == APART, n, status not in (TOUCHING, OVERLAPPING)

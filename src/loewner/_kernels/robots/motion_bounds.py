@@ -138,26 +138,6 @@ def _of_course(degree, width, size, first, second):
 
 
 @inline
-def steepest(course, c, order, width):
-    """Bound a derivative of one column of a part of a course, of order 3 or 4."""
-    degree = course.shape[0] - 1
-    if degree < order:
-        return 0.0
-    most, size, factor = 0.0, 0.0, 1.0
-    for k in range(degree + 1):
-        size = max(size, abs(course[k, c]))
-    for k in range(degree + 1 - order):
-        a = course[k + 3, c] - 3.0 * (course[k + 2, c] - course[k + 1, c]) - course[k, c]
-        if order == 4:
-            a = course[k + 4, c] - 3.0 * (course[k + 3, c] - course[k + 2, c]) - course[k + 1, c] - a
-        most = max(most, abs(a))
-    for k in range(order):
-        factor *= (degree - k) / width
-    # Points of a part are rounded, and differences of such order have 16 times their errors, and more of their own.
-    return (most + 16.0 * (PART_ROUNDINGS * degree + 8.0 * UNIT_ROUNDOFF) * size) * factor
-
-
-@inline
 def norm_of_quaternion(course, row, at):
     """Length of the quaternion in the columns at .. at + 4."""
     w, x, y, z = course[row, at], course[row, at + 1], course[row, at + 2], course[row, at + 3]

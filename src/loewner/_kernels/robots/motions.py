@@ -7,11 +7,14 @@ body beyond it at both ends by more than the margin and A w² / 8, proves the pa
 cull
     balls and boxes about swept bodies, and planes between their ellipsoids, seven intervals at a time (`sweeps`).
 search
-    a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair.
+    a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair; a plane that proves one
+    interval is tried on the others (`planes`).
 test
     the exact answer at both ends of an interval that is not proven.
 halve
-    intervals that are still undecided, until there is a plane, a collision, or no difference beyond the tolerance.
+    intervals that are still undecided, until there is a plane, a collision, or no difference beyond the tolerance. The
+    plane that is best at both ends is tested at eight configurations in between. There the bound is a 49th of the one
+    above, and where joints may stray, only their motion along the normal counts (`strays`).
 
 docs/certified.md, "Motions", derives the bounds, and proves that this ends.
 """
@@ -30,10 +33,8 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.directed_strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import (
-    UPWARD,
     VALUE_ROUNDINGS,
     Rates,
     rates_of,
@@ -42,8 +43,9 @@ from loewner._kernels.robots.motion_bounds import (
     write_strays,
 )
 from loewner._kernels.robots.motion_path import configuration_at, write_part
-from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
+from loewner._kernels.robots.planes import write_gaps
+from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.sweeps import (
     BODY,
     INTERVALS,
@@ -58,7 +60,7 @@ from loewner._kernels.robots.sweeps import (
     sweep,
 )
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
-from loewner._kernels.simd.vectors import LANES, highest_bit, load, movemask, store
+from loewner._kernels.simd.vectors import LANES, highest_bit, load, movemask
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
@@ -72,14 +74,11 @@ CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
 # for the convergence of the search.
 DECIDED = 0.5
 
-# Where joints may stray, an interval is settled once its points move by less than this share of what they may stray.
+# Where joints may stray, an interval is settled once its points move by less than this share of V(δ).
 SETTLED_STRAY = 0.125
 
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
-
-# Added to the loss by directed bends [m], for the rounding of rates of a course that nearly rests in a part.
-LOST = 1e-13
 
 PARTS = 8  # parts into which an interval is cut at a time
 # A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
@@ -169,7 +168,7 @@ MEMORY = Arena(
     configurations=floats(LANES, DOF),  # eight configurations
     part_times=floats(LANES),  # eight fractions, and gaps at these
     gaps=floats(4 * LANES),
-    planes=floats((2 + 4 * LINKS) * LANES),  # see `directed_strays`
+    planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
     ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
@@ -190,9 +189,10 @@ _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, 
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
 )
-_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of, _gaps_of, _planes_of, _part_times_of = MEMORY.accessors(
-    "cut_links rates ways swept order off strays gaps planes part_times"
+_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
+    "cut_links rates ways swept order off strays"
 )
+_gaps_of, _planes_of, _part_times_of = MEMORY.accessors("gaps planes part_times")
 _size = MEMORY.sizing()
 
 
@@ -320,18 +320,19 @@ def _moved(near, width):
 
 @inline
 def _write_gaps(motion, near, W, n, count):
-    """Write the gaps of a pair along n at eight configurations, whose links' poses are in W; see `planes.write_gaps`."""
+    """Write the gaps of a pair along n at the eight configurations of W, as `planes.write_gaps`."""
     pieces, problem = pieces_of(motion.pack), problem_of(motion.problem)
     one, other, moving = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1], motion.counts.moving
-    still, fixed, row = _standing_poses(problem), -1, other - moving
+    still, link, fixed, row = _standing_poses(problem), problem.link[one], -1, other - moving
     if other < moving:
         fixed, row = problem.link[other], 0
-    write_gaps(pieces, W, problem.link[one], fixed, still, row, near.i, near.j, n, _planes_of(motion), count, _gaps_of(motion))
+    strays, gaps = _planes_of(motion), _gaps_of(motion)
+    write_gaps(pieces, W, link, fixed, still, row, near.i, near.j, n, strays, count, gaps)
 
 
 @apart
 def _beyond(motion, near, swept, n, live):
-    """Leave out of the intervals `live` those for which a plane with the normal n proves a pair."""
+    """Leave out of the intervals `live` those for which a plane with this normal proves a pair as well."""
     times, gaps, widest = _times_of(motion), _gaps_of(motion), 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
@@ -342,7 +343,7 @@ def _beyond(motion, near, swept, n, live):
 
 @apart
 def _clear_between(motion, near, low, high, n):
-    """Whether a plane with the normal n proves an interval, cut into seven parts."""
+    """Whether a plane with the normal n, in the frame of j's body, proves an interval that is cut into seven parts."""
     problem, tables, pieces = problem_of(motion.problem), motion_tables_of(motion.tables), pieces_of(motion.pack)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     W, Q = _cut_links_of(motion), _configurations_of(motion)
@@ -355,7 +356,7 @@ def _clear_between(motion, near, low, high, n):
         if k > 0:
             widest = max(widest, times[k] - times[k - 1])
     _place_at(motion, W)
-    least, count = _least(near) + _off(near, widest), -1
+    least, count = _least(near) + _off(near, widest), -1  # no strays
     if near.stray > 0.0:
         ways, strays = ways_between(tables, rates, one, link, fixed), _strays_of(motion)
         astray = ways_between(tables, strays, one, link, fixed)
@@ -513,23 +514,21 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
-            least = _least(near)
-            keep = near.margin + near.slack + _off(near, w)
+            least, keep = _least(near), near.margin + near.slack + _off(near, w)
             tally[1] += 1
             if stands:
-                proven, m, gaps = _proven_standing(
+                proven, m, undecided = _proven_standing(
                     motion, near.i, poses, at + a, at + b, near.j, poses, both + a, least, keep, n
                 )  # fmt: skip
             else:
-                proven, m, gaps = _proven_moving(
+                proven, m, undecided = _proven_moving(
                     motion, near.i, near.j, poses, both + a, at + a, both + b, at + b, least, keep, n
                 )  # fmt: skip
+            if not proven and undecided:
+                tally[0] += LANES
+                proven = _clear_between(motion, near, times[depth, a], times[depth, b], m)
             if proven:
                 continue
-            if gaps[0] > least and gaps[1] > least:
-                tally[0] += LANES
-                if _clear_between(motion, near, times[depth, a], times[depth, b], m):
-                    continue
             # A plane that turns with the other body.
             keep = near.margin + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
@@ -587,16 +586,14 @@ def _halve_waiting(motion, count, found, tally):
         link = problem.link[other] if other < motion.counts.moving else -1
         back = ways_between(tables, rates, other, link, problem.link[one])
         n = ways[e, 0], ways[e, 1], ways[e, 2]
-        least = _least(near)
-        keep = near.margin + near.slack + _off(near, times[k + 1] - times[k])
+        least, keep = _least(near), near.margin + near.slack + _off(near, times[k + 1] - times[k])
         tally[1] += 1
-        proven, n, gaps = _proven(motion, near, swept, k, k + 1, least, keep, n)
+        proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
+        if not proven and undecided:
+            tally[0] += LANES
+            proven = _clear_between(motion, near, times[k], times[k + 1], n)
         if proven:
             continue
-        if gaps[0] > least and gaps[1] > least:
-            tally[0] += LANES
-            if _clear_between(motion, near, times[k], times[k + 1], n):
-                continue
         if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
             continue

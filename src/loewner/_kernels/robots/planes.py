@@ -61,15 +61,15 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
     W : ndarray
         Poses of the links.
     link, fixed : int
-        The link of piece i, and that of piece j, or -1 if j stands.
+        The links of pieces i and j; `fixed` is -1 if j is static.
     poses, row :
-        Poses of static bodies, and the row of j's body if it stands.
+        Poses of static bodies, and the row of j's body if it is static.
     i, j : int
         The pieces.
     n : tuple of 3 float
         Unit direction from j to i, in the frame of j's link or of the world.
     strays : ndarray
-        What `directed_strays.write_strays_along` wrote.
+        What `strays.write_strays_along` wrote.
     count : int
         Its result; -1 if joints do not stray.
     out : ndarray, shape (32,)

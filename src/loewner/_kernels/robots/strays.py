@@ -1,8 +1,8 @@
 """How far a piece moves towards another body along a normal, at most, if joints deviate from a course.
 
-The bound V of `motion_bounds` adds up what all joints do in all directions. To first order only what a joint moves along
-the normal n counts: |n · (z × (x - o))| for a turn about the axis z through o, which is known wherever a configuration
-has been placed. See docs/certified.md, "Joint errors along a normal".
+The bound V of `motion_bounds` adds up what all joints do in all directions. To first order, only the motion along the
+normal n counts: |n · (z × (x - o))| for a turn about the axis z through o. It is known wherever a configuration has
+been placed. See docs/certified.md, "Joint errors along a normal".
 """
 
 from loewner._kernels._jit import inline, njit
@@ -16,7 +16,7 @@ from loewner._kernels.robots.sweeps import outer_center, outer_shape
 from loewner._kernels.simd.vectors import LANES, absolute, broadcast, store
 
 # Relative errors of the terms, from rounding and from rotations that are accepted as orthonormal.
-TERMS = 1e-4  # derived 1.1e-5, certified.md B52
+TERMS = 1e-4  # derived 1.7e-5, certified.md B52
 
 
 @inline
@@ -27,7 +27,7 @@ def longest_lever(tables, ways, astray):
 
 @inline
 def error_of_strays(ways, astray, lever, width):
-    """Bound what `write_strays_along` leaves out within an interval of this width: its second derivative, and rounding."""
+    """Bound what `write_strays_along` leaves out in an interval of this width: second derivatives, and rounding."""
     squares = ways.turn * ways.turn + ways.turning
     moved = astray.turn * lever + astray.speed
     between = moved * squares + astray.turn * (2.0 * ways.turn * ways.speed + ways.bend)
@@ -54,13 +54,13 @@ def write_strays_along(tree, tables, hot, W, strays, lever, link, fixed, piece, 
     lever : float
         `longest_lever`.
     link, fixed : int
-        The piece's link and that of the other body, -1 if it stands.
+        The links of the piece and of the other body, -1 if the latter is static.
     piece : int
     n : tuple of 3 float
         Unit normal in the other body's frame.
     planes : ndarray
-        Receives the rest, a bound on the whole for all points of the outer ellipsoid, and the functions: coefficients of
-        a point in the frame of its body, and the constant.
+        Receives vectors: the rest, a bound on the whole for all points of the outer ellipsoid, and the functions, each
+        as three coefficients of a point in the frame of its body and a constant.
 
     Returns
     -------

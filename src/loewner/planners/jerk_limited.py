@@ -1,0 +1,159 @@
+"""Time the motions of a path, and the blends between them, with limited jerk: every piece is a cubic polynomial.
+
+Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes from one
+motion's direction to the other's in up to three phases: the acceleration grows, stays and falls. Both kinds of pieces
+begin and end without acceleration. docs/motions.md and docs/design/trajectories.md describe them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._kernels import tolerances
+from loewner._validate import Bools, Floats
+from loewner.errors import InputError
+from loewner.planners.judge import Judge
+from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
+from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
+
+# Share of each limit that is left to rounding. The shortest phase is chosen so that rounding stays within it.
+TO_ROUNDING = 1e-6
+
+# Bound on the error of a velocity, an acceleration or a jerk on one phase, in units of the largest position, plus the
+# distance at the highest speed in the whole time, divided by a power of the phase's duration; see docs/certified.md.
+NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
+
+# Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
+# whole time.
+CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B54
+
+
+class JerkLimited(NamedTuple):
+    """The motions of a path, and the limits of their changes of speed and direction.
+
+    Attributes
+    ----------
+    straights : Straights
+    along : list of Limits
+        For each motion, limits as shares of full speed along it.
+    across : list of Limits
+        For each corner, limits of the change from one motion's velocity to the other's, as shares of full speed.
+    """
+
+    straights: Straights
+    along: list[Limits]
+    across: list[Limits]
+
+    @classmethod
+    def of(cls, rows: Floats, fastest: Floats, strongest: Floats, jerk: Floats) -> JerkLimited:
+        """Make the motions between rows, within limits, shape (dof,) each."""
+        fastest, strongest, jerk = (limit * (1 - TO_ROUNDING) for limit in (fastest, strongest, jerk))
+        straights = Straights.of(rows, fastest, strongest)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            ways = np.abs(straights.full), np.abs(np.diff(straights.full, axis=0))
+            gains, jerks = ([smallest(limit / way) for way in ways] for limit in (strongest, jerk))
+            lengths = straights.lengths
+            stopping = lengths + 2 * np.sqrt(lengths / gains[0]) + np.cbrt(32 * lengths / jerks[0])
+            # No corner, and no motion between two corners, can be passed at a higher share of full speed.
+            shorter = np.minimum(lengths[:-1], lengths[1:])
+            at = np.minimum(np.sqrt(gains[1] * shorter), np.cbrt(jerks[1] * shorter**2))
+            at = np.minimum(np.maximum(np.append(0.0, at), np.append(at, 0.0)), 1.0)[: len(lengths)]
+            top = np.minimum(np.sqrt(at**2 + 2 * gains[0] * lengths), np.cbrt(at**3 + jerks[0] * lengths**2))
+            speeds = np.minimum(top, 1.0)[:, None] * ways[0]
+            covered = speeds.max(axis=0, initial=0.0) * stopping.sum()
+            noise = NOISE / TO_ROUNDING * (np.abs(rows).max(axis=0) + covered)
+            leasts = [noise / fastest, np.sqrt(noise / strongest), np.cbrt(noise / jerk)]
+        least, lowest = float(np.max(leasts)), float(np.concatenate(jerks).min(initial=np.inf))
+        if not (lowest > 1 / LARGEST_RATIO and least < LARGEST_RATIO):
+            raise InputError(
+                f"jerk: expected a path and limits with ratios up to {LARGEST_RATIO:g}, found a jerk of {lowest:g} of "
+                f"full speed per second squared, and phases of at least {least:g} s"
+            )
+        along, across = (
+            [Limits(*each, least) for each in zip(gain.tolist(), most.tolist(), strict=True)]
+            for gain, most in zip(gains, jerks, strict=True)
+        )
+        return cls(straights, along, across)
+
+    def part(self, first: int, last: int) -> JerkLimited:
+        """Select the motions at the corners from `first` up to, but without, `last`."""
+        return JerkLimited(self.straights.part(first, last), self.along[first : last + 1], self.across[first:last])
+
+    @property
+    def wanted(self) -> Floats:
+        """For each corner, the size of the blend that is passed at full speed."""
+        edges = [ramp(1.0, limits) for limits in self.across]
+        return np.array([edge + flat / 2 for edge, flat in edges])
+
+    def free(self, judge: Judge, halves: Floats, astray: Floats) -> Bools:
+        """Return which blends of given sizes are proven free, including deviations of up to `astray` and rounding."""
+        knots, ways, shares = self._bends(halves)
+        before, after = ways[:, :-1] * shares / 3, ways[:, 1:] * shares / 3
+        courses = np.stack([knots[:, :-1], knots[:, :-1] + before, knots[:, 1:] - after, knots[:, 1:]], axis=2)
+        courses = courses.reshape(-1, *courses.shape[2:])
+        off = CUBIC_ROUNDINGS * np.abs(courses).max(axis=1) + np.repeat(astray, 3, axis=0)
+        return np.asarray(judge.proven(courses, off).reshape(-1, 3).all(axis=1))
+
+    def duration(self, halves: Floats) -> float:
+        """Compute the total duration in seconds."""
+        speeds, profiles = self._profiles(halves)
+        blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
+        return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
+
+    def timed(self, halves: Floats) -> tuple[Floats, Floats, Floats, Bools, Floats]:
+        """Compute the arrays of a `Trajectory` of all phases in sequence."""
+        on, (speeds, profiles) = self.straights, self._profiles(halves)
+        (knots, ways, shares), still = self._bends(halves), np.zeros_like(on.rows[0])
+        rows = [(0.0, on.rows[0], still, still, False)]
+        taken, ends = [0.0, *halves.tolist(), 0.0], [*knots[:, 0], on.rows[-1]]
+        for k, profile in enumerate(profiles):
+            gone = np.cumsum([taken[k], *(phase.way for phase in profile)])[1:]
+            at = [*on.at(np.full(len(gone) - 1, k), gone[:-1] / on.lengths[k]), ends[k]]
+            for phase, knot in zip(profile, at, strict=True):
+                rows.append((phase.seconds, knot, phase.speed * on.full[k], phase.acceleration * on.full[k], False))
+            if taken[k + 1] > 0:
+                seconds = 2 * taken[k + 1] / speeds[k + 1]
+                edge = shares[k, 0, 0] * seconds
+                push = speeds[k + 1] * (on.full[k + 1] - on.full[k]) / (seconds - edge)
+                for m, bend in enumerate((push, push, still)):
+                    if shares[k, m, 0] > 0:
+                        rows.append((shares[k, m, 0] * seconds, knots[k, m + 1], ways[k, m + 1] / seconds, bend, True))
+        seconds, positions, rates, pushes, blended = (np.array(column) for column in zip(*rows, strict=True))
+        return np.cumsum(seconds), positions, rates, blended[1:].astype(bool), pushes
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _profiles(self, halves: Floats) -> tuple[list[float], list[tuple[Phase, ...]]]:
+        """Compute speeds at the rows, as shares of full speed, and the phases between the blends."""
+        taken = np.concatenate([[0.0], halves, [0.0]])
+        left = np.maximum(self.straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
+        speeds = [0.0, *(turned(half, limits) for half, limits in zip(halves.tolist(), self.across, strict=True)), 0.0]
+        # No motion between two blends may be shorter than a phase.
+        for k, (length, limits) in enumerate(zip(left, self.along, strict=True)):
+            speeds[k], speeds[k + 1] = (min(speed, length / limits.least) for speed in speeds[k : k + 2])
+        for k, (length, limits) in enumerate(zip(left, self.along, strict=True)):
+            speeds[k + 1] = min(speeds[k + 1], reached(length, limits, speeds[k]))
+        for k in range(len(left) - 1, -1, -1):
+            speeds[k] = min(speeds[k], reached(left[k], self.along[k], speeds[k + 1]))
+        return speeds, [phases(left[k], self.along[k], speeds[k], speeds[k + 1]) for k in range(len(left))]
+
+    def _bends(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
+        """Compute three cubic pieces of each blend; the second may have no duration.
+
+        The arrays are the ends of the pieces, shape (corners, 4, dof); the velocities there, times the duration of the
+        blend; and the durations of the pieces as shares of it, shape (corners, 3, 1).
+        """
+        first, _, last = self.straights.corners(halves)
+        sized = zip(halves.tolist(), self.across, strict=True)
+        ramps = [ramp(turned(half, limits) or 1.0, limits) for half, limits in sized]
+        edge = np.array([edge / (2 * edge + flat) for edge, flat in ramps]).reshape(-1, 1)
+        full, twice = self.straights.full, 2 * halves[:, None]
+        before, after = twice * full[:-1], twice * full[1:]
+        turn = after - before
+        low = edge / (2 * (1 - edge)) * turn
+        shift = edge / 3 * low
+        knots = np.stack([first, first + edge * before + shift, last - edge * after + shift, last], axis=1)
+        ways = np.stack([before, before + low, after - low, after], axis=1)
+        return knots, ways, np.stack([edge, 1 - 2 * edge, edge], axis=1)

@@ -1,0 +1,124 @@
+"""Compute speed profiles with limited jerk: phases of constant jerk from one speed to another over a distance.
+
+Speeds are shares of full speed, and distances are seconds at full speed. At both ends the acceleration is zero. No
+phase is shorter than a given duration: rounding of positions would affect the jerk in so short a phase.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+# Accuracy of computed speeds; they are never larger than allowed, and the distance that this loses is made up for.
+ACCURACY = 1e-13
+
+# Number of profiles that are kept: the choice of blends needs most of them repeatedly.
+KEPT = 2**14
+
+
+class Limits(NamedTuple):
+    """Limits of a change of speed.
+
+    Attributes
+    ----------
+    gain : float
+        Largest rate of the speed [1/s].
+    jerk : float
+        Largest rate of that rate [1/s²]; may be infinite.
+    least : float
+        Shortest duration of a phase [s].
+    """
+
+    gain: float
+    jerk: float
+    least: float
+
+
+class Phase(NamedTuple):
+    """A phase of constant jerk: its duration and distance, and the speed and the acceleration at its end."""
+
+    seconds: float
+    way: float
+    speed: float
+    acceleration: float
+
+
+def ramp(change: float, limits: Limits) -> tuple[float, float]:
+    """Return the durations of the phases of a change of speed: of each of two with jerk, and of one without between.
+
+    The change is the fastest within the limits, except that no phase is shorter than the least duration.
+    """
+    if change == 0:
+        return 0.0, 0.0
+    gain, jerk, least = limits
+    alone = max(math.sqrt(change / jerk), change / gain, least)
+    edge = max(gain / jerk, least)
+    flat = max(change / gain - edge, least)
+    return (alone, 0.0) if 2 * alone <= 2 * edge + flat else (edge, flat)
+
+
+def ramp_way(low: float, high: float, limits: Limits) -> float:
+    """Return the distance of the change between two speeds, which takes place at their mean."""
+    edge, flat = ramp(high - low, limits)
+    return (low + high) / 2 * (2 * edge + flat)
+
+
+@lru_cache(KEPT)
+def reached(length: float, limits: Limits, speed: float) -> float:
+    """Return the highest speed, up to 1, that a change from `speed` reaches within a distance."""
+    return _largest(lambda high: ramp_way(speed, high, limits), speed, 1.0, length)
+
+
+@lru_cache(KEPT)
+def turned(half: float, limits: Limits) -> float:
+    """Return the highest speed, up to 1, at which a blend can be passed that begins and ends at a distance."""
+    return _largest(lambda speed: ramp_way(0.0, speed, limits), 0.0, 1.0, half)
+
+
+@lru_cache(KEPT)
+def phases(length: float, limits: Limits, first: float, last: float) -> tuple[Phase, ...]:
+    """Return the fastest phases between two speeds on a straight line.
+
+    Each of the two speeds must be `reached` from the other within the length, and the length must take no less than
+    the least duration at either speed.
+    """
+
+    def needed(peak: float) -> float:
+        return ramp_way(first, peak, limits) + ramp_way(last, peak, limits)
+
+    peak = _largest(needed, max(first, last), 1.0, length)
+    ramps, level, slower = needed(peak), length - needed(peak), 1.0
+    if ramps > 0 and level < limits.least * peak:  # the ramps are stretched to take the whole length
+        level, slower = 0.0, length / ramps
+    cruise = [Phase(level / peak, level, peak, 0.0)] if level > 0 else []
+    up, down = _ramped(first, peak, slower, limits), _ramped(peak, last, slower, limits)
+    return (*up, *cruise, *down)
+
+
+def _ramped(first: float, last: float, slower: float, limits: Limits) -> list[Phase]:
+    """Return the phases of a change of speed, stretched in time by a factor."""
+    if first == last:
+        return []
+    edge, flat = (slower * seconds for seconds in ramp(abs(last - first), limits))
+    strength = (last - first) / (edge + flat)
+    low, bend = strength * edge / 2, strength * edge * edge / 6
+    found = [Phase(edge, first * edge + bend, first + low, strength)]
+    if flat > 0:
+        found.append(Phase(flat, (first + last) / 2 * flat, last - low, strength))
+    return [*found, Phase(edge, last * edge - bend, last, 0.0)]
+
+
+def _largest(needed: Callable[[float], float], low: float, high: float, length: float) -> float:
+    """Return the largest speed between two, up to `ACCURACY`, that needs no more than a length."""
+    if length <= 0 or low >= high:
+        return low
+    if needed(high) <= length:
+        return high
+    while high - low > ACCURACY * high and low < (middle := (low + high) / 2) < high:
+        if needed(middle) <= length:
+            low = middle
+        else:
+            high = middle
+    return low
