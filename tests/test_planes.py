@@ -13,10 +13,10 @@ from families import translation
 from loewner import Body, CollisionChecker, Robot, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels._jit import njit
-from loewner._kernels.robots.directed_strays import error_of_strays, longest_lever, write_strays_along
-from loewner._kernels.robots.motion_bounds import uncertainty, rates_of, ways_between, write_strays
+from loewner._kernels.robots.motion_bounds import rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import write_part
 from loewner._kernels.robots.planes import write_gaps
+from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
 from loewner.robots import courses
 from motion_oracle import (
     AFLOAT,
@@ -207,13 +207,16 @@ def extent(packed, piece, D):
     else:
         U = D @ frame[4:].reshape(3, 3)
         across, along = np.sqrt((U[..., :2] ** 2).sum(axis=-1)), U[..., 2]
-        far = D @ frame[1:4] + {
-            columns.ELLIPSOID: np.sqrt((U**2).sum(axis=-1)),
-            columns.CYLINDER: across + np.abs(along),
-            columns.CONE: np.maximum(along, across - along),
-            columns.SEGMENT: np.abs(along),
-            columns.POINT: 0 * along,
-        }[kind]
+        far = (
+            D @ frame[1:4]
+            + {
+                columns.ELLIPSOID: np.sqrt((U**2).sum(axis=-1)),
+                columns.CYLINDER: across + np.abs(along),
+                columns.CONE: np.maximum(along, across - along),
+                columns.SEGMENT: np.abs(along),
+                columns.POINT: 0 * along,
+            }[kind]
+        )
     return far + frame[0] * np.sqrt((D**2).sum(axis=-1))
 
 
@@ -268,7 +271,9 @@ def check_gaps(case, view, times):
     radii = case.ready.packed.frames[[view.i, view.j], 0].sum()
     size = 1.0 + case.tables.chain[1] + np.abs(poses[:, [view.link, view.fixed], :3, 3]).sum()
     assert (found >= true - 1e-5 * radii - 1e-13 * size).all()
-    real = real_gaps(case, view, real_places(case.robot, real_configurations(case.robot, case.course, times.astype(Real))))
+    real = real_gaps(
+        case, view, real_places(case.robot, real_configurations(case.robot, case.course, times.astype(Real)))
+    )
     assert (found <= real + case.slack * (1.0 + size)).all()
     assert (found >= real - 1e-5 * radii - 1e-9 * size).all()
     return float((true - found).max())
