@@ -331,7 +331,7 @@ def still_and_moving(tmp_path):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_no_gap_without_numbers(still_and_moving, bad):
-    """A pose with an entry that is not a number, or infinitely far away, has no gap above anything, in its lane only."""
+    """A pose with an entry that is not a number, or infinitely far away, has no gap, but the other lanes have."""
     case, seen = still_and_moving
     W, _ = placed(case, eight(0.0, 1.0))
     for view in seen:
@@ -607,7 +607,7 @@ class Sample(NamedTuple):
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
-    """Samples of the law of strays with fixed seeds: robots at random and small ones, wide intervals and narrow ones."""
+    """Samples of the law of strays with fixed seeds, for random robots and small ones, in wide and narrow intervals."""
     made = []
     for number, (degree, wide) in enumerate(product((1, 3), (False, True))):
         for seed in range(4):
