@@ -366,11 +366,7 @@ def _clear_between(motion, near, low, high, n):
         )  # fmt: skip
         least += error_of_strays(ways, astray, lever + pieces.hot[near.i, OUTER_RADIUS], widest) + astray.bend
     _write_gaps(motion, near, W, n, count)
-    lowest = gaps[0]
-    for k in range(1, LANES):
-        if not gaps[k] >= lowest:  # a NaN stays
-            lowest = gaps[k]
-    return lowest > least
+    return movemask(load(gaps, 0) > least) == (1 << LANES) - 1
 
 
 @njit()

@@ -18,9 +18,6 @@ from loewner._kernels.robots.sweeps import WIDER
 from loewner._kernels.simd.vectors import LANES, absolute, broadcast, load, minimum, store
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Vertices up to which all of them are multiplied; beyond it each configuration has a search of its own.
-FEW = 256
-
 
 @inline
 def seen_by(W, fixed, n):
@@ -86,7 +83,7 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
         shift = minus(t, (poses[row, 0, 3], poses[row, 1, 3], poses[row, 2, 3]))
     m = apply_transposed(R, normal)
     start, stop = pieces.layout[i, POINTS_FROM], pieces.layout[i, POINTS_TO]
-    if pieces.layout[i, KIND] == POLYTOPE and stop - start <= FEW:
+    if pieces.layout[i, KIND] == POLYTOPE:
         low, points = broadcast(np.inf), pieces.points
         for column in range(start, stop):
             k = entry_of(column)
