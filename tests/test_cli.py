@@ -615,7 +615,10 @@ def test_robot_check_files(folder, capsys):
         ),
         ([*WITH_WALL, "--configs", "two.csv"], "two.csv: expected a column for each joint value, found none for turn"),
         ([*WITH_WALL, "--configs", "twice.csv"], "twice.csv: expected each column once, found x 2 times"),
-        ([*WITH_WALL, "--configs", "half.csv"], "half.csv: expected 3 numbers in each row, found 1,2,a in row 1"),
+        (
+            [*WITH_WALL, "--configs", "half.csv"],
+            "half.csv: expected 3 finite numbers in each row, found 1,2,a in row 1",
+        ),
         ([*WITH_WALL, "--configs", "german.csv"], "german.csv: expected numbers separated by commas, found semicolons"),
         (
             [*WITH_WALL, "--configs", "spaces.csv"],
@@ -625,9 +628,15 @@ def test_robot_check_files(folder, capsys):
             [*WITH_WALL, "--configs", "below.csv"],
             "below.csv: expected numbers separated by commas, found spaces: 0.5 1 2",
         ),
-        ([*WITH_WALL, "--configs", "hole.csv"], "hole.csv: expected 3 numbers in each row, found ,, in row 2"),
-        ([*WITH_WALL, "--configs", "quoted.csv"], "quoted.csv: expected 3 numbers in each row, found 0,5,1,2 in row 1"),
-        ([*WITH_WALL, "--configs", "ragged.csv"], "ragged.csv: expected 3 numbers in each row, found 1,2 in row 2"),
+        ([*WITH_WALL, "--configs", "hole.csv"], "hole.csv: expected 3 finite numbers in each row, found ,, in row 2"),
+        (
+            [*WITH_WALL, "--configs", "quoted.csv"],
+            "quoted.csv: expected 3 finite numbers in each row, found 0,5,1,2 in row 1",
+        ),
+        (
+            [*WITH_WALL, "--configs", "ragged.csv"],
+            "ragged.csv: expected 3 finite numbers in each row, found 1,2 in row 2",
+        ),
         ([*WITH_WALL, "--configs", "empty.csv"], "--configs: expected one configuration or more, found none"),
     ],
 )
@@ -1012,13 +1021,74 @@ def test_audit_of_a_path_that_collides(with_end, capsys):
         assert f"<!-- {text} -->" in drawn
 
 
-def test_audit_refuses_tables_without_names(with_end, capsys):
-    """A first column of times without a header is never read as a joint."""
-    for text in ("0,0.7,1.5\n1,0.7,1.5\n", "x,y,tool\n0,0.7,1.5\n1,0.7,1.5\n", "x,y,turn\n0,0.7,1.5\n"):
-        Path("moves.csv").write_text(text)
-        status, _, err = run(capsys, *AUDIT)
-        assert status == 2
-        assert "where time and different joints should be named" in err
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("0,0.7,1.5\n1,0.7,1.5\n", "where time and different joints should be named"),
+        ("x,y,tool\n0,0.7,1.5\n1,0.7,1.5\n", "found 'tool'"),
+        ("x,y\n0,0.7\n1,0.7\n", "found none for turn"),
+        ("x,y,turn\n0,0.7,1.5\n1,nan,1.5\n", "expected 3 finite numbers in each row, found 1,nan,1.5 in row 2"),
+        ("x,y,turn\n0,0.7,1.5\n", "expected two configurations or more, found 1"),
+        ("time,x,y,turn\n0,0,0.7,1.5\n1,0,nan,1.5\n", "positions: expected finite numbers, found nan at index (1, 1)"),
+        ("time,x,tool,x velocity\n0,0,0,0\n1,1,1,0\n", "found no column 'tool velocity'"),
+        ("time,x,x velocity,tool velocity\n0,0,0,0\n1,1,1,0\n", "found no joint for the column 'tool velocity'"),
+        ("time,x,tool\n0,0,0\n1,1,1\n", "found the unknown tool"),
+    ],
+)
+def test_audit_says_what_is_wrong_with_a_table(with_end, capsys, text, told):
+    """The number, joint or column at fault is named; a first column without a name is never read as a joint."""
+    Path("moves.csv").write_text(text)
+    status, out, err = run(capsys, *AUDIT)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert told in err
+
+
+def test_audit_says_what_is_wrong_with_a_path_in_json(with_end, capsys):
+    """A joint that the robot does not have is named."""
+    Path("path.json").write_text(json.dumps({"names": ["x", "y", "tool"], "configurations": [[0, 0, 0], [1, 1, 1]]}))
+    status, _, err = run(capsys, "audit", *ROBOT, "path.json", "--scene", "end.yaml")
+    assert status == 2
+    assert "found 'tool'" in err
+
+
+def test_audit_measures_the_pair_of_each_row(with_end, capsys):
+    """Two walls are passed at different depths on one piece: its row has the depth of the pair that it names."""
+    Path("moves.csv").write_text("time,x,y,turn\n0,-0.5,0.7,1.5\n1,0,0.7,1.5\n2,0,-0.5,1.5\n")
+    Path("two.yaml").write_text(Path("end.yaml").read_text() + "  inner: {box: [1, 1, 1], position: [0, -0.8, 0]}\n")
+    answer = json.loads(run(capsys, "audit", *ROBOT, "moves.csv", "--scene", "two.yaml", "--json")[1])
+    checker = loewner.CollisionChecker(checker_of_folder().robot, loewner.load_scene("two.yaml"))
+    points = planners.ControllerPoints.load("moves.csv")
+    assert answer["nearest_pair"] == ["ball", "inner"]
+    own = {tuple(piece["pair"]): piece for piece in answer["unproven"]}
+    assert own
+    assert ("ball", "inner") not in own
+    for pair, piece in own.items():
+        share = piece["nearest_time"] - piece["begins"]
+        k = piece["number"]
+        q = (1 - share) * points.positions[k] + share * points.positions[k + 1]
+        near = checker.distance_by_pair(q, within=1.0)
+        at = next(n for n in range(len(near)) if tuple(near.names[n]) == pair)
+        assert piece["nearest"] == pytest.approx(near.distance[at], abs=1e-9)
+        assert piece["begins"] <= piece["nearest_time"] <= piece["ends"]
+
+
+def test_audit_explains_positive_distances(with_end, capsys):
+    """A pair within its margin, or near it by a joint error, is not in contact; the output says why it is not free."""
+    Path("moves.csv").write_text(AROUND_END)
+    status, out, _ = run(capsys, *AUDIT)
+    assert "margins are not subtracted" in out
+    assert "have to keep" not in out
+    Path("kept.yaml").write_text("margin: 0.15\n" + Path("end.yaml").read_text())
+    kept = ("audit", *ROBOT, "moves.csv", "--scene", "kept.yaml")
+    status, out, _ = run(capsys, *kept)
+    assert status == 1
+    assert "margin    150 mm, which ball and wall have to keep\n" in out
+    pieces = json.loads(run(capsys, *kept, "--json")[1])["unproven"]
+    assert {(piece["margin"], *piece["pair"]) for piece in pieces} == {(0.15, "ball", "wall")}
+    assert min(piece["nearest"] for piece in pieces) == pytest.approx(0.1, abs=1e-6)
+    status, out, _ = run(capsys, *AUDIT, "--joint-error", 0.2)
+    assert status == 3
+    assert "error     the verdicts are for values up to 0.2 off" in out
 
 
 def test_audit_follows_the_controller(with_end, capsys):

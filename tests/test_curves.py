@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings as warns
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,6 +79,7 @@ def test_curves_against_samples(checker, rng, form):
     assert COLLIDING in verdicts
 
 
+@pytest.mark.filterwarnings("ignore:.*is it in degrees:UserWarning")  # what is drawn knows no limits
 @pytest.mark.parametrize("degree", range(1, 8))
 def test_courses_are_the_curves(arm, rng, degree):
     """Courses have the values that SciPy computes from powers, Bernstein polynomials and B-splines of any degree."""
@@ -335,6 +337,31 @@ def _is_free(checker, path):
     return (checker.certify_edges(path[:-1], path[1:], joint_error=1e-4).verdict == FREE).all()
 
 
+def test_joints_that_differ_are_named(arm):
+    """The joints of another robot, and those that are missing, are listed apart; a negative error has its joint."""
+    names = ["other", *arm.configuration_names[1:]]
+    checker = CollisionChecker(arm)
+    points = ControllerPoints([0.0, 1.0], np.zeros((2, arm.dof)), names=names)
+    with pytest.raises(InputError, match=f"found none for {arm.configuration_names[0]}, and the unknown other$"):
+        checker.certify_trajectory(points)
+    last = arm.configuration_names[-1]
+    with pytest.raises(InputError, match=f"expected one number >= 0 or {arm.dof} of them, found -0.001 for {last}$"):
+        checker.certify_trajectory(points, joint_error=[1e-3] * (arm.dof - 1) + [-1e-3])
+    with pytest.raises(InputError, match="joint_error: expected finite numbers, found nan$"):
+        checker.certify_trajectory(points, joint_error=np.nan)
+
+
+def test_curves_in_degrees_cause_a_warning():
+    """As for motions; a curve within the limits causes none."""
+    for scale, warnings in ((1.0, 0), (180 / np.pi, 1)):
+        robot = example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
+        path = scale * np.linspace(robot.lower * 0.5, robot.upper * 0.5, 3)
+        with warns.catch_warnings(record=True) as told:
+            warns.simplefilter("always")
+            CollisionChecker(robot).certify_trajectory(CubicSpline([0.0, 1.0, 2.0], path))
+        assert [("is it in degrees" in str(one.message), one.filename) for one in told] == [(True, __file__)] * warnings
+
+
 def _without(key):
     return {name: value for name, value in MESSAGE.items() if name != key}
 
@@ -349,6 +376,7 @@ def _without(key):
         ("a.csv", "time,rail\n0,1\n1,x\n", "'x'"),
         ("a.csv", "time,rail\n0,1\n0,2\n", "times"),
         ("a.csv", "time,rail\n0,1\n1,nan\n", "finite"),
+        ("a.csv", "time,rail\n0,1\n1,nan\n", r"positions: expected finite numbers, found nan at index \(1, 0\)$"),
         ("a.csv", "time,rail,elbow,rail velocity\n0,1,1,1\n1,1,1,1\n", "elbow velocity"),
         ("a.json", "{", "expected points of a trajectory"),
         ("a.json", json.dumps(_without("points")), "points"),

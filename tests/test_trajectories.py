@@ -522,6 +522,24 @@ def test_names_of_files(moved, tmp_path):
         moved.save(tmp_path / "a.csv", rate=0)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[1, 2]", "found 'list instead of the keys names, times"),
+        ('{"joint_names": ["a"], "points": [{"positions": [0], "time_from_start": 0}]}', "found no 'names'"),
+        ("{}", "found no 'names'"),
+    ],
+)
+def test_points_of_other_programs_are_told_where_they_are_read(tmp_path, text, told):
+    """`Trajectory.load` reads its own files only, and names the function that reads messages."""
+    (tmp_path / "m.json").write_text(text)
+    with pytest.raises(FileError, match=told) as caught:
+        Trajectory.load(tmp_path / "m.json")
+    assert "planners.ControllerPoints.load reads messages" in str(caught.value)
+    with pytest.raises(InputError, match=r"m.yaml; planners\.ControllerPoints\.load"):
+        Trajectory.load("m.yaml")
+
+
 def test_a_change_after_the_path_was_proven(tmp_path, monkeypatch):
     """A post in the corner goes away, and one comes up on the path: no blend passes where the first one stood."""
     urdf, srdf = gantry(tmp_path)

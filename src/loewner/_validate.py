@@ -114,8 +114,13 @@ def _numbers(objects: NDArray[np.object_], name: str) -> Floats:
         try:
             array[index] = real(entry, name)
         except InputError as error:
-            raise InputError(f"{error}{f' at index {index}' if index else ''}") from None
+            raise InputError(f"{error}{_at(index)}") from None
     return array
+
+
+def _at(index: tuple[int, ...]) -> str:
+    """Write the index of an entry for messages; nothing for a scalar."""
+    return f" at index {index}" if index else ""
 
 
 def shape_text(shape: Iterable[int | None | str]) -> str:
@@ -152,7 +157,7 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
         raise InputError(f"{name}: expected shape {shape_text(shape)}, found {shape_text(array.shape)}")
     if array.size and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(f"{name}: expected finite numbers, found {array[where]} at index {where}")
+        raise InputError(f"{name}: expected finite numbers, found {array[where]}{_at(where)}")
     return array
 
 
@@ -267,7 +272,7 @@ def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...])
     array = finite_array(x, name, shape)
     if not (array > 0).all():
         where = tuple(int(i) for i in np.argwhere(~(array > 0))[0])
-        raise InputError(f"{name}: expected numbers > 0, found {array[where]} at index {where}")
+        raise InputError(f"{name}: expected numbers > 0, found {array[where]}{_at(where)}")
     return array
 
 

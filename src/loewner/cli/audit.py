@@ -21,6 +21,9 @@ from loewner.robots import curves
 COLUMNS = 60
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
+# Distances within which a piece's pair is sought, one after the other [m].
+WITHIN = np.geomspace(1e-3, 1e9, 13)
+
 DRAWN = (".png", ".svg")
 CONTROLLERS = ("linear", "cubic", "quintic")
 
@@ -99,13 +102,16 @@ def _read(path: Path, robot: loewner.Robot) -> planners.ControllerPoints | Float
     except LoewnerError:
         if path.suffix.lower() not in configurations.WRITTEN:
             raise
-        try:
-            rows = np.atleast_2d(robot.checked(configurations.read(path, robot, named=True), str(path)))
-        except LoewnerError:
-            rows = np.empty((0, robot.dof))
-        if len(rows) < 2:
-            raise  # the fault of the points
-        return rows
+        if not configurations.is_path(path):
+            raise
+    hint = "; points with times have a first column time" if path.suffix.lower() == ".csv" else ""
+    try:
+        rows = np.atleast_2d(robot.checked(configurations.read(path, robot, named=True), str(path)))
+    except LoewnerError as error:
+        raise FileError(f"{error}{hint}") from None
+    if len(rows) < 2:
+        raise FileError(f"{path}: expected two configurations or more, found {len(rows)}{hint}")
+    return rows
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
@@ -147,15 +153,9 @@ def _answer(
     times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     ticks, piece, Q = curves.sampled(checker.robot, curve, found)
     measured = checker.distance(Q, exact=True)
-
-    def nearest(rows: Any) -> dict[str, Any]:
-        k = rows[measured.distance[rows].argmin()]
-        return {
-            "nearest": float(measured.distance[k]),
-            "nearest_time": float(ticks[k]),
-            "nearest_pair": measured.names[k].tolist(),
-        }
-
+    nearest = measured.distance.argmin()
+    names = found.segments.names
+    least = _nearest_of(checker, names, piece, Q)
     pieces = [
         {
             "number": int(k),
@@ -163,8 +163,10 @@ def _answer(
             "ends": float(times[k + 1]),
             "verdict": Verdict(int(found.segments.verdict[k])).name,
             "time": float(time),
-            "pair": found.segments.names[k].tolist(),
-            **nearest(np.flatnonzero(piece == k)),
+            "pair": names[k].tolist(),
+            "margin": checker.scene.margin_of(*names[k].tolist()),
+            "nearest": least[k][0],
+            "nearest_time": float(ticks[least[k][1]]),
         }
         for k, time in zip(unproven.tolist(), ticks[curves.MEASURED :], strict=True)
     ]
@@ -182,10 +184,27 @@ def _answer(
         "ends": float(times[-1]),
         "pieces": len(times) - 1,
         "unproven": pieces,
-        **nearest(np.arange(len(ticks))),
+        "nearest": float(measured.distance[nearest]),
+        "nearest_time": float(ticks[nearest]),
+        "nearest_pair": measured.names[nearest].tolist(),
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
     }
+
+
+def _nearest_of(checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats) -> dict[int, tuple[float, int]]:
+    """Return the least distance of each unproven piece's pair at the samples of the piece, and that sample."""
+    least: dict[int, tuple[float, int]] = {}
+    for within in WITHIN:  # if a pair is within this distance at some samples, the least of these is the least of all
+        rows = np.flatnonzero(names.any(axis=1)[piece] & ~np.isin(piece, list(least)))
+        if len(rows) == 0:
+            break
+        near = checker.distance_by_pair(Q[rows], within=within)
+        samples = rows[near.configuration]
+        own = np.flatnonzero((near.names == names[piece[samples]]).all(axis=1))
+        for n in own[np.argsort(near.distance[own], kind="stable")]:
+            least.setdefault(int(piece[samples[n]]), (float(near.distance[n]), int(samples[n])))
+    return least
 
 
 def _picture(times: Floats, verdicts: Any) -> str:
@@ -217,13 +236,21 @@ def _print_answer(answer: dict[str, Any]) -> None:
                 f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:z.3f}",
             )  # fmt: skip
         print_table(table)
+        for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
+            if margin:
+                print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")
+        if answer["joint_error"]:
+            print(
+                f"error     the verdicts are for values up to {answer['joint_error']:g} off, the distances for values "
+                "that are not"
+            )
     what = "time " if answer["timed"] else "point"
     print(f"{what}     {answer['begins']:.6g}{unit} {answer['picture']} {answer['ends']:.6g}{unit}")
     print("          . proven free   ? ambiguous   # collides, by pieces")
     print(
         f"nearest   {1e3 * answer['nearest']:z.3f} mm at {answer['nearest_time']:.6g}{unit}, "
         f"{' and '.join(answer['nearest_pair'])}: the least of the exact distances at {curves.MEASURED} places; "
-        "negative is a depth"
+        "negative is a depth; margins are not subtracted"
     )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     if answer["timed"]:

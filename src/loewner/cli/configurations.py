@@ -22,6 +22,9 @@ from loewner.errors import FileError, InputError
 READ = (".npy", ".csv", ".json")
 WRITTEN = (".csv", ".json")
 
+# Names of a first column of times, which a path does not have.
+TIMES = ("time", "time_from_start")
+
 # The largest file of configurations that is read [bytes].
 MOST_BYTES = 2**33
 
@@ -45,6 +48,20 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
     if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found)):
         raise FileError(f"{path}: expected names of the columns, found none")
     return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
+
+
+def is_path(path: Path) -> bool:
+    """Return whether a file names columns, as `write` does, none of which is a time."""
+    data = read_regular(path, "configurations", MOST_BYTES)
+    try:
+        text = data.decode("utf-8-sig")
+        if path.suffix.lower() == ".json":
+            found = json.loads(text)
+            return isinstance(found, Mapping) and "configurations" in found
+        rows = _rows(text)
+    except (ValueError, RecursionError, csv.Error):
+        return False
+    return _has_header(rows) and rows[0][0] not in TIMES
 
 
 def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
@@ -105,7 +122,9 @@ def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
         _check_columns(order, names, path)
     for k, row in enumerate(rows):
         if len(row) != len(names) or not _are_numbers(row):
-            raise FileError(f"{path}: expected {len(names)} numbers in each row, found {','.join(row)} in row {k + 1}")
+            raise FileError(
+                f"{path}: expected {len(names)} finite numbers in each row, found {','.join(row)} in row {k + 1}"
+            )
     return _ordered(np.array(rows, dtype=np.float64).reshape(-1, len(names)), order, names)
 
 

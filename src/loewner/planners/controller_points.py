@@ -136,7 +136,9 @@ class ControllerPoints:
             raise
         except KeyError as error:
             raise FileError(f"{name}: expected points of a trajectory, found no {error}") from None
-        except (InputError, ValueError, TypeError, OverflowError, RecursionError, AttributeError, csv.Error) as error:
+        except InputError as error:
+            raise FileError(f"{name}: {error}") from None
+        except (ValueError, TypeError, OverflowError, RecursionError, AttributeError, csv.Error) as error:
             raise FileError(f"{name}: expected points of a trajectory, found: {_validate.short(str(error))}") from None
 
     @classmethod
@@ -148,6 +150,12 @@ class ControllerPoints:
             raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
         table = np.array([[float(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
         names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
+        held, used = set(header), [VELOCITY, ACCELERATION]
+        rates = [name + kind for kind in used if any(name + kind in held for name in names) for name in names]
+        odd = [name for name in rates if name not in held] + sorted(held - {header[0], BLEND, *names, *rates})
+        if odd:
+            what = "no column" if odd[0] not in held else "no joint for the column"
+            raise InputError(f"expected a velocity or acceleration for all joints or none, found {what} {odd[0]!r}")
         table = table.reshape(-1, len(header))
 
         def columns(kind: str) -> Any:

@@ -70,6 +70,7 @@ LARGEST_FILE = 2**28  # bytes
 
 ENDINGS = (".csv", ".json")
 WRITTEN = (*ENDINGS, ".yaml")
+OTHERS = "; planners.ControllerPoints.load reads messages and points of other programs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +336,7 @@ class Trajectory:
         >>> Trajectory.load("moved.json")
         Trajectory(3 s, 2 joints, stops at 0 corners, 0 blends)
         """
-        source = _with_ending(path, ENDINGS)
+        source = _with_ending(path, ENDINGS, OTHERS)
         name = shown(source)
         try:
             text = read_regular(source, "a trajectory", LARGEST_FILE).decode()
@@ -343,7 +344,7 @@ class Trajectory:
         except FileError:
             raise
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
-            raise FileError(f"{name}: expected a trajectory, found {_why(error)}") from None
+            raise FileError(f"{name}: expected a trajectory, found {_why(error)}{OTHERS}") from None
         fault = read._fault()
         if fault:
             raise FileError(f"{name}: expected {fault}")
@@ -799,11 +800,11 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
 # -- files --------------------------------------------------------------------------------------
 
 
-def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> Path:
+def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: str = "") -> Path:
     """Check that a path has one of these extensions."""
     checked = _validate.path(path, "path")
     if checked.suffix.lower() not in endings:
-        raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}")
+        raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}{hint}")
     return checked
 
 
@@ -833,6 +834,8 @@ def _read_csv(text: str) -> Trajectory:
 def _read_json(text: str) -> Trajectory:
     """Read a string written by `save`."""
     held = json.loads(text)
+    if not isinstance(held, dict):
+        raise ValueError(f"{type(held).__name__} instead of the keys names, times, positions, velocities and blended")
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
         raise ValueError("other names than texts, or blends that are neither true nor false")

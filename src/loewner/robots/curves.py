@@ -190,6 +190,9 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     curve = _in_order(robot, curve, name)
     _refuse_faults(robot, curve, name)
     points = curve.courses
+    ends = np.concatenate([points[:, 0], points[-1:, -1]])
+    if not robot._watch.passes(ends):
+        robot._watch.tell(ends, name)
     if points.shape[1] == 1 or (points.shape[1] == 2 and not robot.runs_straight):
         # A course of degree 1 turns orientations at a constant rate, which a polynomial does not.
         points = _elevated(points, 3 - points.shape[1])
@@ -280,8 +283,13 @@ def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
     if curve.names is None or curve.names == wanted:
         return curve
     if sorted(curve.names) != sorted(wanted):
-        odd = sorted(set(curve.names) ^ set(wanted))
-        raise InputError(f"{name}: expected the joints {', '.join(wanted)}, found a difference in {', '.join(odd)}")
+        faults = {
+            "none for": [joint for joint in wanted if joint not in curve.names],
+            "the unknown": [joint for joint in curve.names if joint not in wanted],
+            "more than one for": sorted({joint for joint in curve.names if curve.names.count(joint) > 1}),
+        }
+        found = ", and ".join(f"{what} {', '.join(joints)}" for what, joints in faults.items() if joints)
+        raise InputError(f"{name}: expected the joints {', '.join(wanted)}, found {found}")
     order = [curve.names.index(joint) for joint in wanted]
     return Curve(wanted, curve.times, curve.courses[..., order], curve.off[..., order])
 
@@ -316,9 +324,9 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
     """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
     array = _validate.finite_array(given, name, ("...",))
-    if array.shape not in ((), (robot.dof,)) or (array < 0).any():
-        raise InputError(
-            f"{name}: expected one number >= 0 or {robot.dof} of them, found "
-            f"{array if array.size == 1 else _validate.shape_text(array.shape)}"
-        )
+    wanted = f"{name}: expected one number >= 0 or {robot.dof} of them, found"
+    if array.shape not in ((), (robot.dof,)):
+        raise InputError(f"{wanted} {_validate.shape_text(array.shape)}")
+    for k in np.flatnonzero(array < 0)[:1]:
+        raise InputError(f"{wanted} {array.flat[k]:g}{f' for {robot.configuration_names[k]}' if array.ndim else ''}")
     return np.broadcast_to(array, robot.dof).copy()
