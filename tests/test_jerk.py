@@ -577,8 +577,14 @@ def test_limits_are_kept(robot, alone, tmp_path):
 def test_limits_that_are_none(robot, tmp_path):
     """A joint without a velocity limit is named; limits of another robot, and other things, are refused."""
     found = read_limits(tmp_path, MOVEIT, robot)
-    with pytest.raises(InputError, match="velocity: .* for y"):
-        trajectory(robot, [[0, 0, 0], [0, 1, 0]], limits=found)
+    path = np.array([[0.0, 0, 0], [0, 1, 0]])
+    with pytest.raises(InputError, match="velocity: .* found none above 0 in the URDF or in limits= for y"):
+        trajectory(robot, path, limits=found)
+    with pytest.raises(InputError, match="velocity: .* found none above 0 in the URDF for y"):
+        trajectory(robot, path)
+    limited = replace(robot, velocity=np.ones(3))
+    with pytest.raises(InputError, match=r"velocity: .* whose file removed .* \(has_velocity_limits: false\), for y"):
+        limits_of(limited, path, found, None, None, None)
     for bad in ("limits", 3, replace(found, names=("a", "b", "c"))):
         with pytest.raises(InputError, match="limits"):
             trajectory(robot, [[0, 0, 0], [1, 0, 0]], velocity=1.0, limits=bad)
@@ -595,11 +601,15 @@ BAD = {
     "joint_limits: {x: {min_position: 2, max_position: 1}}": "min_position <= max_position",
     "joint_limits: {x: 3}": "x: expected limits",
     "joint_limits: 3": "joint_limits",
+    "joint_limits: {x: {}}": "x: expected limits",
+    "joint_limits: {x: {max_velocty: 1}}": "x: key: expected one of max_velocity, .*did you mean 'max_velocity'",
+    "joint_limits: {x: {1: 1}}": "x: key: .* found 1",
     "limits: {x: {}}": "joint_limits",
     "[]": "joint_limits",
     "": "joint_limits",
     "joint_limits: {x: {max_velocity: 1}": "expected YAML",
     "{default_velocity_scaling_factor: 0, joint_limits: {}}": "default_velocity_scaling_factor",
+    "{default_velocity_scaling_factor: -1, joint_limits: {}}": "default_velocity_scaling_factor",
 }
 
 
@@ -611,10 +621,55 @@ def test_bad_limits(robot, tmp_path, text):
 
 
 def test_limits_of_unknown_joints(robot, tmp_path):
-    """A joint that the robot lacks is refused, with the joints that it has."""
-    with pytest.raises(UnknownNameError, match="expected one of x, y, turn; found 'turns'"):
+    """Joints that the robot lacks are refused, with the file and the joints that the robot has."""
+    message = r"joint_limits.yaml: .*expected one of x, y, turn; found 'turns' \(did you mean 'turn'\?\)"
+    with pytest.raises(UnknownNameError, match=message + "$"):
         read_limits(tmp_path, "joint_limits: {turns: {max_velocity: 1}}", robot)
+    with pytest.raises(UnknownNameError, match=message + "; also unknown: 'z', 7$"):
+        read_limits(tmp_path, "joint_limits: {turns: {max_velocity: 1}, x: {max_velocity: 1}, z: {}, 7: {}}", robot)
     with pytest.raises(FileError, match="missing"):
         JointLimits.load(tmp_path / "missing.yaml", robot)
     with pytest.raises(InputError, match="robot"):
         JointLimits.load(tmp_path / "missing.yaml", "panda")
+
+
+def test_limits_in_degrees(robot, tmp_path, recwarn):
+    """Limits of a turning joint that are probably in degrees cause one warning; those of slides and usual ones none."""
+    message = r"joint_limits.yaml: turn: expected limits in radians, found -180 \.\. 180; .* \(1 more like it\)"
+    with pytest.warns(UserWarning, match=message):
+        read_limits(tmp_path, "joint_limits: {turn: {min_position: -180, max_position: 180, max_velocity: 180}}", robot)
+    with pytest.warns(UserWarning, match="turn: expected radians per second, found 180; is it in degrees"):
+        read_limits(tmp_path, "joint_limits: {turn: {max_velocity: 180}}", robot)
+    recwarn.clear()
+    plain = "max_position: 6.28, min_position: -12.5, max_velocity: 49"
+    none = "has_velocity_limits: false, has_position_limits: false, max_velocity: fast, max_position: 180"
+    huge = "max_velocity: 1.0e+6, max_position: 1.0e+16"
+    for entry in (plain, none, huge):
+        slide = "max_velocity: 180, max_position: 180"
+        read_limits(tmp_path, f"joint_limits: {{turn: {{{entry}}}, x: {{{slide}}}}}", robot)
+    assert not recwarn.list
+
+
+def test_scaling_factors(robot, tmp_path):
+    """A factor above 1 is refused where it is used; 1 is allowed."""
+    for kind in ("velocity", "acceleration"):
+        text = f"{{default_{kind}_scaling_factor: %s, joint_limits: {{x: {{max_velocity: 2}}}}}}"
+        assert read_limits(tmp_path, text % 1.5, robot).velocity[0] == 2.0
+        assert read_limits(tmp_path, text % 1, robot, scaled=True).velocity[0] == 2.0
+        with pytest.raises(FileError, match=f"joint_limits.yaml: default_{kind}_scaling_factor: expected at most 1"):
+            read_limits(tmp_path, text % 1.5, robot, scaled=True)
+
+
+def test_paths_outside_limits(robot, alone, tmp_path):
+    """A path outside a file's limits of position is refused with joint, value and limits, and one on them is not."""
+    found = read_limits(tmp_path, "joint_limits: {y: {max_velocity: 1, min_position: -0.25, max_position: 0.5}}", robot)
+    inside = [[0, 0, 0], [0.5, 0.5, 0.0], [0.0, -0.25, 0.0]]
+    moved = trajectory(robot, inside, velocity=1.0, limits=found, checker=alone)
+    assert len(moved.blends) == 1
+    Q = moved.positions(dense(moved, 9))
+    assert np.maximum(found.lower - Q, Q - found.upper).max() <= 1e-12
+    for beyond, value in ((0.6, "0.6"), (-0.3, "-0.3")):
+        path = [[0, 0, 0], [0.5, beyond, 0.0], [0.0, 0.0, 0.0]]
+        with pytest.raises(InputError, match=rf"path: .* found y = {value} outside -0.25 \.\. 0.5"):
+            trajectory(robot, path, velocity=1.0, limits=found)
+        trajectory(robot, path, velocity=1.0)

@@ -92,9 +92,19 @@ def test_paths_without_a_largest_error(checker):
     ):
         with pytest.raises(InputError, match=message):
             checker.joint_error([LEFT, LEFT], **bad)
-    for bad in (LEFT, [LEFT], [[LEFT]], [LEFT[:2]] * 2):
+    for bad in ([[LEFT]], LEFT[:2], np.empty((0, 3)), [LEFT[:2]] * 2):
         with pytest.raises(InputError, match="path|expected"):
             checker.joint_error(bad)
+
+
+def test_a_single_configuration(checker):
+    """It counts as a path that stays there; one that collides is named without a motion."""
+    near = np.array([-0.05 - RADIUS - GAP, -0.5, UP])
+    found = checker.joint_error(near, weights=SLIDE)
+    assert (GAP - 2e-5) / 2 / NEAR <= found <= GAP  # off by as much along both axes
+    assert checker.joint_error([near], weights=SLIDE) == checker.joint_error([near, near], weights=SLIDE) == found
+    with pytest.raises(InputError, match="path: expected a configuration that is .* and wall COLLIDING$"):
+        checker.joint_error(near + [0.1, 0, 0])
 
 
 def test_contact_by_a_rule_leaves_no_error():
@@ -169,6 +179,11 @@ def test_starts_and_goals_that_cannot_keep_it(checker):
     stated = float(re.search(r"joint errors of ([0-9.]+):", str(why.value))[1])
     assert 0.3 * GAP < stated < GAP
     assert proven(checker, np.array([near, near]), 0.99 * stated)
+    planners.plan(checker, near, RIGHT, joint_error=stated)
+    for other in (1.001 * stated * NEAR, 0.02, 0.5):  # the start alone determines the message
+        with pytest.raises(PlanningError) as again:
+            planners.plan(checker, near, RIGHT, joint_error=other)
+        assert str(again.value) == str(why.value)
     with pytest.raises(PlanningError, match=r"goal: .* of 0\.\d+ times the given ones: ball and wall are 10 mm apart"):
         planners.plan(checker, LEFT, near, joint_error=0.02 * SLIDE)
     path = planners.plan(checker, LEFT, [near, RIGHT], joint_error=0.02 * SLIDE)

@@ -20,6 +20,9 @@ LARGEST_RPY = 4 * math.pi
 # write a thousand or more for no limit [rad].
 LIMITS_IN_DEGREES = 4 * math.pi, 720.0
 
+# Joints of robots turn by less than eight turns a second; limits in degrees are between this and a few turns [rad/s].
+VELOCITY_IN_DEGREES = 50.0, 2000.0
+
 # Larger limits are programs' way to write none [rad or m]: 1e16, or the largest float.
 FARTHEST_LIMIT = 1e6
 
@@ -80,3 +83,9 @@ def doubt_about_limits(lower: float, upper: float) -> str:
     least, most = LIMITS_IN_DEGREES
     doubtful = least < max(abs(lower), abs(upper)) <= most
     return f"limits in radians, found {lower:g} .. {upper:g}; are they in degrees?" if doubtful else ""
+
+
+def doubt_about_velocity(velocity: float) -> str:
+    """Why the velocity limit of a turning joint may be in degrees; empty if plausible."""
+    least, most = VELOCITY_IN_DEGREES
+    return f"radians per second, found {velocity:g}; is it in degrees?" if least < velocity <= most else ""

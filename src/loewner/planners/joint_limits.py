@@ -12,8 +12,11 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._files import read_regular, shown
-from loewner._validate import Floats
-from loewner.errors import FileError, InputError
+from loewner._kernels import columns as tree_columns
+from loewner._plausible import doubt_about_limits, doubt_about_velocity, warn
+from loewner._validate import Bools, Floats
+from loewner.errors import FileError, InputError, UnknownNameError
+from loewner.planners.space import ON_LIMIT
 from loewner.robots import Robot
 from loewner.scene_files.yaml_scenes import yaml_data
 
@@ -26,6 +29,13 @@ DEEPEST = 8
 
 # Kinds of limits in a file, and the attribute that each of them bounds.
 KINDS = {"velocity": "velocity", "acceleration": "acceleration", "deceleration": "acceleration", "jerk": "jerk"}
+
+# Keys of a joint. The last ones are allowed, since MoveIt and ros2_control have them, but do not affect trajectories.
+KEYS = (
+    *(key for kind in KINDS for key in (f"max_{kind}", f"has_{kind}_limits")),
+    *("min_position", "max_position", "has_position_limits", "max_effort", "has_effort_limits", "angle_wraparound"),
+    *("has_soft_limits", "soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +82,7 @@ class JointLimits:
             ``max_position``. A limit of a joint that mimics another bounds the other joint; its positions are ignored.
         robot : Robot
         scaled : bool
-            Multiply velocities and accelerations by the file's default scaling factors.
+            Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
 
         Returns
         -------
@@ -81,11 +91,16 @@ class JointLimits:
         Raises
         ------
         FileError
-            If the file does not exist, contains no limits, or a limit is malformed.
+            If the file does not exist, contains no limits, a key of a joint is unknown, or a limit is malformed.
         UnknownNameError
-            If the robot has no such joint; the message lists its joints.
+            If the robot lacks a joint of the file; the message lists such joints and the robot's.
         MissingExtraError
             If PyYAML is not installed.
+
+        Warns
+        -----
+        UserWarning
+            Once, if limits of a joint that turns are probably in degrees.
 
         Examples
         --------
@@ -100,9 +115,14 @@ class JointLimits:
         if holder is None:
             raise FileError(f"{shown(source)}: expected the key joint_limits with joints below it, found none")
         try:
-            return _read(holder, robot, _validate.flag(scaled, "scaled"))
+            limits, doubts = _read(holder, robot, _validate.flag(scaled, "scaled"))
         except InputError as error:
             raise FileError(f"{shown(source)}: {error}") from None
+        except UnknownNameError as error:
+            raise UnknownNameError(f"{shown(source)}: {error}") from None
+        if doubts:
+            warn(f"{shown(source)}: {doubts[0]}" + (f" ({len(doubts) - 1} more like it)" if len(doubts) > 1 else ""))
+        return limits
 
 
 def expect_robot(robot: Robot) -> None:
@@ -119,18 +139,26 @@ def limits_of(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Return limits of velocity, acceleration and perhaps jerk, shape (dof,); infinite for joints that do not move."""
+    """Return limits of velocity, acceleration and perhaps jerk, shape (dof,); infinite for joints that do not move.
+
+    The positions of a path are checked against given limits.
+    """
     if given is not None and not (isinstance(given, JointLimits) and given.names == robot.configuration_names):
         found = f"those of {', '.join(given.names)}" if isinstance(given, JointLimits) else type(given).__name__
         raise InputError(f"limits: expected planners.JointLimits of {robot.name!r}, found {found}")
+    if given is not None:
+        _expect_within(rows, given)
     moves = (rows != rows[0]).any(axis=0)
     known = robot.velocity if given is None else given.velocity
     fastest = known if velocity is None else _per_joint(robot, velocity, "velocity")
     unknown = moves & ~np.isfinite(fastest)
     if unknown.any():
         names = ", ".join(name for name, none in zip(robot.configuration_names, unknown, strict=True) if none)
+        removed = given is not None and np.isfinite(robot.velocity[unknown]).all()
+        where = "above 0 in the URDF" + ("" if given is None else " or in limits=")
+        where = "in limits=, whose file removed the URDF's (has_velocity_limits: false)," if removed else where
         raise InputError(
-            f"velocity: expected a limit of each joint that moves, found none above 0 in the URDF for {names}; "
+            f"velocity: expected a limit of each joint that moves, found none {where} for {names}; "
             f"give velocity=, one number or {robot.dof}"
         )
     strongest = fastest / UP_IN if acceleration is None else _per_joint(robot, acceleration, "acceleration")
@@ -140,6 +168,15 @@ def limits_of(
     if given is not None and jerk is None and np.isfinite(given.jerk[moves]).any():
         most = np.where(moves, given.jerk, np.inf)
     return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf), most
+
+
+def _expect_within(rows: Floats, given: JointLimits) -> None:
+    """Raise an InputError for a position outside the limits; blends and profiles stay within the hull of the rows."""
+    for row, k in np.argwhere((rows < given.lower - ON_LIMIT) | (rows > given.upper + ON_LIMIT))[:1]:
+        raise InputError(
+            f"path: expected positions within limits=, found {given.names[k]} = {rows[row, k]:.9g} outside "
+            f"{given.lower[k]:.9g} .. {given.upper[k]:.9g}"
+        )
 
 
 def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
@@ -162,24 +199,33 @@ def _holder(held: Any, depth: int) -> Any:
     return next((each for each in found if each is not None), None)
 
 
-def _read(holder: Mapping[Any, Any], robot: Robot, scaled: bool) -> JointLimits:
+def _read(holder: Mapping[Any, Any], robot: Robot, scaled: bool) -> tuple[JointLimits, list[str]]:
+    """Return the limits, and why some may be in degrees."""
     columns = {name: (k, 1.0) for k, name in enumerate(robot.configuration_names)}
     columns |= {name: (columns[joint][0], factor) for name, (joint, factor) in robot.mimics.items() if joint in columns}
     limits = {kind: np.full(robot.dof, np.nan) for kind in ("lower", "upper", *KINDS.values())}
+    _expect_joints(list(holder["joint_limits"]), columns)
+    turns, doubts = _turning(robot), []
     for name, entry in holder["joint_limits"].items():
-        if name not in columns:
-            raise _validate.unknown_name("joint", name, columns)
-        if not isinstance(entry, Mapping):
+        if not isinstance(entry, Mapping) or not entry:
             raise InputError(f"{name}: expected limits by their names, found {_validate.short(entry)}")
+        for key in entry:
+            if key not in KEYS:
+                raise InputError(str(_validate.unknown_name(f"{name}: key", key, KEYS)))
         k, factor = columns[name]
+        own = {}
         for kind, attribute in KINDS.items():
-            limit = _limit(entry, name, kind, f"max_{kind}", np.inf, _validate.positive_scalar)
+            limit = own[kind] = _limit(entry, name, kind, f"max_{kind}", np.inf, _validate.positive_scalar)
             if limit is not None and factor != 0:
                 limits[attribute][k] = np.fmin(limits[attribute][k], limit / abs(factor))
         for attribute, key, none in (("lower", "min_position", -np.inf), ("upper", "max_position", np.inf)):
-            limit = _limit(entry, name, "position", key, none, _validate.real)
+            limit = own[attribute] = _limit(entry, name, "position", key, none, _validate.real)
             if limit is not None and name not in robot.mimics:
                 limits[attribute][k] = limit
+        if turns[k]:
+            lower, upper, velocity = (own[kind] or 0.0 for kind in ("lower", "upper", "velocity"))
+            texts = doubt_about_limits(lower, upper), doubt_about_velocity(velocity)
+            doubts += [f"{name}: expected {text}" for text in texts if text]
     for attribute, known in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
         limits[attribute] = np.where(np.isnan(limits[attribute]), known, limits[attribute])
     for k in np.flatnonzero(limits["lower"] > limits["upper"])[:1]:
@@ -188,11 +234,31 @@ def _read(holder: Mapping[Any, Any], robot: Robot, scaled: bool) -> JointLimits:
     for kind in ("velocity", "acceleration"):
         key = f"default_{kind}_scaling_factor"
         factor = _validate.positive_scalar(holder.get(key, 1.0), key)
+        if scaled and factor > 1:
+            raise InputError(f"{key}: expected at most 1 with scaled=True, found {factor:g}")
         limits[kind] = limits[kind] * (factor if scaled else 1.0)
     for array in limits.values():
         array[np.isnan(array)] = np.inf
         array.setflags(write=False)
-    return JointLimits(robot.configuration_names, **limits)
+    return JointLimits(robot.configuration_names, **limits), doubts
+
+
+def _expect_joints(names: list[Any], known: Mapping[str, Any]) -> None:
+    """Raise an UnknownNameError that names all joints that the robot lacks."""
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        more = ", ".join(map(_validate.short, unknown[1 : _validate.LISTED]))
+        more += f" and {len(unknown) - _validate.LISTED} more" if len(unknown) > _validate.LISTED else ""
+        error = _validate.unknown_name("joint", unknown[0], known)
+        raise UnknownNameError(f"{error}" + (f"; also unknown: {more}" if more else ""))
+
+
+def _turning(robot: Robot) -> Bools:
+    """Return which values are angles of all joints that follow them, shape (dof,)."""
+    kind, column, turning = robot.tree.kind, robot.tree.column, np.zeros(robot.dof, dtype=bool)
+    turning[column[kind == tree_columns.REVOLUTE]] = True
+    turning[column[(kind != tree_columns.REVOLUTE) & (kind != tree_columns.FIXED)]] = False
+    return turning
 
 
 def _limit(

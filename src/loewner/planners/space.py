@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -187,13 +188,19 @@ class Space:
         )
 
     def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:
-        """Explain why a free configuration is not proven free within the joint error."""
-        ready, at = judge.ready, q[None]
-        share = tracking.largest(ready, at, at, error, 1.0, TOLERANCE)
-        pair = prove_by_rules(ready, at, at, TOLERANCE, error).pairs
+        """Explain why a free configuration is not proven free within the joint error.
+
+        The largest error and the pair depend on the proportions of the given errors, and not on their size.
+        """
+        ready, at, size = judge.ready, q[None], error.max()
+        weights = error / size
+        largest = tracking.largest(ready, at, at, weights, math.inf, TOLERANCE)
+        unproven = max(tracking.NEAR * largest, tracking.FIRST)
+        pair = prove_by_rules(ready, at, at, TOLERANCE, unproven * weights).pairs
         nearest = distances.nearest(ready.only(pair), q, True, False)
         a, b = nearest.names
-        allowed = f"{share * error.max():.3g}" if (error == error[0]).all() else f"{share:.3g} times the given ones"
+        stated = 0.995 * largest  # with three digits, not above the largest
+        allowed = f"{stated:.3g}" if (error == error[0]).all() else f"{stated / size:.3g} times the given ones"
         return (
             f"one that is proven free only within joint errors of {allowed}: {a} and {b} are "
             f"{1e3 * nearest.distance:.3g} mm apart{judge.how_surfaces_are_seen(nearest.names)}"

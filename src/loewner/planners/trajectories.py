@@ -540,7 +540,7 @@ def trajectory(
     jerk : float or array_like, shape (dof,), optional
         Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without any, accelerations jump.
     limits : JointLimits, optional
-        Limits from a file.
+        Limits from a file; the path must be within the limits of position.
     checker : CollisionChecker, optional
         A checker for this robot. The motions of the path must be proven free.
     blend : float
@@ -555,9 +555,9 @@ def trajectory(
     Raises
     ------
     InputError
-        If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the robot has a
-        floating or ball joint, whose orientations do not change linearly; or if the checker or the limits belong to
-        another robot.
+        If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the path is outside
+        `limits`; if the robot has a floating or ball joint, whose orientations do not change linearly; or if the
+        checker or the limits belong to another robot.
     PlanningError
         If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
         bodies.

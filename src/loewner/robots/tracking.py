@@ -46,12 +46,12 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
 def joint_error(
     self: Any, path: ArrayLike, *, weights: ArrayLike = 1.0, most: float = 0.1, tolerance: float = 1e-5
 ) -> float:
-    """Compute the largest error of the joints within which a whole path is proven free.
+    """Compute, within 2 %, the largest error of the joints within which a whole path is proven free.
 
     Parameters
     ----------
-    path : array_like, shape (k, dof)
-        Two or more configurations, with motions between them as in `certify_edges`.
+    path : array_like, shape (k, dof) or (dof,)
+        Configurations, with motions between them as in `certify_edges`; a single one does not move.
     weights : float or array_like, shape (dof,)
         Each value may deviate by the error times its weight. Default: all alike, in radians or metres.
     most : float
@@ -84,7 +84,9 @@ def joint_error(
     <Verdict.FREE: 0>
     """
     most, tolerance = _validate.positive_scalar(most, "most"), _validate.positive_scalar(tolerance, "tolerance")
-    rows = edges.checked_path(self.robot, path)
+    rows = self.robot.checked(path, "path")
+    still = rows.shape[:-1] in ((), (1,))
+    rows = edges.checked_path(self.robot, np.tile(rows, (2, 1)) if still else rows)
     shares = joint_errors(self.robot, weights, "weights")
     if not shares.any():
         raise InputError("weights: expected one or more above 0, found none")
@@ -94,9 +96,9 @@ def joint_error(
     found.expect_short(a, b)
     for k in np.flatnonzero(found.verdicts != Verdict.FREE)[:1]:
         one, other = (ready.names[n] for n in ready.pairs[found.pairs[k]])
+        where = f" at the fraction {found.fractions[k]:.6g} of the motion from row {k} to row {k + 1}"
         raise InputError(
-            f"path: expected motions that are proven free, found {one} and {other} "
-            f"{Verdict(int(found.verdicts[k])).name} at the fraction {found.fractions[k]:.6g} of the motion from row "
-            f"{k} to row {k + 1}"
+            f"path: expected {'a configuration that is' if still else 'motions that are'} proven free, found {one} "
+            f"and {other} {Verdict(int(found.verdicts[k])).name}{'' if still else where}"
         )
     return largest(ready, a, b, shares, most, tolerance)
