@@ -16,12 +16,14 @@ from loewner._kernels import columns as tree_columns
 from loewner._plausible import doubt_about_limits, doubt_about_velocity, warn
 from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError, UnknownNameError
-from loewner.planners.space import ON_LIMIT
 from loewner.robots import Robot
 from loewner.scene_files.yaml_scenes import yaml_data
 
 # Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
 UP_IN = 1.0
+
+# How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
+ON_LIMIT = float(np.finfo(np.float64).eps)
 
 # The largest file [bytes], and how deeply the limits may be nested in ROS's parameters.
 MOST_BYTES = 2**24

@@ -17,8 +17,9 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import InputError, MissingExtraError, PlanningError, installing
+from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import Judge, free_now, refuse_unfree
-from loewner.planners.space import ON_LIMIT, Space, checked_checker
+from loewner.planners.space import Space, checked_checker
 from loewner.robots import CollisionChecker
 
 # OMPL takes shares of the extent strictly between 0 and 1.

@@ -15,13 +15,11 @@ from loewner._kernels import columns
 from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
+from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
-
-# How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
-ON_LIMIT = float(np.finfo(np.float64).eps)
 
 # A smaller deviation, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
