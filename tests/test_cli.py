@@ -1043,6 +1043,15 @@ def test_audit_says_what_is_wrong_with_a_table(with_end, capsys, text, told):
     assert told in err
 
 
+def test_audit_of_a_missing_file(with_end, capsys):
+    """A file that does not exist is no path either."""
+    status, _, err = run(capsys, *AUDIT)
+    assert (status, err) == (
+        2,
+        "loewner: error: moves.csv: expected points of a trajectory, but there is no such file\n",
+    )
+
+
 def test_audit_says_what_is_wrong_with_a_path_in_json(with_end, capsys):
     """A joint that the robot does not have is named."""
     Path("path.json").write_text(json.dumps({"names": ["x", "y", "tool"], "configurations": [[0, 0, 0], [1, 1, 1]]}))

@@ -195,7 +195,7 @@ def _answer(
 def _nearest_of(checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats) -> dict[int, tuple[float, int]]:
     """Return the least distance of each unproven piece's pair at the samples of the piece, and that sample."""
     least: dict[int, tuple[float, int]] = {}
-    for within in WITHIN:  # if a pair is within this distance at some samples, the least of these is the least of all
+    for within in WITHIN:  # nearer pairs are found first
         rows = np.flatnonzero(names.any(axis=1)[piece] & ~np.isin(piece, list(least)))
         if len(rows) == 0:
             break

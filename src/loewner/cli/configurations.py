@@ -51,15 +51,14 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
 
 
 def is_path(path: Path) -> bool:
-    """Return whether a file names columns, as `write` does, none of which is a time."""
-    data = read_regular(path, "configurations", MOST_BYTES)
+    """Return whether a file names its columns, as `write` does, and the first is not time."""
     try:
-        text = data.decode("utf-8-sig")
+        text = read_regular(path, "configurations", MOST_BYTES).decode("utf-8-sig")
         if path.suffix.lower() == ".json":
             found = json.loads(text)
             return isinstance(found, Mapping) and "configurations" in found
         rows = _rows(text)
-    except (ValueError, RecursionError, csv.Error):
+    except (FileError, ValueError, RecursionError, csv.Error):
         return False
     return _has_header(rows) and rows[0][0] not in TIMES
 
