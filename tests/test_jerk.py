@@ -24,9 +24,8 @@ from loewner.planners.trajectories import _corners
 from loewner.robots.courses import configurations
 from loewner.robots.curves import curve_of
 from motion_oracle import FINGERS, example, free_configurations, ring, steps, written
-from test_trajectories import dense, in_blend, off_polyline, paths
+from test_trajectories import dense, in_blend, limits, off_polyline, paths
 
-limits = arrays(np.float64, 3, elements=st.floats(0.05, 20.0))
 jerks = arrays(np.float64, 3, elements=st.floats(0.05, 5e3))
 
 

@@ -15,6 +15,7 @@ from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
 from loewner.errors import FileError, InputError, LoewnerError
+from loewner.planners.controller_points import TIMES
 from loewner.robots import curves
 
 # Width of the picture along time, in characters.
@@ -100,9 +101,7 @@ def _read(path: Path, robot: loewner.Robot) -> planners.ControllerPoints | Float
     try:
         return planners.ControllerPoints.load(path)
     except LoewnerError:
-        if path.suffix.lower() not in configurations.WRITTEN:
-            raise
-        if not configurations.is_path(path):
+        if path.suffix.lower() not in configurations.WRITTEN or not configurations.is_path(path, TIMES):
             raise
     hint = "; points with times have a first column time" if path.suffix.lower() == ".csv" else ""
     try:

@@ -22,9 +22,6 @@ from loewner.errors import FileError, InputError
 READ = (".npy", ".csv", ".json")
 WRITTEN = (".csv", ".json")
 
-# Names of a first column of times, which a path does not have.
-TIMES = ("time", "time_from_start")
-
 # The largest file of configurations that is read [bytes].
 MOST_BYTES = 2**33
 
@@ -50,8 +47,8 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
     return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
 
 
-def is_path(path: Path) -> bool:
-    """Return whether a file names its columns, as `write` does, and the first is not time."""
+def is_path(path: Path, times: Sequence[str]) -> bool:
+    """Return whether a file names its columns, as `write` does, and the first has none of the names of times."""
     try:
         text = read_regular(path, "configurations", MOST_BYTES).decode("utf-8-sig")
         if path.suffix.lower() == ".json":
@@ -60,7 +57,7 @@ def is_path(path: Path) -> bool:
         rows = _rows(text)
     except (FileError, ValueError, RecursionError, csv.Error):
         return False
-    return _has_header(rows) and rows[0][0] not in TIMES
+    return _has_header(rows) and rows[0][0] not in times
 
 
 def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
