@@ -67,7 +67,7 @@ workspace_size = inline(link_entries)
 
 
 @inline
-def direction_of(constants, link, k):
+def triple_of(constants, link, k):
     """Three constants of a link, from column k on."""
     return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
 
@@ -75,7 +75,7 @@ def direction_of(constants, link, k):
 @inline
 def _nine(constants, link, k):
     return (
-        direction_of(constants, link, k) + direction_of(constants, link, k + 3) + direction_of(constants, link, k + 6)
+        triple_of(constants, link, k) + triple_of(constants, link, k + 3) + triple_of(constants, link, k + 6)
     )
 
 
@@ -179,15 +179,15 @@ def place_links(tree, Q, rows, at, W):
         what = kind[link]
         q = behind + column[link] * LANES
         R = _nine(constants, link, ROTATION)
-        t = direction_of(constants, link, TRANSLATION)
+        t = triple_of(constants, link, TRANSLATION)
         if what == REVOLUTE:
             R = _turned(constants, link, load(W, q) * multiplier[link] + offset[link])
         elif what == PRISMATIC:
-            t = along(t, load(W, q) * multiplier[link] + offset[link], direction_of(constants, link, ACROSS))
+            t = along(t, load(W, q) * multiplier[link] + offset[link], triple_of(constants, link, ACROSS))
         elif what == PLANAR:
             R = _turned(constants, link, load(W, q + 2 * LANES))
-            t = along(t, load(W, q), direction_of(constants, link, ACROSS))
-            t = along(t, load(W, q + LANES), direction_of(constants, link, ALONG))
+            t = along(t, load(W, q), triple_of(constants, link, ACROSS))
+            t = along(t, load(W, q + LANES), triple_of(constants, link, ALONG))
         elif what in (FLOATING, BALL):
             if what == FLOATING:
                 t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
