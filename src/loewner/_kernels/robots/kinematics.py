@@ -74,9 +74,7 @@ def triple_of(constants, link, k):
 
 @inline
 def _nine(constants, link, k):
-    return (
-        triple_of(constants, link, k) + triple_of(constants, link, k + 3) + triple_of(constants, link, k + 6)
-    )
+    return triple_of(constants, link, k) + triple_of(constants, link, k + 3) + triple_of(constants, link, k + 6)
 
 
 @inline
