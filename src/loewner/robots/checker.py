@@ -347,9 +347,7 @@ class CollisionChecker:
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
-        exact = isinstance(joint_error, float) and joint_error == 0.0  # NumPy would take a tenth of a short call
-        off = None if exact else curves.joint_errors(self.robot, joint_error)
-        found = proofs.prove_by_rules(ready, a, b, tolerance, off)
+        found = proofs.prove_by_rules(ready, a, b, tolerance, curves.joint_errors(self.robot, joint_error))
         found.expect_short(a, b)
         return found.of_shape(shape, ready)
 

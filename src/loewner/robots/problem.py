@@ -191,7 +191,8 @@ class Problem:
     @kept
     def names_of_pairs(self) -> NDArray[np.str_]:
         """Names of all pairs, shape (pairs + 1, 2); the last row is empty."""
-        return np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)]
+        names: NDArray[np.str_] = np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)]
+        return names
 
     @kept
     def memory(self) -> int:

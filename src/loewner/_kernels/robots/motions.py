@@ -48,6 +48,7 @@ from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.sweeps import (
     BODY,
+    EVERY,
     INTERVALS,
     PIECE,
     PLACED,
@@ -64,7 +65,7 @@ from loewner._kernels.robots.sweeps import (
     sweep,
 )
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
-from loewner._kernels.simd.vectors import LANES, highest_bit, load, movemask
+from loewner._kernels.simd.vectors import LANES, highest_bit, load, lowest_bit, movemask
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
@@ -143,8 +144,8 @@ class Near(NamedTuple):
     margin : m that they must keep
     slack : bound on rounding [m], and on what joints may stray from the course
     stray : share of the latter
-    lever : `longest_lever`, where joints may stray
-    wave, rest : the errors of strays along a normal are less than wave w² + rest; 0 if joints do not stray
+    lever, wave, rest : `longest_lever`, and the errors of strays along a normal: less than wave w² + rest. 0 if joints
+        do not stray, and until they are first needed.
     """
 
     pair: Any
@@ -179,6 +180,7 @@ MEMORY = Arena(
     waiting_normals=floats(WAITING, 3),
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
     cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
+    ends=floats(4, 4, 4),  # poses at both ends of an interval that is halved: of the first body, then of the other one
     stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
@@ -215,8 +217,8 @@ _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurati
 _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
     "cut_links rates ways swept order off strays"
 )
-_gaps_of, _planes_of, _part_times_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
-    "gaps planes part_times near_pairs listed listed_ways"
+_gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
+    "gaps planes part_times ends near_pairs listed listed_ways"
 )
 _size = MEMORY.sizing()
 
@@ -368,24 +370,25 @@ def _write_gaps(motion, near, W, n, directed):
 
 
 @apart
-def _beyond(motion, near, swept, n, directed, live):
-    """Leave out of the intervals `live` those that a plane with this normal proves, see `_write_gaps`."""
-    times, gaps, widest = _times_of(motion), _gaps_of(motion), 0.0
+def _open_parts(motion, near, W, times, n, directed):
+    """The intervals between eight configurations, as bits, that a plane with the normal n does not prove.
+
+    The normal is in the frame of j's body; `directed` is explained at `_write_gaps`.
+    """
+    gaps, widest = _gaps_of(motion), 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
-    _write_gaps(motion, near, swept.links, n, directed)
-    keep = _needed(near, widest) if directed else near.margin + near.slack + _off(near, widest)
-    clear = movemask(load(gaps, 0) > keep)
-    return live & ~(clear & (clear >> 1))
+    _write_gaps(motion, near, W, n, directed)
+    clear = movemask(load(gaps, 0) > _needed(near, widest) + (0.0 if directed else near.stray))
+    return EVERY & ~(clear & (clear >> 1))
 
 
-@apart
-def _clear_between(motion, near, low, high, n):
-    """Whether a plane with the normal n, in the frame of j's body, proves an interval that is cut into seven parts."""
-    W, gaps = _cut_links_of(motion), _gaps_of(motion)
-    widest = _place_between(motion, low, high, _part_times_of(motion), W)
-    _write_gaps(motion, near, W, n, near.stray > 0.0)
-    return movemask(load(gaps, 0) > _needed(near, widest)) == (1 << LANES) - 1
+@njit()
+def _open_between(motion, near, low, high, n):
+    """The parts of an interval cut into seven, as bits, that a plane with the normal n does not prove."""
+    W, times = _cut_links_of(motion), _part_times_of(motion)
+    _place_between(motion, low, high, times, W)
+    return _open_parts(motion, near, W, times, n, near.stray > 0.0)
 
 
 @apart
@@ -424,10 +427,17 @@ def _copy_pose(W, link, lane, poses, row):
         poses[row, r, 3] = W[at + (9 + r) * LANES]
 
 
-@inline
-def _copy_standing(problem, k, poses, row):
-    for entry in range(12):
-        poses[row, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+@njit()
+def _copy_pair(motion, near, W, lane, poses, row, other_row):
+    """Write the poses of a pair's bodies in one lane to two rows."""
+    problem = problem_of(motion.problem)
+    other = problem.pairs[near.pair, 1]
+    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], lane, poses, row)
+    if other < motion.counts.moving:
+        _copy_pose(W, problem.link[other], lane, poses, other_row)
+    else:
+        for entry in range(12):
+            poses[other_row, entry // 4, entry % 4] = problem.standing_poses[other - motion.counts.moving, entry]
 
 
 @apart
@@ -457,7 +467,6 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
     problem = problem_of(motion.problem)
     times, to, W = _cut_times_of(motion), _cut_poses_of(motion), _cut_links_of(motion)
     course, Q = _course_of(motion), _configurations_of(motion)
-    link, other = problem.link[problem.pairs[near.pair, 0]], problem.pairs[near.pair, 1]
     times[depth, 0], times[depth, PARTS] = low, high
     for k in range(1, PARTS):
         times[depth, k] = low + (high - low) * (k / PARTS)
@@ -471,16 +480,19 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
             to[at, r, c], to[at + PARTS, r, c] = poses[row_low, r, c], poses[row_high, r, c]
             to[both, r, c], to[both + PARTS, r, c] = others[other_low, r, c], others[other_high, r, c]
     for k in range(1, PARTS):
-        _copy_pose(W, link, k - 1, to, at + k)
-        if other < motion.counts.moving:
-            _copy_pose(W, problem.link[other], k - 1, to, both + k)
-        else:
-            _copy_standing(problem, other - motion.counts.moving, to, both + k)
+        _copy_pair(motion, near, W, k - 1, to, at + k, both + k)
 
 
 @njit()
-def _halve(motion, near, swept, back, low, high, k, n, tally):
-    """Settle the interval k of the block, from `low` to `high`, which no plane between its ends proves.
+def _write_ends(motion, near, W, first, last):
+    """Copy the poses of a pair's bodies in two lanes of W, for `_halve`."""
+    _copy_pair(motion, near, W, first, _ends_of(motion), 0, 2)
+    _copy_pair(motion, near, W, last, _ends_of(motion), 1, 3)
+
+
+@njit()
+def _halve(motion, near, back, low, high, n, tally):
+    """Settle an interval, whose poses at both ends have been written, which no plane between its ends proves.
 
     Parameters
     ----------
@@ -499,17 +511,12 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         Fraction at which it is COLLIDING or AMBIGUOUS.
     """
     problem = problem_of(motion.problem)
-    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
-    stands = other >= motion.counts.moving
-    still = _standing_poses(problem)
-    times, poses = _cut_times_of(motion), _cut_poses_of(motion)
+    stands = problem.pairs[near.pair, 1] >= motion.counts.moving
+    times, poses, part, ends = (
+        _cut_times_of(motion), _cut_poses_of(motion), _part_times_of(motion), _ends_of(motion),
+    )  # fmt: skip
     stack, normals = _stack_of(motion), _stack_normals_of(motion)
-    if stands:
-        s = other - motion.counts.moving
-        _cut(motion, near, 0, low, high, swept.poses, one * LANES + k, one * LANES + k + 1, still, s, s)
-    else:
-        o = other * LANES + k
-        _cut(motion, near, 0, low, high, swept.poses, one * LANES + k, one * LANES + k + 1, swept.poses, o, o + 1)
+    _cut(motion, near, 0, low, high, ends, 0, 1, ends, 2, 3)
     tally[0] += LANES
     enough = _enough(motion, near)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, PARTS
@@ -555,10 +562,11 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
                 proven, m, undecided = _proven_moving(
                     motion, near.i, near.j, poses, both + a, at + a, both + b, at + b, least, keep, n
                 )  # fmt: skip
+            left = EVERY
             if not proven and undecided:
                 tally[0] += LANES
-                proven = _clear_between(motion, near, times[depth, a], times[depth, b], m)
-            if proven:
+                left = _open_between(motion, near, times[depth, a], times[depth, b], m)
+            if proven or left == 0:
                 continue
             # A plane that turns with the other body.
             keep = near.margin + near.slack + back.bend * w * w / 8.0
@@ -572,6 +580,11 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
                 continue
             if _moved(near, w) <= enough:
                 return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b])
+            if left != EVERY:
+                while a + 1 < b and times[depth, a + 1] <= part[lowest_bit(left)]:
+                    a += 1
+                while a < b - 1 and times[depth, b - 1] >= part[highest_bit(left) + 1]:
+                    b -= 1
             stack[top, 0], stack[top, 1], stack[top, 2] = depth, a, b
             normals[top, 0], normals[top, 1], normals[top, 2] = m
             top += 1
@@ -607,9 +620,11 @@ def _hit(found):
 def _halve_waiting(motion, count, found, tally):
     """Settle all waiting intervals, until a collision is found."""
     problem, swept = problem_of(motion.problem), _swept_of(motion)
-    waiting, normals, times = _waiting_of(motion), _waiting_normals_of(motion), _times_of(motion)
+    waiting, normals, times, part = (
+        _waiting_of(motion), _waiting_normals_of(motion), _times_of(motion), _part_times_of(motion),
+    )  # fmt: skip
     for e in range(count):
-        near, k = _listed_pair(motion, waiting[e, 0]), waiting[e, 1]
+        near, k = _with_errors(motion, waiting[e, 0]), waiting[e, 1]
         pair = near.pair
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
@@ -618,15 +633,23 @@ def _halve_waiting(motion, count, found, tally):
         keep, least = _kept(near, times[k + 1] - times[k])
         tally[1] += 1
         proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
+        left = EVERY
         if not proven and undecided:
             tally[0] += LANES
-            proven = _clear_between(motion, near, times[k], times[k + 1], n)
-        if proven:
+            left = _open_between(motion, near, times[k], times[k + 1], n)
+        if proven or left == 0:
             continue
         if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
             continue
-        verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
+        low, high = times[k], times[k + 1]
+        if left == EVERY:
+            _write_ends(motion, near, swept.links, k, k + 1)
+        else:
+            first, last = lowest_bit(left), highest_bit(left) + 1
+            low, high = part[first], part[last]
+            _write_ends(motion, near, _cut_links_of(motion), first, last)
+        verdict, t = _halve(motion, near, back, low, high, n, tally)
         found = _worse(found, verdict, t, pair)
         if _hit(found):
             break
@@ -702,10 +725,11 @@ def _search(motion, e, found, waiting_count, tally):
         proven, n, undecided = _proven(motion, near, swept, k, k + 1, least if near.stray > 0.0 else keep, keep, n)
         if proven:
             if live != 0:
-                live = _beyond(motion, near, swept, n, False, live)
+                live &= _open_parts(motion, near, swept.links, times, n, False)
             continue
         if near.stray > 0.0 and undecided:
-            left = _beyond(motion, near, swept, n, True, live | (1 << k))
+            near = _with_errors(motion, e)
+            left = _open_parts(motion, near, swept.links, times, n, True)
             live &= left
             if (left >> k) & 1 == 0:
                 continue
@@ -730,6 +754,14 @@ def _listed_pair(motion, e):
     )  # fmt: skip
 
 
+@inline
+def _with_errors(motion, e):
+    """A listed pair with its `lever`, `wave` and `rest`, which are computed when first needed."""
+    if motion.strays and _listed_ways_of(motion)[e * LISTED_WAYS + 4] == 0.0:
+        _write_errors(motion, e)
+    return _listed_pair(motion, e)
+
+
 @njit()
 def _settle_listed(motion, count, found, tally):
     """Settle the piece pairs of the list."""
@@ -746,14 +778,15 @@ def _settle_listed(motion, count, found, tally):
 
 
 @apart
-def _write_errors(motion, pair, i, ways, at):
-    """Write a pair's `lever`, `wave` and `rest` to entries of `ways`."""
-    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
-    one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
+def _write_errors(motion, e):
+    """Write a listed pair's `lever`, `wave` and `rest`."""
+    problem, tables, listed = problem_of(motion.problem), motion_tables_of(motion.tables), _listed_of(motion)
+    ways, at = _listed_ways_of(motion), e * LISTED_WAYS + 4
+    one, other = problem.pairs[listed[e, 0], 0], problem.pairs[listed[e, 0], 1]
     link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
     seen, astray = _ways(motion, False, one, link, fixed), _ways(motion, True, one, link, fixed)
     lever = longest_lever(tables, seen, astray)
-    far = lever + pieces_of(motion.pack).hot[i, OUTER_RADIUS]
+    far = lever + pieces_of(motion.pack).hot[listed[e, 1], OUTER_RADIUS]
     ways[at] = lever
     ways[at + 1] = error_of_strays(seen, astray, far, 1.0)
     ways[at + 2] = error_of_strays(seen, astray, far, 0.0) + astray.bend
@@ -801,8 +834,6 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
                 _place_body(motion, other)
             ways[at], ways[at + 1], ways[at + 2], ways[at + 3] = bend, speed, slack, stray
             ways[at + 4] = ways[at + 5] = ways[at + 6] = 0.0
-            if motion.strays:
-                _write_errors(motion, pair, i, ways, at + 4)
             nearest, deepest, end = DEEP, -1, 0
             for k in range(INTERVALS):
                 for last in range(2):
@@ -974,7 +1005,7 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
-    rows, same, poses = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
+    rows, same, poses, ends = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion), _ends_of(motion)
     near_pairs = _near_pairs_of(motion)
     for pair in range(len(near_pairs)):
         near_pairs[pair] = 1
@@ -982,6 +1013,7 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
         rows[lane] = lane
     same[:] = 0.0
     poses[:] = 0.0
+    ends[:] = 0.0
     for c in range(4):
         same[0, c, c] = 1.0
 
