@@ -227,7 +227,7 @@ def test_an_interrupt_at_any_line(name: str, folder: Path):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of zipfile, about what is unfinished
 def test_an_interrupt_while_a_file_is_written(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    """As an entry of the archive is closed, zipfile raises an error about that entry instead; the interrupt is raised."""
+    """As an entry of the archive is closed: zipfile raises an error about it, which does not replace the interrupt."""
     rocks = Bodies.from_points(np.random.default_rng(0).normal(size=(2, 8, 3)))
 
     def interrupt(*_: Any, **__: Any) -> None:
