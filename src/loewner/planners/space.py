@@ -20,6 +20,7 @@ from loewner.planners.judge import TOLERANCE, Judge
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
+from loewner.robots.robot import named_joints
 
 # A smaller deviation, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
@@ -258,19 +259,8 @@ def _refuse_start(fault: str) -> None:
 
 def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
     """Return the columns of a group, of the given joints or of all joints, in ascending order."""
-    if isinstance(joints, str):
-        if joints not in robot.groups and joints not in robot.joint_names:
-            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
-        names = list(robot.groups.get(joints, (joints,)))
-    else:
-        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
-    if not names:
-        raise InputError(
-            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
-        )
+    names = named_joints(robot, joints)
     for name in names:
-        if not isinstance(name, str) or name not in robot.joint_names:
-            raise _validate.unknown_name("joints", name, robot.joint_names)
         if name not in robot.configuration_names:
             raise InputError(
                 f"joints: expected joints of one value each, found {name!r}, which is planar or floating, or a ball "
