@@ -17,6 +17,7 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.pose_goals import PoseGoal, goals_of
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
@@ -206,10 +207,16 @@ class Space:
         )
 
 
-def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
+def checked_ends(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike | PoseGoal,
+    joints: str | Iterable[str] | None = None,
+) -> tuple[Floats, Floats]:
     """Check a user's start and goals; return them with shapes (dof,) and (goals, dof)."""
     robot = checked_checker(checker).robot
-    q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
+    q = robot.checked_one(start, "start")
+    goals = np.atleast_2d(robot.checked(goals_of(goal, robot, q, joints), "goal"))
     if goals.ndim != 2 or len(goals) == 0:
         raise InputError(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(np.shape(goal))}"
