@@ -39,6 +39,7 @@ ENTRIES = {
         Entry("robots.clearances", "clearances", "b f i i F2 i i i F1 F2", ""),
         Entry("robots.clearances", "pair_gradients", "i i F2 i i i cI2 cF2 cF2 F2", ""),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
+        Entry("robots.reach", "reach_poses", "I2 F2 F2 F1 F3 F2 F2 i i i F3 I1 F2", ""),
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F2 F3 B1", "I2 F2"),

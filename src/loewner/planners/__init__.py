@@ -4,12 +4,14 @@ from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.roadmaps import Roadmap, roadmap
 from loewner.planners.trajectories import Trajectory, trajectory
 
 __all__ = [
     "ControllerPoints",
     "JointLimits",
+    "PoseGoal",
     "Roadmap",
     "Trajectory",
     "plan",

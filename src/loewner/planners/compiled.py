@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
+from loewner._low_discrepancy import irrationals
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
@@ -133,21 +133,8 @@ def connect(
 
 def _sequence(joints: int, seed: int) -> tuple[Floats, Floats]:
     """Return strides and shifts of a low-discrepancy sequence; its k-th entry is the fraction of shift + k strides."""
-    strides, shifts = _irrationals(joints)
+    strides, shifts = irrationals(joints)
     return strides, np.modf(0.5 + seed * shifts)[0]
-
-
-@cache
-def _irrationals(joints: int) -> tuple[Floats, Floats]:
-    """Compute powers of the root of x^(d + 1) = x + 1 (the golden ratio for d = 1), and numbers independent of them.
-
-    Roberts: The unreasonable effectiveness of quasirandom sequences, 2018.
-    """
-    root = 2.0
-    for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (joints + 1))
-    order = np.arange(1.0, joints + 1.0)
-    return root**-order, np.modf(np.pi * np.sqrt(order + 1.0))[0]
 
 
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:

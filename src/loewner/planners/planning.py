@@ -13,6 +13,7 @@ from loewner._validate import Floats
 from loewner.planners import compiled, ompl_planners
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge, refuse_unfree
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.edges import checked_path
@@ -22,7 +23,7 @@ from loewner.robots.edges import checked_path
 def plan(
     checker: CollisionChecker,
     start: ArrayLike,
-    goal: ArrayLike,
+    goal: ArrayLike | PoseGoal,
     *,
     joints: str | Iterable[str] | None = None,
     planner: str | Callable[[Any], Any] | None = None,
@@ -41,9 +42,9 @@ def plan(
     checker : CollisionChecker
         Bodies attached in its scene move with the robot.
     start : array_like, shape (dof,)
-    goal : array_like, shape (dof,) or (goals, dof)
-        One goal or several; reaching any of them is enough. Goals that are obviously unreachable (outside the limits,
-        or colliding) are ignored, as long as one remains.
+    goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
+        One goal or several, or poses of a link; reaching any of them is enough. Goals that are obviously unreachable
+        (outside the limits, or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all.
     planner : str or callable, optional
@@ -78,7 +79,8 @@ def plan(
     Raises
     ------
     PlanningError
-        If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths), or
+        If a pose cannot be reached (the message states how near the link came); if the start or all goals are outside
+        the limits or collide (the message names joints, or pairs and depths), or
         are not proven free within the joint error (the message states the largest error that is proven); if no short
         motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
         found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
@@ -118,7 +120,7 @@ def plan(
     seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
-    q, goals = checked_ends(checker, start, goal)
+    q, goals = checked_ends(checker, start, goal, joints)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
     ends = Departures.of(space, judge, q, goals)
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge)
