@@ -329,4 +329,4 @@ def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> F
         raise InputError(f"{wanted} {_validate.shape_text(array.shape)}")
     for k in np.flatnonzero(array < 0)[:1]:
         raise InputError(f"{wanted} {array.flat[k]:g}{f' for {robot.configuration_names[k]}' if array.ndim else ''}")
-    return np.broadcast_to(array, robot.dof).copy()
+    return np.full(robot.dof, array)

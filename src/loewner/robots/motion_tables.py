@@ -18,14 +18,18 @@ from loewner.bodies import Packed
 # An allowance for rounding, and for the stretching by poses of a base or a body that are accepted as rigid.
 STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
 
+# Pairs in a group, and numbers that describe one.
+LANES = 8
+
 # Angles at which a joint's rotation is compared with an orthonormal one. The difference is a sum of waves of up to
 # twice the angle, and its maximum is less than twice the largest of eight samples.
 ANGLES = np.arange(8) * (np.pi / 4)
 
 
 def motion_tables(
-    tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, standing: Floats, poses: Floats, rows: Floats
-) -> MotionTables:
+    tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, margins: Floats, standing: Floats,
+    poses: Floats, rows: Floats,
+) -> MotionTables:  # fmt: skip
     """Prepare the input of `entries.certify_motions` in addition to the checked pairs.
 
     Parameters
@@ -33,7 +37,7 @@ def motion_tables(
     tree : Tree
     packed : Packed
         Pieces of all bodies, moving bodies first.
-    link, balls, pairs
+    link, balls, pairs, margins
         As in `Problem`.
     standing : ndarray, shape (bodies, BOUNDS)
         Bounds of the static bodies.
@@ -47,16 +51,36 @@ def motion_tables(
     still = _reaches(tree, np.full(len(standing), -1), standing[:, :3], standing[:, 3])
     far = _farthest(packed)
     depth = np.diff(start)[link]
+    sizes = far[len(link) :] + np.abs(poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1)
+    group_start, group_pairs, groups = _groups(len(link), pairs, margins, standing, sizes)
     return MotionTables(
         path_start=start,
         path_link=links,
         reach=np.ascontiguousarray(np.concatenate([moving, still]) * STRETCH),
         standing_rows=np.ascontiguousarray(rows),
-        sizes=far[len(link) :] + np.abs(poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1),
+        sizes=sizes,
         # Bodies far out on the robot move most, and collide most often.
         order=np.argsort(-depth[pairs[:, 0]], kind="stable"),
+        group_start=group_start,
+        group_pairs=group_pairs,
+        groups=groups,
         chain=np.array([1 + depth.max(initial=0), _longest(tree, link, far), _bend(tree)]),
     )
+
+
+def _groups(moving: int, pairs: Ints, margins: Floats, standing: Floats, sizes: Floats) -> tuple[Ints, Ints, Floats]:
+    """Arrange the pairs with static bodies in groups of eight, in the form of `records.MotionTables`."""
+    at = np.flatnonzero(pairs[:, 1] >= moving)
+    at = at[np.argsort(pairs[at, 0], kind="stable")]
+    counts = np.bincount(pairs[at, 0], minlength=moving)
+    ends, groups = np.cumsum(counts), -(-counts // LANES)
+    start = np.cumsum([0, *groups])
+    body = np.repeat(np.arange(moving), LANES * groups)
+    number = np.arange(LANES * start[-1]) - LANES * start[body] + (ends - counts)[body]
+    listed = at[np.minimum(number, ends[body] - 1)]
+    still = pairs[listed, 1] - moving
+    rows = np.stack([*standing[still][:, [0, 1, 2, 4, 5, 6]].T, margins[listed], sizes[still]])
+    return start, listed, np.ascontiguousarray(rows.reshape(LANES, start[-1], LANES).swapaxes(0, 1)).ravel()
 
 
 def _farthest(packed: Packed) -> Floats:

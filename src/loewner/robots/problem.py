@@ -189,6 +189,11 @@ class Problem:
         return int(self.arrays[-1].ctypes.data)
 
     @kept
+    def names_of_pairs(self) -> NDArray[np.str_]:
+        """Names of all pairs, shape (pairs + 1, 2); the last row is empty."""
+        return np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)]
+
+    @kept
     def memory(self) -> int:
         """Scratch memory for verdicts."""
         return int(entries.memory_size(self.packed.handle, self.handle, self.robot.dof))
@@ -220,8 +225,9 @@ class Problem:
             for k, T in enumerate(self.standing_poses.reshape(-1, 4, 4))
         ]
         tables = motion_tables(
-            self.robot.tree, self.packed, self.link, self.balls, self.pairs, self.standing_bounds.astype(np.float64),
-            self.standing_poses, np.concatenate([np.empty((0, columns.HOT)), *rows]),
+            self.robot.tree, self.packed, self.link, self.balls, self.pairs, self.margins,
+            self.standing_bounds.astype(np.float64), self.standing_poses,
+            np.concatenate([np.empty((0, columns.HOT)), *rows]),
         )  # fmt: skip
         addresses = records.table_of(tables)
         memory = entries.motion_memory(self.packed.handle, self.handle, self.robot.dof)

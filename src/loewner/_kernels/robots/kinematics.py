@@ -67,7 +67,7 @@ workspace_size = inline(link_entries)
 
 
 @inline
-def direction_of(constants, link, k):
+def triple_of(constants, link, k):
     """Three constants of a link, from column k on."""
     return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
 
@@ -75,9 +75,7 @@ def direction_of(constants, link, k):
 @inline
 def nine(constants, link, k):
     """Nine constants of a link, from column k on."""
-    return (
-        direction_of(constants, link, k) + direction_of(constants, link, k + 3) + direction_of(constants, link, k + 6)
-    )
+    return triple_of(constants, link, k) + triple_of(constants, link, k + 3) + triple_of(constants, link, k + 6)
 
 
 @inline
@@ -180,15 +178,15 @@ def place_links(tree, Q, rows, at, W):
         what = kind[link]
         q = behind + column[link] * LANES
         R = nine(constants, link, ROTATION)
-        t = direction_of(constants, link, TRANSLATION)
+        t = triple_of(constants, link, TRANSLATION)
         if what == REVOLUTE:
             R = turned_by(constants, link, load(W, q) * multiplier[link] + offset[link])
         elif what == PRISMATIC:
-            t = along(t, load(W, q) * multiplier[link] + offset[link], direction_of(constants, link, ACROSS))
+            t = along(t, load(W, q) * multiplier[link] + offset[link], triple_of(constants, link, ACROSS))
         elif what == PLANAR:
             R = turned_by(constants, link, load(W, q + 2 * LANES))
-            t = along(t, load(W, q), direction_of(constants, link, ACROSS))
-            t = along(t, load(W, q + LANES), direction_of(constants, link, ALONG))
+            t = along(t, load(W, q), triple_of(constants, link, ACROSS))
+            t = along(t, load(W, q + LANES), triple_of(constants, link, ALONG))
         elif what in (FLOATING, BALL):
             if what == FLOATING:
                 t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))

@@ -51,10 +51,12 @@ from loewner._kernels.robots.sweeps import (
     INTERVALS,
     PIECE,
     Swept,
+    near_group,
     near_in_world,
     near_moving,
     near_piece,
     near_standing,
+    place_body,
     place_pieces,
     see_piece,
     sweep,
@@ -80,6 +82,15 @@ SETTLED_STRAY = 0.125
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
 
+# Capacity for piece pairs of a block that wait to be searched; and numbers of such a pair, of which some come first.
+LISTED = 128
+LISTED_WAYS = 6 * LANES
+_NORMALS = LANES
+
+# Pieces whose ellipsoids are nearer to each other than this, as a share of the distance at which they touch, are tested
+# at once where they are nearest: most of them collide.
+DEEP = 0.7
+
 PARTS = 8  # parts into which an interval is cut at a time
 # A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
 # ends.
@@ -94,19 +105,20 @@ class Motion(NamedTuple):
 
     Attributes
     ----------
-    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables` tolerance : m confirmed :
-    whether collisions are confirmed at the poses of `collide`; if not, only FREE matters rounding : errors of computed
-    poses, and rounding of the positions of the robot's points [m] skew : relative error of turned lengths, which is
-    also added for a pair's margin strays : whether values may deviate from the course; pairs then keep a larger
-    distance points : control points of the course counts : numbers of bodies, pieces, pairs and links work : address of
-    `MEMORY`
+    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
+    tolerance : m
+    rounding : errors of computed poses, and rounding of the positions of the robot's points [m]
+    skew : relative error of turned lengths, which is also added for a pair's margin
+    strays : whether values may deviate from the course; pairs then keep a larger distance
+    points : control points of the course
+    counts : numbers of bodies, pieces, pairs and links
+    work : address of `MEMORY`
     """
 
     pack: Any
     problem: Any
     tables: Any
     tolerance: Any
-    confirmed: Any
     rounding: Any
     skew: Any
     strays: Any
@@ -149,13 +161,14 @@ MEMORY = Arena(
     rows=integers(LANES),  # of the configurations
     times=floats(LANES),  # of the block
     scratch=floats(PIECE),  # a piece relative to another body
-    normals=floats(3 * LANES),  # directions from `sweeps.near_piece`
+    near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
+    listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
+    listed_ways=floats(LISTED * LISTED_WAYS),  # bends, speeds and slacks, and what `sweeps.near_piece` wrote
     relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
     waiting=integers(WAITING, 4),  # piece pairs to be halved: pair, i, j, the interval's number
     waiting_ways=floats(WAITING, 8),  # their normals, `Ways`, margin and slack
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
     cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
-    alone=floats(2, 4, 4),  # poses of two bodies where a collision is confirmed
     stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
@@ -171,20 +184,20 @@ MEMORY = Arena(
     planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
-    ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
+    ways=floats(MOVING, 3),  # bend, speed and V(δ) of moving bodies, relative to the world
     swept=Arena(
         Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
-        done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
+        done=integers(MOVING), posed=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
     ),  # placement of a block
     order=integers(PAIRS),  # order of the pairs
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
 )  # fmt: skip
-_rows_of, _times_of, _scratch_of, _normals_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
-    "rows times scratch normals relative waiting waiting_ways"
+_rows_of, _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
+    "rows times scratch relative waiting waiting_ways"
 )
-_cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
-    "cut_times cut_poses alone stack stack_normals gjk exact"
+_cut_times_of, _cut_poses_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
+    "cut_times cut_poses stack stack_normals gjk exact"
 )
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
@@ -192,7 +205,9 @@ _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurati
 _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
     "cut_links rates ways swept order off strays"
 )
-_gaps_of, _planes_of, _part_times_of = MEMORY.accessors("gaps planes part_times")
+_gaps_of, _planes_of, _part_times_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
+    "gaps planes part_times near_pairs listed listed_ways"
+)
 _size = MEMORY.sizing()
 
 
@@ -369,33 +384,10 @@ def _clear_between(motion, near, low, high, n):
     return movemask(load(gaps, 0) > least) == (1 << LANES) - 1
 
 
-@njit()
+@apart
 def _place_at(motion, W):
     """Place the links at the configurations that have been written."""
     place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), 0, W)
-
-
-@apart
-def _confirmed(motion, near, t, n):
-    """The result of `CollisionChecker.collide` for two pieces at this fraction, placed as it does, one at a time.
-
-    COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
-    """
-    if not motion.confirmed:
-        return COLLIDING
-    problem = problem_of(motion.problem)
-    Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _alone_of(motion)
-    for lane in range(LANES):
-        configuration_at(problem.tree, _course_of(motion), t, Q, lane)
-    _place_at(motion, W)
-    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], 0, poses, 0)
-    other = problem.pairs[near.pair, 1]
-    if other < motion.counts.moving:
-        _copy_pose(W, problem.link[other], 0, poses, 1)
-    else:
-        _copy_standing(problem, other - motion.counts.moving, poses, 1)
-    verdict = _collides(motion, near.i, poses, 0, near.j, poses, 1, near.margin, n)
-    return AMBIGUOUS if verdict == FREE else verdict
 
 
 @inline
@@ -500,8 +492,9 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
         tally[1] += 1
-        if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward) != FREE:
-            return _confirmed(motion, near, t, toward), t
+        hit = _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward)
+        if hit != FREE:
+            return hit, t
         if _off(near, width) <= motion.tolerance:
             wide = near.margin + motion.tolerance
             tally[1] += 1
@@ -641,32 +634,33 @@ def _test(motion, near, swept, k, n, found, tested, tally):
     if (tested >> k) & 1 == 0:
         tested |= 1 << k
         tally[1] += 1
-        if _collides_in_block(motion, near, swept, k, n) != FREE:
-            times, other = _times_of(motion), problem_of(motion.problem).pairs[near.pair, 1]
-            toward = n
-            if other < motion.counts.moving:
-                toward = _to_world(swept.poses, other * LANES + k, n)
-            found = _worse(found, _confirmed(motion, near, times[k], negated(toward)), times[k], near.pair)
+        found = _worse(found, _collides_in_block(motion, near, swept, k, n), _times_of(motion)[k], near.pair)
     return found, tested
 
 
 @njit()
-def _search(motion, near, live, found, waiting_count, tally):
+def _search(motion, near, live, tested, N, at, found, waiting_count, tally):
     """Prove the intervals `live` of a piece pair by planes; the remaining ones wait.
+
+    Parameters
+    ----------
+    tested : int
+        Configurations at which it is known to be free, as bits.
+    N, at :
+        Directions from `sweeps.near_piece`, from entry `at` on.
 
     Returns
     -------
     found : Found
     waiting_count : int
     """
-    swept, times, N = _swept_of(motion), _times_of(motion), _normals_of(motion)
+    swept, times = _swept_of(motion), _times_of(motion)
     waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
-    tested = 0
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
         live &= ~(1 << k)
-        n = N[k], N[LANES + k], N[2 * LANES + k]
+        n = N[at + k], N[at + LANES + k], N[at + 2 * LANES + k]
         w = times[k + 1] - times[k]
         keep = near.margin + near.slack + _off(near, w)
         tally[1] += 1
@@ -689,37 +683,88 @@ def _search(motion, near, live, found, waiting_count, tally):
     return found, waiting_count
 
 
+@inline
+def _listed_pair(motion, e):
+    """The piece pair in row e of the list."""
+    listed, ways, at = _listed_of(motion), _listed_ways_of(motion), e * LISTED_WAYS
+    pair = listed[e, 0]
+    margin = problem_of(motion.problem).margins[pair]
+    return Near(pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, ways[at + 2], ways[at + 3])
+
+
 @njit()
-def _settle_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
-    """Settle the intervals `live` of a pair of bodies, piece by piece."""
+def _settle_listed(motion, count, found, tally):
+    """Search for planes between the piece pairs of the list."""
+    listed, ways = _listed_of(motion), _listed_ways_of(motion)
+    waiting = 0
+    for e in range(count):
+        near, at = _listed_pair(motion, e), e * LISTED_WAYS + _NORMALS
+        found, waiting = _search(motion, near, listed[e, 3], listed[e, 4], ways, at, found, waiting, tally)
+        if _hit(found):
+            return found
+        if waiting > WAITING - LANES:
+            found, waiting = _halve_waiting(motion, waiting, found, tally), 0
+            if _hit(found):
+                return found
+    return _halve_waiting(motion, waiting, found, tally)
+
+
+@njit()
+def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
+    """List the pieces of two bodies that may be near each other in the intervals `live`.
+
+    Returns
+    -------
+    found : Found
+    count : int
+        Of listed piece pairs; those that do not fit have been settled.
+    """
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
-    swept, scratch, normals, times = _swept_of(motion), _scratch_of(motion), _normals_of(motion), _times_of(motion)
+    swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)
+    listed, ways = _listed_of(motion), _listed_ways_of(motion)
     one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
-    first_standing = start[moving]
+    width = times[1] - times[0]
+    keep = margin + slack + bend * width * width / 8.0
     place_pieces(problem, pieces, one, swept)
     for i in range(start[one], start[one + 1]):
-        rows, at = swept.pieces, i * PIECE
+        rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
-            rows, at = scratch, 0
+            rows, first = scratch, 0
         for j in range(start[other], start[other + 1]):
-            near = Near(pair, i, j, bend, speed, margin, slack, stray)
-            keep = margin + slack + _off(near, times[1] - times[0])
+            at = count * LISTED_WAYS
+            to = at + _NORMALS
             if other < moving:
-                left = near_piece(rows, at, hot[i, OUTER_RADIUS], hot, j, keep, live, normals)
+                left = near_piece(rows, first, hot[i, OUTER_RADIUS], hot, j, keep, live, ways, to)
             else:
-                table = tables.standing_rows
-                left = near_piece(rows, at, hot[i, OUTER_RADIUS], table, j - first_standing, keep, live, normals)
-            if left != 0:
-                found, count = _search(motion, near, left, found, count, tally)
+                table, row = tables.standing_rows, j - start[moving]
+                left = near_piece(rows, first, hot[i, OUTER_RADIUS], table, row, keep, live, ways, to)
+            if left == 0:
+                continue
+            listed[count, 0], listed[count, 1], listed[count, 2], listed[count, 3] = pair, i, j, left
+            listed[count, 4] = 0
+            place_body(problem, one, swept)
+            if other < moving:
+                place_body(problem, other, swept)
+            ways[at], ways[at + 1], ways[at + 2], ways[at + 3] = bend, speed, slack, stray
+            nearest, deepest, end = DEEP, -1, 0
+            for k in range(INTERVALS):
+                for last in range(2):
+                    share = ways[to + (3 + last) * LANES + k]
+                    if (left >> k) & 1 != 0 and share < nearest:
+                        nearest, deepest, end = share, k, last
+            if deepest >= 0:
+                n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
+                near = _listed_pair(motion, count)
+                found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
                 if _hit(found):
                     return found, count
-                if count > WAITING - LANES:
-                    found = _halve_waiting(motion, count, found, tally)
-                    count = 0
-                    if _hit(found):
-                        return found, count
+            count += 1
+            if count == LISTED:
+                found, count = _settle_listed(motion, count, found, tally), 0
+                if _hit(found):
+                    return found, count
     return found, count
 
 
@@ -744,12 +789,19 @@ def _measure(motion, course, width):
     return most, travel, angles, places
 
 
+@inline
+def _stray(motion, body, link, fixed):
+    """How far a body's points may stray relative to a link: V(δ), with the error of turned lengths."""
+    tables, strays = motion_tables_of(motion.tables), _strays_of(motion)
+    return (1.0 + motion.skew) * ways_between(tables, strays, body, link, fixed).speed
+
+
 @njit()
 def _settle_block(motion, low, high, found, tally):
     """Settle the seven intervals between two times."""
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, times, Q, course = _swept_of(motion), _times_of(motion), _configurations_of(motion), _course_of(motion)
-    ways, rates, scratch = _ways_of(motion), _rates_of(motion), _scratch_of(motion)
+    ways, rates, scratch, near_pairs = _ways_of(motion), _rates_of(motion), _scratch_of(motion), _near_pairs_of(motion)
     moving = motion.counts.moving
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
@@ -760,38 +812,45 @@ def _settle_block(motion, low, high, found, tally):
     widest = 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
+    for body in range(moving):
+        keep = motion.rounding + ways[body, 2] + ways[body, 0] * widest * widest / 8.0
+        for g in range(tables.group_start[body], tables.group_start[body + 1]):
+            live = near_group(tables.groups, g, body, keep, motion.skew, CLEAR_ROUNDINGS, swept)
+            for lane in range(LANES):
+                near_pairs[tables.group_pairs[g * LANES + lane]] = (live >> lane) & 1
     count = 0
     order = _order_of(motion)
     for number in range(len(order)):
         pair = order[number]
+        if near_pairs[pair] == 0:
+            continue
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
-        slack, stray = motion.rounding + motion.skew * margin, 0.0
-        if motion.strays:
-            fixed = problem.link[other] if other < moving else -1
-            astray = ways_between(tables, _strays_of(motion), one, problem.link[one], fixed).speed
-            stray = (1.0 + motion.skew) * astray
-            slack += stray
+        slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
+            slack += stray
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
             # First relative to the world, each body on its own path, which is cheap and leaves few pairs.
-            bend = ways[one, 0] + ways[other, 0]
-            live = near_in_world(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept)
+            bend, stray = ways[one, 0] + ways[other, 0], stray + ways[other, 2]
+            live = near_in_world(problem, one, other, margin + slack + stray + bend * widest * widest / 8.0, swept)
             if live == 0:
                 continue
+            if motion.strays:
+                stray = _stray(motion, one, problem.link[one], problem.link[other])
+                slack += stray
             seen = ways_between(tables, rates, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0:
             live &= 1  # the pair is the same everywhere
         if live != 0:
-            found, count = _settle_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
+            found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
                 return found
-    return _halve_waiting(motion, count, found, tally)
+    return _settle_listed(motion, count, found, tally)
 
 
 @njit()
@@ -806,11 +865,14 @@ def _certify(motion, tally):
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, motion.confirmed, rounding, skew, motion.strays,
-        motion.points, motion.counts, motion.work,
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.strays, motion.points,
+        motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
         return Found(TOO_LONG, np.nan, -1)  # an orientation that may turn arbitrarily fast
+    for body in range(motion.counts.moving):
+        link = problem.link[body]
+        _ways_of(motion)[body, 2] = _stray(motion, body, link, -1) if motion.strays else 0.0
     blocks = 1
     while not most / (8.0 * (INTERVALS * blocks) ** 2) <= FIRST_OFF:
         blocks *= 2
@@ -835,25 +897,27 @@ def _certify(motion, tally):
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, points, dof, memory):
+def _motion(pack, problem_handle, tables_handle, tolerance, strays, points, dof, memory):
     """A motion in prepared memory, whose course has yet to be written."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, points, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, points, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write the data shared by all motions to the memory."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, False, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
-    rows, same, poses, alone = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion), _alone_of(motion)
+    rows, same, poses = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
+    near_pairs = _near_pairs_of(motion)
+    for pair in range(len(near_pairs)):
+        near_pairs[pair] = 1
     for lane in range(LANES):
         rows[lane] = lane
     same[:] = 0.0
     poses[:] = 0.0
-    alone[:] = 0.0
     for c in range(4):
         same[0, c, c] = 1.0
 
@@ -890,7 +954,7 @@ def certify_motions(
     """
     _, points, dof = courses.shape
     make_ready(pack, problem_handle, tables_handle, dof, memory)
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, True, len(off) > 0, points, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, points, dof, memory)
     course, strays = _course_of(motion), _off_of(motion)
     for k in range(start, stop):
         for c in range(dof):
@@ -911,7 +975,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
     found not to be free is moved forward, so that pairs that collide most often come first.
     """
     dof = ends.shape[1]
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, error != 0, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 2, dof, memory)
     course = _course_of(motion)
     for c in range(dof):
         course[0, c], course[1, c] = ends[0, c], ends[1, c]

@@ -55,7 +55,7 @@ from loewner._kernels.columns import (
     WRAPS,
 )
 from loewner._kernels.linalg3 import along, apply, cross, dot, image, plus, product, scaled
-from loewner._kernels.robots.kinematics import by_quaternion, direction_of, nine, turned_by
+from loewner._kernels.robots.kinematics import by_quaternion, nine, triple_of, turned_by
 from loewner._kernels.simd.vectors import (
     ALL,
     LANES,
@@ -110,25 +110,25 @@ def _follow(chain, constants, base, q, twists):
     for link in range(len(chain)):
         what, moves, column = chain[link, KIND_OF_LINK], chain[link, MOVES_OF_LINK] == 1, chain[link, COLUMN_OF_LINK]
         at, multiplier = column * LANES, constants[link, MULTIPLIER]
-        t = image(R, t, direction_of(constants, link, TRANSLATION))
+        t = image(R, t, triple_of(constants, link, TRANSLATION))
         if what == REVOLUTE:
             R = product(R, turned_by(constants, link, load(q, at) * multiplier + constants[link, OFFSET]))
             if moves:
-                turn = scaled(multiplier, apply(R, direction_of(constants, link, AXIS)))
+                turn = scaled(multiplier, apply(R, triple_of(constants, link, AXIS)))
                 _add_twist(twists, column, turn, cross(t, turn))
         elif what == PRISMATIC:
-            slide = apply(R, direction_of(constants, link, ACROSS))
+            slide = apply(R, triple_of(constants, link, ACROSS))
             t = along(t, load(q, at) * multiplier + constants[link, OFFSET], slide)
             R = product(R, nine(constants, link, ROTATION))
             if moves:
                 _add_twist(twists, column, nothing, scaled(multiplier, slide))
         elif what == PLANAR:
-            x = apply(R, direction_of(constants, link, ACROSS))
-            y = apply(R, direction_of(constants, link, ALONG))
+            x = apply(R, triple_of(constants, link, ACROSS))
+            y = apply(R, triple_of(constants, link, ALONG))
             t = along(along(t, load(q, at), x), load(q, at + LANES), y)
             R = product(R, turned_by(constants, link, load(q, at + 2 * LANES)))
             if moves:
-                turn = apply(R, direction_of(constants, link, AXIS))
+                turn = apply(R, triple_of(constants, link, AXIS))
                 _add_twist(twists, column, nothing, x)
                 _add_twist(twists, column + 1, nothing, y)
                 _add_twist(twists, column + 2, turn, cross(t, turn))

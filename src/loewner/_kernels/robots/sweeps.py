@@ -13,7 +13,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE
-from loewner._kernels.ellipsoids.contact import normal_at, outward_width
+from loewner._kernels.ellipsoids.contact import normal_at, outward_width, position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, plus, rotated_shape, trace
 from loewner._kernels.robots.kinematics import rotation_of_link, translation_of_link
 from loewner._kernels.robots.placement import HALF_X, HALF_Y, HALF_Z, WIDE, X, Y, Z
@@ -21,7 +21,9 @@ from loewner._kernels.simd.vectors import (
     LANES,
     absolute,
     broadcast,
+    highest,
     load,
+    lowest,
     maximum,
     minimum,
     movemask,
@@ -30,7 +32,7 @@ from loewner._kernels.simd.vectors import (
     sqrt,
     store,
 )
-from loewner._kernels.tolerances import SHAPE_ROUNDINGS
+from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 
 INTERVALS = LANES - 1
 EVERY = (1 << INTERVALS) - 1
@@ -38,11 +40,17 @@ EVERY = (1 << INTERVALS) - 1
 STRIDE = 2 * LANES
 
 # Numbers of a body: its center and half widths at the configurations; over the intervals the middle and half the length
-# of the center's chord, and the middle and half widths of a box.
+# of the center's chord, and the middle and half widths of a box; then the same of a box about all of them.
 _MIDDLE = 6 * STRIDE
 _HALF_CHORD = _MIDDLE + 3 * LANES
 _BOX = _HALF_CHORD + LANES
-BODY = _BOX + 6 * LANES
+_WHOLE = _BOX + 6 * LANES
+BODY = _WHOLE + LANES
+
+# Numbers of a group of static bodies, see `records.MotionTables`.
+_MARGIN = 6 * LANES
+_SIZE = 7 * LANES
+GROUP = 8 * LANES
 
 # Numbers of a piece: the center and the shape matrix of its outer ellipsoid.
 _SHAPE = 3 * STRIDE
@@ -56,13 +64,15 @@ TINY = 1e-300
 
 
 class Swept(NamedTuple):
-    """Flat arrays that `sweep` writes.
+    """Flat arrays that `sweep`, `place_body` and `place_pieces` write.
 
     Attributes
     ----------
-    poses : ndarray, shape (LANES * moving bodies, 4, 4) bodies : ndarray, BODY numbers per body pieces : ndarray, PIECE
-    numbers per piece done : ndarray of int64, an entry per body
-        Whether the pieces of a body with many pieces have been written.
+    poses : ndarray, shape (LANES * moving bodies, 4, 4)
+    bodies : ndarray, BODY numbers per body
+    pieces : ndarray, PIECE numbers per piece
+    done, posed : ndarray of int64, an entry per body
+        Whether the pieces of a body with many pieces, and its poses, have been written.
     links : ndarray
         Output of the kinematics.
     numbers : ndarray of int64, shape (LANES,)
@@ -72,6 +82,7 @@ class Swept(NamedTuple):
     bodies: Any
     pieces: Any
     done: Any
+    posed: Any
     links: Any
     numbers: Any
 
@@ -135,18 +146,28 @@ def place_pieces(problem, pieces, body, to):
 
 
 @njit()
+def place_body(problem, body, to):
+    """Write the poses of a moving body, unless this has been done."""
+    if to.posed[body] != 0:
+        return
+    to.posed[body] = 1
+    link, zero, one, nought = problem.link[body], broadcast(0.0), broadcast(1.0), 0
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    for lane in range(LANES):
+        to.numbers[lane] = body * LANES + lane
+    upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
+    scatter_transpose(to.poses, 16, to.numbers, nought, nought, upper)
+    lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
+    scatter_transpose(to.poses, 16, to.numbers, nought, 8, lower)
+
+
+@njit()
 def sweep(problem, pieces, to):
-    """Write poses of all moving bodies, and bounds over the intervals, from the placed links."""
-    zero, one, nought = broadcast(0.0), broadcast(1.0), 0
+    """Write bounds of all moving bodies over the intervals, from the placed links."""
     for body in range(problem.link.size):
         link = problem.link[body]
         R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
-        for lane in range(LANES):
-            to.numbers[lane] = body * LANES + lane
-        upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
-        scatter_transpose(to.poses, 16, to.numbers, nought, nought, upper)
-        lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
-        scatter_transpose(to.poses, 16, to.numbers, nought, 8, lower)
+        to.posed[body] = 0
         p = pieces.piece_start[body]
         simple = pieces.piece_start[body + 1] - p == 1
         to.done[body] = np.int64(simple)
@@ -171,6 +192,28 @@ def sweep(problem, pieces, to):
             low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
             store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
             store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
+            least, most = lowest(first - wide), highest(first + wide)
+            to.bodies[at + _WHOLE + c] = 0.5 * (least + most)
+            to.bodies[at + _WHOLE + 3 + c] = 0.5 * (most - least)
+
+
+@inline
+def near_group(groups, g, body, keep, skew, clear, to):
+    """The static bodies of a group, as bits, that a moving one may come near in any interval.
+
+    They are to be farther apart than `keep`, their margins times 1 + skew, and an error of positions times `clear`.
+    """
+    k, at = g * GROUP, body * BODY + _WHOLE
+    keep = (1.0 + skew) * load(groups, k + _MARGIN) + keep
+    keep = keep + clear * position_error(load(groups, k + _SIZE), UNIT_ROUNDOFF)
+    x = absolute(load(groups, k) - to.bodies[at])
+    y = absolute(load(groups, k + LANES) - to.bodies[at + 1])
+    z = absolute(load(groups, k + 2 * LANES) - to.bodies[at + 2])
+    k += 3 * LANES
+    apart = x > (load(groups, k) + (keep + to.bodies[at + 3])) * WIDER
+    apart = apart | (y > (load(groups, k + LANES) + (keep + to.bodies[at + 4])) * WIDER)
+    apart = apart | (z > (load(groups, k + 2 * LANES) + (keep + to.bodies[at + 5])) * WIDER)
+    return ~movemask(apart)
 
 
 @inline
@@ -243,7 +286,7 @@ def see_piece(problem, p, other, to, scratch):
 
 
 @inline
-def near_piece(rows, at, radius, table, q, keep, live, normals):
+def near_piece(rows, at, radius, table, q, keep, live, out, to):
     """The intervals among `live` in which two ellipsoids may come within `keep` of each other.
 
     Parameters
@@ -257,8 +300,9 @@ def near_piece(rows, at, radius, table, q, keep, live, normals):
     keep : float
     live : int
         As bits.
-    normals : ndarray, shape (3 * LANES,)
-        Receives directions from the static piece to the moving one.
+    out, to :
+        Receives, from entry `to` on, directions from the static piece to the moving one; and how far apart the
+        ellipsoids are along them at both ends, as shares of the distance at which they touch.
     """
     center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)
@@ -277,9 +321,13 @@ def near_piece(rows, at, radius, table, q, keep, live, normals):
         width, _ = outward_width(Q, n, squared)
         first, _ = outward_width(P0, n, squared)
         last, _ = outward_width(P1, n, squared)
-        gap = minimum(dot(n, c0) - first, dot(n, c1) - last) - width
+        along_first, along_last = dot(n, c0), dot(n, c1)
+        gap = minimum(along_first - first, along_last - last) - width
         live &= ~movemask(gap > sqrt(squared) * (keep * WIDER))
-        store(normals, 0, n[0])
-        store(normals, LANES, n[1])
-        store(normals, 2 * LANES, n[2])
+        if live != 0:
+            store(out, to, n[0])
+            store(out, to + LANES, n[1])
+            store(out, to + 2 * LANES, n[2])
+            store(out, to + 3 * LANES, along_first / (first + width))
+            store(out, to + 4 * LANES, along_last / (last + width))
     return live
