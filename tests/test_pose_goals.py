@@ -79,7 +79,7 @@ def test_command(tmp_path, capsys, monkeypatch):
     gantry(tmp_path)
     save_scene(wall(), "wall.yaml")
     np.save("poses.npy", [translation(x=5.0), translation(x=0.5, y=-0.5)])
-    command = ["plan", "gantry.urdf", "--srdf", "gantry.srdf", "--scene", "wall.yaml", "--start", "left"]
+    command = ["plan", "gantry.urdf", "--srdf", "gantry.srdf", "--scene", "wall.yaml", "--start", "-0.5 -0.5 1.57"]
     for pose in ("0.5 -0.5 0 1 0 0 0", "0.5 -0.5 0", "poses.npy"):
         assert main([*command, "--goal-pose", "rod", pose]) == 0
     assert "FREE" in capsys.readouterr().out

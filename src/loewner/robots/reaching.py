@@ -291,9 +291,10 @@ def reach(
     """Reach poses, shape (..., 4, 4), from starts that broadcast with them; all arguments are checked."""
     shape = _validate.broadcast({"T": T.shape[:-2], "start": starts.shape[:-1]})
     count, values = math.prod(shape), len(chain.columns)
-    targets = np.ascontiguousarray(np.broadcast_to(targets_of(T), (*shape, 4, 4))).reshape(count, 4, 4)
+    # Copies: kernels take no read-only arrays.
+    targets = np.array(np.broadcast_to(targets_of(T), (*shape, 4, 4)), order="C").reshape(count, 4, 4)
     starts = np.array(np.broadcast_to(starts, (*shape, starts.shape[-1]))).reshape(count, starts.shape[-1])
-    table, begins = seeded(chain, seeds), np.ascontiguousarray(starts[:, chain.columns])
+    table, begins = seeded(chain, seeds), np.array(starts[:, chain.columns], order="C")
     few = seeds + 2 if every else 1 if checker is None else FIRST_FEW
     answers = solve(chain, targets, begins, table, few, tolerance)
     Q, reached = starts.copy(), answers.counts > 0

@@ -360,7 +360,7 @@ def _is_new(ranges, found, count):
 def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, starts, seeds, found, counts, nearest, work):
     """Reach one pose: fill its rows of `found` and `nearest`, and its entry of `counts`."""
     q, twists, matrix, squares, marks = work
-    values, most, total = ranges.shape[1], found.shape[1], len(seeds) + 2
+    values, most = ranges.shape[1], found.shape[1]
     T, start = targets[pose], starts[pose]
     base = (
         (
@@ -385,14 +385,14 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
         for column in range(values):
             if ranges[HOW, column] != HELD:
                 q[column * LANES + 1] = nearest[pose - 1, column]
-    at, count, least, step = 1 + follows, 0, np.inf, 0
+    at, count, least, step = 0, 0, np.inf, 0
     fresh, live = ALL - 1 - 2 * follows, ALL
     store(marks, 0, broadcast(np.inf))
     while True:
         while fresh:
             lane, fresh = next_lane(fresh)
-            if at < total:
-                _seeded(ranges, start, seeds, at - 1 - follows, far, q, lane)
+            if at < len(seeds):
+                _seeded(ranges, start, seeds, at, far, q, lane)
                 marks[lane] = np.inf
                 at += 1
             else:
