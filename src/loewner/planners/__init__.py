@@ -1,6 +1,7 @@
 """Plan paths whose motions are proven free from start to goal, and make trajectories from the paths."""
 
 from loewner.planners.controller_points import ControllerPoints
+from loewner.planners.improving import Plan
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
@@ -11,6 +12,7 @@ from loewner.planners.trajectories import Trajectory, trajectory
 __all__ = [
     "ControllerPoints",
     "JointLimits",
+    "Plan",
     "PoseGoal",
     "Roadmap",
     "Trajectory",
