@@ -506,7 +506,7 @@ def without_sliding_joints(tree):
     return np.cumsum([0, *map(len, kept)]).astype(np.int64), np.concatenate(kept).astype(np.int64)
 
 
-original_paths, original_reaches = motion_tables._paths, motion_tables._reaches
+original_paths = motion_tables._paths
 
 
 def closing(tmp_path):
@@ -537,9 +537,10 @@ def test_sliding_joints_taken_for_still_are_noticed(tmp_path, monkeypatch):
     assert false_free(*closing(tmp_path)) > 0
 
 
-def test_ways_taken_for_straight_are_noticed(arms, monkeypatch):
+def test_ways_taken_for_straight_are_noticed(arms):
     """The tests of arms would fail if the curvature of ways were left out."""
-    assert false_free(*long_sweeps(arms("panda"))) == 0
+    checker, start, end = long_sweeps(arms("panda"))
+    assert false_free(checker, start, end) == 0
     # The reach enters the curvature and the speed; speed decides nothing but when to give up.
-    monkeypatch.setattr(motion_tables, "_reaches", lambda *given: 1e-9 * original_reaches(*given))
-    assert false_free(*long_sweeps(arms("panda"))) > 0
+    checker._ready().motions.tables.reach[:] *= 1e-9
+    assert false_free(checker, start, end) > 0

@@ -35,13 +35,18 @@ class Options(improving.Options, total=False):
 
 @overload
 def plan(
-    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike, *, full: Literal[True], **options: Unpack[Options]
-) -> improving.Plan: ...
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike | PoseGoal,
+    *,
+    full: Literal[False] = ...,
+    **options: Unpack[Options],
+) -> Floats: ...
 @overload
 def plan(
-    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike, *, full: Literal[False] = ...,
+    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, *, full: Literal[True],
     **options: Unpack[Options],
-) -> Floats: ...  # fmt: skip
+) -> improving.Plan: ...  # fmt: skip
 @guarded
 def plan(
     checker: CollisionChecker,

@@ -5,6 +5,7 @@
 finds pairs that need no check.
 """
 
+from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
@@ -19,6 +20,7 @@ __all__ = [
     "CertifiedTrajectory",
     "CollisionChecker",
     "PairDistances",
+    "Part",
     "Reached",
     "Robot",
     "Settled",

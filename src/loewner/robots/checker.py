@@ -27,7 +27,7 @@ from loewner.robots.motions import CertifiedMotions
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 from loewner.robots.verdicts import Settled, Verdicts
-from loewner.scenes import Contact, Scene
+from loewner.scenes import Contact, Scene, poses_since
 
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
@@ -634,12 +634,13 @@ class CollisionChecker:
         if ready is not None and ready.version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
-        scene = self._scene.snapshot()
-        if ready is None or ready.structure_version != scene.structure_version:
-            ready = prepared(self._robot, scene, self._skipped, scene.version)
-            self._seen, self._next_look = 0, FIRST_LOOK
+        moved = None if ready is None else poses_since(self._scene, ready.structure_version)
+        if ready is not None and moved is not None:
+            ready = ready.with_poses(*moved)
         else:
-            ready = ready.with_poses(scene.static_poses, scene.version)
+            scene = self._scene.snapshot()
+            ready = prepared(self._robot, scene, self._skipped, scene.version, ready)
+            self._seen, self._next_look = 0, FIRST_LOOK
         self._prepared = ready.version, ready.single, ready
         return ready
 

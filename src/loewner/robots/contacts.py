@@ -188,8 +188,9 @@ def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: f
     link = np.concatenate([np.full(first, ready.link[i]), np.full(count * moves, ready.link[j if moves else i])])
     no_rule = np.zeros(len(pairs), dtype=bool)
     made = Problem.of(
-        ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))), Bodies(bodies),
-        link.astype(np.int64), pairs, np.where(np.arange(len(pairs)) < len(apart), margin, 0.0), no_rule, no_rule,
+        ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))),
+        [packed_of(body) for body in bodies], link.astype(np.int64), pairs,
+        np.where(np.arange(len(pairs)) < len(apart), margin, 0.0), no_rule, no_rule,
     )  # fmt: skip
     for_proof = float(back.min(initial=tolerance)) * FOR_PROOF / (1 - FOR_PROOF)
     return made.with_poses(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof

@@ -24,7 +24,8 @@ from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
 from loewner.mjcf_models import read_mjcf
-from loewner.robots import reaching
+from loewner.robots import assembly, reaching
+from loewner.robots.assembly import Part, Source
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
@@ -68,7 +69,7 @@ def _model(meshes: str, decompose: bool) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`.
+    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`, or join several with `join`.
 
     Attributes
     ----------
@@ -144,9 +145,11 @@ class Robot:
     # For messages: the links that only have visual geometry.
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
-    # The source format, "URDF" or "MJCF", and the text if it was not read from a file.
-    _format: str = field(repr=False)
-    _text: str | None = field(repr=False)
+    # The tree with the root link at the origin.
+    _rooted: Tree = field(repr=False)
+    # Descriptions, and the robots that were joined.
+    _sources: tuple[Source, ...] = field(repr=False)
+    _parts: dict[str, Part[Robot]] = field(repr=False)
 
     @classmethod
     @guarded
@@ -256,6 +259,9 @@ class Robot:
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
         free = [kinds[name] in ("planar", *WITH_QUATERNION) for name, _ in entries]
+        tree = tree_of(robot, columns)
+        # Absolute: the visual geometry is read later, perhaps from another working directory.
+        path, package_dirs = robot.path.absolute(), tuple(place.absolute() for place in places)
         return cls(
             name=robot.name,
             link_names=tuple(robot.shapes),
@@ -270,15 +276,15 @@ class Robot:
             disabled_pairs=semantics.disabled_pairs,
             adjacent_pairs=adjacent,
             mimics={j.name: (j.mimic.joint, j.mimic.multiplier) for j in robot.joints.values() if j.mimic is not None},
-            tree=tree_of(robot, columns),
-            # Absolute: the visual geometry is read later, perhaps from another working directory.
-            urdf=robot.path.absolute(),
-            package_dirs=tuple(place.absolute() for place in places),
+            tree=tree,
+            urdf=path,
+            package_dirs=package_dirs,
             _columns=columns,
             _only_visual=robot.only_visual,
             _watch=Watch(robot.name, names, lower, upper, turns, free),
-            _format=format,
-            _text=text,
+            _rooted=tree,
+            _sources=(Source("", format, path, text, package_dirs),),
+            _parts={},
         )
 
     @classmethod
@@ -373,7 +379,55 @@ class Robot:
         array([0., 0., 5.])
         """
         T = _validate.pose(T_world_base, "T_world_base")
-        return replace(self, tree=placed_tree(self.tree, T))
+        return replace(self, tree=placed_tree(self._rooted, T))
+
+    part = assembly.part
+    add_base = guarded(assembly.add_base)
+    with_body = guarded(assembly.with_body)
+
+    @classmethod
+    @guarded
+    def join(cls, parts: Mapping[str, Robot], poses: Mapping[str, ArrayLike | None] | None = None) -> Robot:
+        """Make one robot of several that stand beside each other, so that they are checked and planned together.
+
+        Parameters
+        ----------
+        parts : mapping from str to Robot
+            The robots by name. The names of their links, joints, groups and states get this name and a slash as a
+            prefix: "left/panda_joint1".
+        poses : mapping from str to array_like, shape (4, 4), optional
+            Pose in the world of the root link of each part; translation in metres. A part without a pose stays where
+            it is.
+
+        Returns
+        -------
+        Robot
+            Its configurations are those of the parts, one after another. Groups, states and disabled pairs are kept;
+            pairs of links of different parts are checked. If only some parts have disabled pairs, the adjacent pairs of
+            the others are disabled, too.
+
+        Raises
+        ------
+        InputError
+            If there are no parts, a name is empty, or a part is not a robot.
+        UnknownNameError
+            If there is a pose for a part that does not exist.
+        PoseError
+            If a pose is not a rigid motion.
+
+        See Also
+        --------
+        part : Returns the values of one part.
+
+        Examples
+        --------
+        >>> arm = Robot.from_urdf("arm.urdf")
+        >>> opposite = [[-1, 0, 0, 3], [0, -1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
+        >>> both = Robot.join({"left": arm, "right": arm}, {"right": opposite})
+        >>> both.configuration_names
+        ('left/rail', 'left/elbow', 'right/rail', 'right/elbow')
+        """
+        return assembly.joined(cls, parts, poses)
 
     @guarded
     def disabling(self, pairs: Iterable[Pair]) -> Robot:
@@ -935,9 +989,9 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
         )
 
 
-def source_of(robot: Robot) -> tuple[str, str | None]:
-    """Return the format of a robot's description, and its text if that was not in a file."""
-    return robot._format, robot._text
+def sources_of(robot: Robot) -> tuple[Source, ...]:
+    """Return where the descriptions of a robot and of its parts came from."""
+    return robot._sources
 
 
 def link_poses(robot: Robot, Q: Floats) -> Floats:
