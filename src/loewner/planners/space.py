@@ -219,9 +219,8 @@ def checked_ends(
     given = goals_of(goal, robot, q, joints)
     goals = np.atleast_2d(robot.checked(given, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
-        raise InputError(
-            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(np.shape(given))}"
-        )
+        found = _validate.shape_text(np.shape(given))
+        raise InputError(f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {found}")
     return q, goals
 
 
