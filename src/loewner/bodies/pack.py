@@ -167,7 +167,8 @@ def as_one(parts: Sequence[Packed]) -> Packed:
 
 def joined(parts: Sequence[Prepared]) -> Prepared:
     """Join packs without making the arrays for kernels."""
-    _validate.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
+    copied = sum(array.nbytes for part in parts for array in arrays_of(part).values())
+    _validate.fits_memory(copied, f"{len(parts)} bodies")
     arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])

@@ -26,9 +26,10 @@ LEAST_SHARE = 4
 
 # Largest number of triangles that suggest axes, number of directions in which a hull's points are looked for, and of
 # its edges, the longest, along which a box is tried.
-MOST_ASKED, LOOKS, MOST_EDGES = 512, 64, 8
+MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
-BINS, FEW = 128, 32  # along each axis; up to this many items are sorted at once
+# Bins along each axis, up to how many items are sorted at once, and about how many are sorted into bins.
+BINS, FEW, MANY = 128, 32, 2048
 
 # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
@@ -81,7 +82,7 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
     grown = 2.0 * radius + thick
     numbers, ranges, count = np.empty((most, BOX)), np.empty((most, 3), np.int64), 1
     rows, scratch, marks = np.empty(ROW * n), np.empty((3, n), np.int64), np.empty(n)
-    bins, held = np.empty((3 * BINS + 2) * ROW), np.empty(3 * BINS, np.int64)
+    bins, held = np.empty(3 * BINS * ROW), np.empty(3 * BINS, np.int64)
     ranges[0] = 0, n, 0
     _measure(corners, order, ranges[0], thick, grown, numbers[0])
     age = 1
@@ -300,29 +301,30 @@ def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, mark
     axis, slot, low, scale = -1, 0, 0.0, 0.0
     if items > FEW:
         axis, slot, low, scale = _boundary(rows, items, least, grown, bins, held)
+    rank = 0
     if axis >= 0:
         # The items in the two bins at the boundary, and boxes around those in the bins before and after them.
-        count = before = 0
-        ahead, behind = 3 * BINS * ROW, (3 * BINS + 1) * ROW
-        store(bins, ahead, broadcast(np.inf))
-        store(bins, behind, broadcast(np.inf))
+        count, before, ahead, behind = 0, 0, nothing, nothing
         for item in range(items):
-            own = min(BINS - 1, int((_middle(rows, item, axis) - low) * scale))
-            marks[item] = 1.0 if own < slot - 1 else 0.0
+            own = max(0, min(BINS - 1, int((_middle(rows, item, axis) - low) * scale)))
+            marks[item] = 0.0
             if own < slot - 1:
+                marks[item] = 1.0
                 before += 1
-            if own == slot - 1 or own == slot:
+                ahead = minimum(ahead, load(rows, ROW * item))
+            elif own > slot:
+                behind = minimum(behind, load(rows, ROW * item))
+            else:
                 listed[count] = item
                 count += 1
-            else:
-                side = ahead if own < slot else behind
-                store(bins, side, minimum(load(bins, side), load(rows, ROW * item)))
+        store(bins, 0, ahead)
+        store(bins, ROW, behind)
         _sort(rows, axis, listed, count)
-        _, rank = _sweep(rows, listed, count, before, items, least, grown, bins, 3 * BINS, 3 * BINS + 1)
+        _, rank = _sweep(rows, listed, count, before, items, max(least // 2, 1), grown, bins, 0, 1)
         for k in range(rank - before):
             marks[listed[k]] = 1.0
-    else:
-        store(bins, 0, broadcast(np.inf))
+    if rank == 0:
+        store(bins, 0, nothing)
         smallest = np.inf
         for axis in range(3):
             for item in range(items):
@@ -352,10 +354,10 @@ def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, mark
 @njit()
 def _boundary(rows, items, least, grown, bins, held):
     """Axis and bin before which a cut leaves the smallest boxes; -1 if there is none. Also the bins along that axis."""
-    low, scale = np.empty(3), np.empty(3)
+    low, scale, step = np.empty(3), np.empty(3), max(items // MANY, 1)
     for axis in range(3):
         least_middle = most_middle = _middle(rows, 0, axis)
-        for item in range(1, items):
+        for item in range(step, items, step):
             middle = _middle(rows, item, axis)
             least_middle, most_middle = min(least_middle, middle), max(most_middle, middle)
         low[axis] = least_middle
@@ -366,12 +368,12 @@ def _boundary(rows, items, least, grown, bins, held):
     for row in range(3 * BINS):
         store(bins, ROW * row, nothing)
         held[row] = 0
-    for item in range(items):
+    for item in range(0, items, step):
         own = load(rows, ROW * item)
         for axis in range(3):
             row = axis * BINS + min(BINS - 1, int((_middle(rows, item, axis) - low[axis]) * scale[axis]))
             store(bins, ROW * row, minimum(own, load(bins, ROW * row)))
-            held[row] += 1
+            held[row] += step
     best_axis, best_slot, smallest = -1, 0, np.inf
     volumes, around = np.empty(BINS), np.empty(ROW)
     for axis in range(3):
@@ -414,7 +416,7 @@ def _sort(rows, axis, listed, count):
 
 @njit()
 def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind):
-    """Volume and number of items before the cut that leaves the smallest boxes, among the sorted items listed.
+    """Volume and number of items before the cut that leaves the smallest boxes, among the sorted items listed; or 0.
 
     `before` items come before these, in the box in row `ahead` of `bins`, and the rest are in the box in row `behind`.
     """
@@ -425,7 +427,7 @@ def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind
         volumes[k] = _volume(around, grown)
         if k > 0:
             box = minimum(box, load(rows, ROW * listed[k - 1]))
-    box, smallest, rank = load(bins, ROW * ahead), np.inf, items // 2
+    box, smallest, rank = load(bins, ROW * ahead), np.inf, 0
     for k in range(count + 1):
         if k > 0:
             box = minimum(box, load(rows, ROW * listed[k - 1]))
