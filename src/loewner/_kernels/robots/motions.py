@@ -50,6 +50,8 @@ from loewner._kernels.robots.sweeps import (
     BODY,
     INTERVALS,
     PIECE,
+    PLACED,
+    PLACED_PIECES,
     Swept,
     near_group,
     near_in_world,
@@ -86,6 +88,9 @@ WAITING = 256
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
+
+# Pairs that are tested before bounds about whole blocks are compared: those that often collide.
+FIRST_PAIRS = 4
 
 # Pieces whose ellipsoids are nearer to each other than this, as a share of the distance at which they touch, are tested
 # at once where they are nearest: most of them collide.
@@ -138,6 +143,8 @@ class Near(NamedTuple):
     margin : m that they must keep
     slack : bound on rounding [m], and on what joints may stray from the course
     stray : share of the latter
+    lever : `longest_lever`, where joints may stray
+    wave, rest : the errors of strays along a normal are less than wave w² + rest; 0 if joints do not stray
     """
 
     pair: Any
@@ -148,6 +155,9 @@ class Near(NamedTuple):
     margin: Any
     slack: Any
     stray: Any
+    lever: Any
+    wave: Any
+    rest: Any
 
 
 # -- memory -----------------------------------------------------------------------------------
@@ -163,10 +173,10 @@ MEMORY = Arena(
     scratch=floats(PIECE),  # a piece relative to another body
     near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
     listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
-    listed_ways=floats(LISTED * LISTED_WAYS),  # bends, speeds and slacks, and what `sweeps.near_piece` wrote
+    listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
     relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
-    waiting=integers(WAITING, 4),  # piece pairs to be halved: pair, i, j, the interval's number
-    waiting_ways=floats(WAITING, 8),  # their normals, `Ways`, margin and slack
+    waiting=integers(WAITING, 2),  # intervals to be halved: row in the list of piece pairs, number
+    waiting_normals=floats(WAITING, 3),
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
     cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
     stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
@@ -187,14 +197,14 @@ MEMORY = Arena(
     ways=floats(MOVING, 3),  # bend, speed and V(δ) of moving bodies, relative to the world
     swept=Arena(
         Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
-        done=integers(MOVING), posed=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
+        done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
     ),  # placement of a block
     order=integers(PAIRS),  # order of the pairs
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
 )  # fmt: skip
-_rows_of, _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
-    "rows times scratch relative waiting waiting_ways"
+_rows_of, _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
+    "rows times scratch relative waiting waiting_normals"
 )
 _cut_times_of, _cut_poses_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
     "cut_times cut_poses stack stack_normals gjk exact"
@@ -316,15 +326,22 @@ def _enough(motion, near):
 
 
 @inline
-def _least(near):
-    """Distance that pieces must keep [m] where points stay on their side of a plane."""
-    return near.margin + (near.slack - near.stray)
-
-
-@inline
 def _off(near, width):
     """Largest distance of points from their chords in an interval."""
     return near.bend * width * width / 8.0
+
+
+@inline
+def _needed(near, width):
+    """Gap along a normal, less strays along it, that proves an interval [m]."""
+    return near.margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
+
+
+@inline
+def _kept(near, width):
+    """Gap without strays along its normal that proves an interval, and the least that is of use in seven parts [m]."""
+    keep = near.margin + near.slack + _off(near, width)
+    return keep, min(_needed(near, width / INTERVALS), keep)
 
 
 @inline
@@ -334,54 +351,61 @@ def _moved(near, width):
 
 
 @inline
-def _write_gaps(motion, near, W, n, count):
-    """Write the gaps of a pair along n at the eight configurations of W, as `planes.write_gaps`."""
-    pieces, problem = pieces_of(motion.pack), problem_of(motion.problem)
+def _write_gaps(motion, near, W, n, directed):
+    """Write gaps along n at the eight configurations of W, less strays along n if `directed`."""
+    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     one, other, moving = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1], motion.counts.moving
     still, link, fixed, row = _standing_poses(problem), problem.link[one], -1, other - moving
     if other < moving:
         fixed, row = problem.link[other], 0
-    strays, gaps = _planes_of(motion), _gaps_of(motion)
+    strays, gaps, count = _planes_of(motion), _gaps_of(motion), -1
+    if directed:
+        off = _strays_of(motion)
+        count = write_strays_along(
+            problem.tree, tables, pieces.hot, W, off, near.lever, link, fixed, near.i, n, strays
+        )  # fmt: skip
     write_gaps(pieces, W, link, fixed, still, row, near.i, near.j, n, strays, count, gaps)
 
 
 @apart
-def _beyond(motion, near, swept, n, live):
-    """Leave out of the intervals `live` those for which a plane with this normal proves a pair as well."""
+def _beyond(motion, near, swept, n, directed, live):
+    """Leave out of the intervals `live` those that a plane with this normal proves, see `_write_gaps`."""
     times, gaps, widest = _times_of(motion), _gaps_of(motion), 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
-    _write_gaps(motion, near, swept.links, n, -1)
-    clear = movemask(load(gaps, 0) > near.margin + near.slack + _off(near, widest))
+    _write_gaps(motion, near, swept.links, n, directed)
+    keep = _needed(near, widest) if directed else near.margin + near.slack + _off(near, widest)
+    clear = movemask(load(gaps, 0) > keep)
     return live & ~(clear & (clear >> 1))
 
 
 @apart
 def _clear_between(motion, near, low, high, n):
     """Whether a plane with the normal n, in the frame of j's body, proves an interval that is cut into seven parts."""
-    problem, tables, pieces = problem_of(motion.problem), motion_tables_of(motion.tables), pieces_of(motion.pack)
-    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
-    W, Q = _cut_links_of(motion), _configurations_of(motion)
-    course, rates, gaps, times = _course_of(motion), _rates_of(motion), _gaps_of(motion), _part_times_of(motion)
-    link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
-    widest = 0.0
+    W, gaps = _cut_links_of(motion), _gaps_of(motion)
+    widest = _place_between(motion, low, high, _part_times_of(motion), W)
+    _write_gaps(motion, near, W, n, near.stray > 0.0)
+    return movemask(load(gaps, 0) > _needed(near, widest)) == (1 << LANES) - 1
+
+
+@apart
+def _place_between(motion, low, high, times, W):
+    """Place the links at eight times from `low` to `high`, and write these; return the longest interval."""
+    tree, course, Q, widest = problem_of(motion.problem).tree, _course_of(motion), _configurations_of(motion), 0.0
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(problem.tree, course, times[k], Q, k)
+        configuration_at(tree, course, times[k], Q, k)
         if k > 0:
             widest = max(widest, times[k] - times[k - 1])
     _place_at(motion, W)
-    least, count = _least(near) + _off(near, widest), -1  # no strays
-    if near.stray > 0.0:
-        ways, strays = ways_between(tables, rates, one, link, fixed), _strays_of(motion)
-        astray = ways_between(tables, strays, one, link, fixed)
-        lever = longest_lever(tables, ways, astray)
-        count = write_strays_along(
-            problem.tree, tables, pieces.hot, W, strays, lever, link, fixed, near.i, n, _planes_of(motion)
-        )  # fmt: skip
-        least += error_of_strays(ways, astray, lever + pieces.hot[near.i, OUTER_RADIUS], widest) + astray.bend
-    _write_gaps(motion, near, W, n, count)
-    return movemask(load(gaps, 0) > least) == (1 << LANES) - 1
+    return widest
+
+
+@apart
+def _ways(motion, astray, body, link, fixed):
+    """`Ways` of a body relative to a link on the course; or on the way to deviations from it, if `astray`."""
+    tables = motion_tables_of(motion.tables)
+    return ways_between(tables, _strays_of(motion) if astray else _rates_of(motion), body, link, fixed)
 
 
 @apart
@@ -404,6 +428,24 @@ def _copy_pose(W, link, lane, poses, row):
 def _copy_standing(problem, k, poses, row):
     for entry in range(12):
         poses[row, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+
+
+@apart
+def _sweep(motion, body):
+    """Bound a moving body in a block."""
+    sweep(problem_of(motion.problem), pieces_of(motion.pack), body, _swept_of(motion))
+
+
+@apart
+def _place_pieces(motion, body):
+    """Place the pieces of a moving body in a block."""
+    place_pieces(problem_of(motion.problem), pieces_of(motion.pack), body, _swept_of(motion))
+
+
+@apart
+def _place_body(motion, body):
+    """Write the poses of a moving body in a block."""
+    place_body(problem_of(motion.problem), body, _swept_of(motion))
 
 
 # -- halving ------------------------------------------------------------------------------------
@@ -503,7 +545,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
-            least, keep = _least(near), near.margin + near.slack + _off(near, w)
+            keep, least = _kept(near, w)
             tally[1] += 1
             if stands:
                 proven, m, undecided = _proven_standing(
@@ -564,18 +606,16 @@ def _hit(found):
 @njit()
 def _halve_waiting(motion, count, found, tally):
     """Settle all waiting intervals, until a collision is found."""
-    problem, tables, swept = problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion)
-    waiting, ways, times, rates = (
-        _waiting_of(motion), _waiting_ways_of(motion), _times_of(motion), _rates_of(motion),
-    )  # fmt: skip
+    problem, swept = problem_of(motion.problem), _swept_of(motion)
+    waiting, normals, times = _waiting_of(motion), _waiting_normals_of(motion), _times_of(motion)
     for e in range(count):
-        pair, k = waiting[e, 0], waiting[e, 3]
-        near = Near(pair, waiting[e, 1], waiting[e, 2], ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6], ways[e, 7])
+        near, k = _listed_pair(motion, waiting[e, 0]), waiting[e, 1]
+        pair = near.pair
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
-        back = ways_between(tables, rates, other, link, problem.link[one])
-        n = ways[e, 0], ways[e, 1], ways[e, 2]
-        least, keep = _least(near), near.margin + near.slack + _off(near, times[k + 1] - times[k])
+        back = _ways(motion, False, other, link, problem.link[one])
+        n = normals[e, 0], normals[e, 1], normals[e, 2]
+        keep, least = _kept(near, times[k + 1] - times[k])
         tally[1] += 1
         proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
         if not proven and undecided:
@@ -639,46 +679,42 @@ def _test(motion, near, swept, k, n, found, tested, tally):
 
 
 @njit()
-def _search(motion, near, live, tested, N, at, found, waiting_count, tally):
-    """Prove the intervals `live` of a piece pair by planes; the remaining ones wait.
-
-    Parameters
-    ----------
-    tested : int
-        Configurations at which it is known to be free, as bits.
-    N, at :
-        Directions from `sweeps.near_piece`, from entry `at` on.
+def _search(motion, e, found, waiting_count, tally):
+    """Prove the intervals of a listed piece pair by planes; the remaining ones wait.
 
     Returns
     -------
     found : Found
     waiting_count : int
     """
-    swept, times = _swept_of(motion), _times_of(motion)
-    waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
+    swept, times, waiting, normals = (
+        _swept_of(motion), _times_of(motion), _waiting_of(motion), _waiting_normals_of(motion),
+    )  # fmt: skip
+    near, N, at = _listed_pair(motion, e), _listed_ways_of(motion), e * LISTED_WAYS + _NORMALS
+    live, tested = _listed_of(motion)[e, 3], _listed_of(motion)[e, 4]
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
         live &= ~(1 << k)
         n = N[at + k], N[at + LANES + k], N[at + 2 * LANES + k]
-        w = times[k + 1] - times[k]
-        keep = near.margin + near.slack + _off(near, w)
+        keep, least = _kept(near, times[k + 1] - times[k])
         tally[1] += 1
-        proven, n, _ = _proven(motion, near, swept, k, k + 1, keep, keep, n)
+        proven, n, undecided = _proven(motion, near, swept, k, k + 1, least if near.stray > 0.0 else keep, keep, n)
         if proven:
             if live != 0:
-                live = _beyond(motion, near, swept, n, live)
+                live = _beyond(motion, near, swept, n, False, live)
             continue
+        if near.stray > 0.0 and undecided:
+            left = _beyond(motion, near, swept, n, True, live | (1 << k))
+            live &= left
+            if (left >> k) & 1 == 0:
+                continue
         for end in range(k + 1, k - 1, -1):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
-        waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
-        waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
-        e = waiting_count
-        ways[e, 0], ways[e, 1], ways[e, 2] = n
-        ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6] = near.bend, near.speed, near.margin, near.slack
-        ways[e, 7] = near.stray
+        waiting[waiting_count, 0], waiting[waiting_count, 1] = e, k
+        normals[waiting_count, 0], normals[waiting_count, 1], normals[waiting_count, 2] = n
         waiting_count += 1
     return found, waiting_count
 
@@ -688,18 +724,18 @@ def _listed_pair(motion, e):
     """The piece pair in row e of the list."""
     listed, ways, at = _listed_of(motion), _listed_ways_of(motion), e * LISTED_WAYS
     pair = listed[e, 0]
-    margin = problem_of(motion.problem).margins[pair]
-    return Near(pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, ways[at + 2], ways[at + 3])
+    return Near(
+        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], problem_of(motion.problem).margins[pair],
+        ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
+    )  # fmt: skip
 
 
 @njit()
 def _settle_listed(motion, count, found, tally):
-    """Search for planes between the piece pairs of the list."""
-    listed, ways = _listed_of(motion), _listed_ways_of(motion)
+    """Settle the piece pairs of the list."""
     waiting = 0
     for e in range(count):
-        near, at = _listed_pair(motion, e), e * LISTED_WAYS + _NORMALS
-        found, waiting = _search(motion, near, listed[e, 3], listed[e, 4], ways, at, found, waiting, tally)
+        found, waiting = _search(motion, e, found, waiting, tally)
         if _hit(found):
             return found
         if waiting > WAITING - LANES:
@@ -707,6 +743,20 @@ def _settle_listed(motion, count, found, tally):
             if _hit(found):
                 return found
     return _halve_waiting(motion, waiting, found, tally)
+
+
+@apart
+def _write_errors(motion, pair, i, ways, at):
+    """Write a pair's `lever`, `wave` and `rest` to entries of `ways`."""
+    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
+    one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
+    link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
+    seen, astray = _ways(motion, False, one, link, fixed), _ways(motion, True, one, link, fixed)
+    lever = longest_lever(tables, seen, astray)
+    far = lever + pieces_of(motion.pack).hot[i, OUTER_RADIUS]
+    ways[at] = lever
+    ways[at + 1] = error_of_strays(seen, astray, far, 1.0)
+    ways[at + 2] = error_of_strays(seen, astray, far, 0.0) + astray.bend
 
 
 @njit()
@@ -726,7 +776,8 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
     width = times[1] - times[0]
     keep = margin + slack + bend * width * width / 8.0
-    place_pieces(problem, pieces, one, swept)
+    if swept.done[one] & PLACED_PIECES == 0:
+        _place_pieces(motion, one)
     for i in range(start[one], start[one + 1]):
         rows, first = swept.pieces, i * PIECE
         if other < moving:
@@ -744,10 +795,14 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
                 continue
             listed[count, 0], listed[count, 1], listed[count, 2], listed[count, 3] = pair, i, j, left
             listed[count, 4] = 0
-            place_body(problem, one, swept)
-            if other < moving:
-                place_body(problem, other, swept)
+            if swept.done[one] & PLACED == 0:
+                _place_body(motion, one)
+            if other < moving and swept.done[other] & PLACED == 0:
+                _place_body(motion, other)
             ways[at], ways[at + 1], ways[at + 2], ways[at + 3] = bend, speed, slack, stray
+            ways[at + 4] = ways[at + 5] = ways[at + 6] = 0.0
+            if motion.strays:
+                _write_errors(motion, pair, i, ways, at + 4)
             nearest, deepest, end = DEEP, -1, 0
             for k in range(INTERVALS):
                 for last in range(2):
@@ -779,50 +834,59 @@ def _measure(motion, course, width):
     travel, angles, places
         As for `rates_of`.
     """
-    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
-    rates, ways, most = _rates_of(motion), _ways_of(motion), 0.0
-    travel, angles, places = rates_of(problem.tree, course, width, rates)
+    problem, ways, most = problem_of(motion.problem), _ways_of(motion), 0.0
+    travel, angles, places = rates_of(problem.tree, course, width, _rates_of(motion))
     for body in range(motion.counts.moving):
-        seen = ways_between(tables, rates, body, problem.link[body], -1)
+        seen = _ways(motion, False, body, problem.link[body], -1)
         ways[body, 0], ways[body, 1] = seen.bend, seen.speed
         most = max(most, seen.bend)
     return most, travel, angles, places
 
 
-@inline
-def _stray(motion, body, link, fixed):
-    """How far a body's points may stray relative to a link: V(δ), with the error of turned lengths."""
-    tables, strays = motion_tables_of(motion.tables), _strays_of(motion)
-    return (1.0 + motion.skew) * ways_between(tables, strays, body, link, fixed).speed
-
-
 @njit()
-def _settle_block(motion, low, high, found, tally):
-    """Settle the seven intervals between two times."""
-    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
-    swept, times, Q, course = _swept_of(motion), _times_of(motion), _configurations_of(motion), _course_of(motion)
-    ways, rates, scratch, near_pairs = _ways_of(motion), _rates_of(motion), _scratch_of(motion), _near_pairs_of(motion)
-    moving = motion.counts.moving
-    for k in range(LANES):
-        times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(problem.tree, course, times[k], Q, k)
-    tally[0] += LANES
-    _place_at(motion, swept.links)
-    sweep(problem, pieces, swept)
-    widest = 0.0
-    for k in range(INTERVALS):
-        widest = max(widest, times[k + 1] - times[k])
-    for body in range(moving):
+def _find_near_pairs(motion, widest):
+    """Find out which pairs with static bodies may be near each other in a block; bound all bodies."""
+    tables, swept, ways, near_pairs = (
+        motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
+    )  # fmt: skip
+    for body in range(motion.counts.moving):
+        if swept.done[body] == 0:
+            _sweep(motion, body)
         keep = motion.rounding + ways[body, 2] + ways[body, 0] * widest * widest / 8.0
         for g in range(tables.group_start[body], tables.group_start[body + 1]):
             live = near_group(tables.groups, g, body, keep, motion.skew, CLEAR_ROUNDINGS, swept)
             for lane in range(LANES):
                 near_pairs[tables.group_pairs[g * LANES + lane]] = (live >> lane) & 1
+
+
+@inline
+def _stray(motion, body, link, fixed):
+    """How far a body's points may stray relative to a link: V(δ), with the error of turned lengths."""
+    return (1.0 + motion.skew) * _ways(motion, True, body, link, fixed).speed
+
+
+@njit()
+def _settle_block(motion, low, high, found, tally):
+    """Settle the seven intervals between two times."""
+    problem, tables, swept, moving = (
+        problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion), motion.counts.moving,
+    )  # fmt: skip
+    ways, scratch, near_pairs, order = _ways_of(motion), _scratch_of(motion), _near_pairs_of(motion), _order_of(motion)
+    widest = _place_between(motion, low, high, _times_of(motion), swept.links)
+    tally[0] += LANES
+    for body in range(moving):
+        swept.done[body] = 0
     count = 0
-    order = _order_of(motion)
     for number in range(len(order)):
         pair = order[number]
-        if near_pairs[pair] == 0:
+        if number < FIRST_PAIRS:
+            for end in range(2):
+                body = problem.pairs[pair, end]
+                if body < moving and swept.done[body] == 0:
+                    _sweep(motion, body)
+        elif number == FIRST_PAIRS:
+            _find_near_pairs(motion, widest)
+        if number >= FIRST_PAIRS and near_pairs[pair] == 0:
             continue
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
         slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
@@ -841,7 +905,7 @@ def _settle_block(motion, low, high, found, tally):
             if motion.strays:
                 stray = _stray(motion, one, problem.link[one], problem.link[other])
                 slack += stray
-            seen = ways_between(tables, rates, one, problem.link[one], problem.link[other])
+            seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0:

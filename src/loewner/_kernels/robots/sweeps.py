@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import inline
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE
 from loewner._kernels.ellipsoids.contact import normal_at, outward_width, position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, plus, rotated_shape, trace
@@ -47,6 +47,8 @@ _BOX = _HALF_CHORD + LANES
 _WHOLE = _BOX + 6 * LANES
 BODY = _WHOLE + LANES
 
+SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # what has been written of a body: bounds, pieces, poses
+
 # Numbers of a group of static bodies, see `records.MotionTables`.
 _MARGIN = 6 * LANES
 _SIZE = 7 * LANES
@@ -71,8 +73,8 @@ class Swept(NamedTuple):
     poses : ndarray, shape (LANES * moving bodies, 4, 4)
     bodies : ndarray, BODY numbers per body
     pieces : ndarray, PIECE numbers per piece
-    done, posed : ndarray of int64, an entry per body
-        Whether the pieces of a body with many pieces, and its poses, have been written.
+    done : ndarray of int64, an entry per body
+        What has been written, as bits. To be set to 0 for each block.
     links : ndarray
         Output of the kinematics.
     numbers : ndarray of int64, shape (LANES,)
@@ -82,7 +84,6 @@ class Swept(NamedTuple):
     bodies: Any
     pieces: Any
     done: Any
-    posed: Any
     links: Any
     numbers: Any
 
@@ -133,24 +134,20 @@ def _place_piece(hot, p, R, t, rows):
     return center, Q
 
 
-@njit()
+@inline
 def place_pieces(problem, pieces, body, to):
-    """Write centers and shapes of all pieces of a body, unless this has been done."""
-    if to.done[body] != 0:
-        return
-    to.done[body] = 1
+    """Write centers and shapes of all pieces of a body."""
+    to.done[body] |= PLACED_PIECES
     link = problem.link[body]
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
     for p in range(pieces.piece_start[body], pieces.piece_start[body + 1]):
         _place_piece(pieces.hot, p, R, t, to.pieces)
 
 
-@njit()
+@inline
 def place_body(problem, body, to):
-    """Write the poses of a moving body, unless this has been done."""
-    if to.posed[body] != 0:
-        return
-    to.posed[body] = 1
+    """Write the poses of a moving body."""
+    to.done[body] |= PLACED
     link, zero, one, nought = problem.link[body], broadcast(0.0), broadcast(1.0), 0
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
     for lane in range(LANES):
@@ -161,40 +158,38 @@ def place_body(problem, body, to):
     scatter_transpose(to.poses, 16, to.numbers, nought, 8, lower)
 
 
-@njit()
-def sweep(problem, pieces, to):
-    """Write bounds of all moving bodies over the intervals, from the placed links."""
-    for body in range(problem.link.size):
-        link = problem.link[body]
-        R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
-        to.posed[body] = 0
-        p = pieces.piece_start[body]
-        simple = pieces.piece_start[body + 1] - p == 1
-        to.done[body] = np.int64(simple)
-        ball, at = problem.ball, body * BODY
-        if simple:
-            center, Q = _place_piece(pieces.hot, p, R, t, to.pieces)
-            slack = SHAPE_ROUNDINGS * trace(Q)
-            half = sqrt(Q[0] + slack), sqrt(Q[3] + slack), sqrt(Q[5] + slack)
-        else:
-            center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
-            wide = broadcast(ball[body, 3])
-            half = wide, wide, wide
-        _store_three(to.bodies, at, center)
-        _store_three(to.bodies, at + 3 * STRIDE, half)
-        later = _load_three(to.bodies, at + 1)
-        way = minus(later, center)
-        store(to.bodies, at + _HALF_CHORD, 0.5 * sqrt(dot(way, way)))
-        for c in range(3):
-            store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (load(to.bodies, at + c * STRIDE) + later[c]))
-            first, last = load(to.bodies, at + c * STRIDE), load(to.bodies, at + c * STRIDE + 1)
-            wide, end = load(to.bodies, at + (3 + c) * STRIDE), load(to.bodies, at + (3 + c) * STRIDE + 1)
-            low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
-            store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
-            store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
-            least, most = lowest(first - wide), highest(first + wide)
-            to.bodies[at + _WHOLE + c] = 0.5 * (least + most)
-            to.bodies[at + _WHOLE + 3 + c] = 0.5 * (most - least)
+@inline
+def sweep(problem, pieces, body, to):
+    """Write bounds of a moving body over the intervals, from the placed links."""
+    link = problem.link[body]
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    p = pieces.piece_start[body]
+    simple = pieces.piece_start[body + 1] - p == 1
+    to.done[body] = SWEPT | PLACED_PIECES if simple else SWEPT
+    ball, at = problem.ball, body * BODY
+    if simple:
+        center, Q = _place_piece(pieces.hot, p, R, t, to.pieces)
+        slack = SHAPE_ROUNDINGS * trace(Q)
+        half = sqrt(Q[0] + slack), sqrt(Q[3] + slack), sqrt(Q[5] + slack)
+    else:
+        center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
+        wide = broadcast(ball[body, 3])
+        half = wide, wide, wide
+    _store_three(to.bodies, at, center)
+    _store_three(to.bodies, at + 3 * STRIDE, half)
+    later = _load_three(to.bodies, at + 1)
+    way = minus(later, center)
+    store(to.bodies, at + _HALF_CHORD, 0.5 * sqrt(dot(way, way)))
+    for c in range(3):
+        store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (load(to.bodies, at + c * STRIDE) + later[c]))
+        first, last = load(to.bodies, at + c * STRIDE), load(to.bodies, at + c * STRIDE + 1)
+        wide, end = load(to.bodies, at + (3 + c) * STRIDE), load(to.bodies, at + (3 + c) * STRIDE + 1)
+        low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
+        store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
+        store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
+        least, most = lowest(first - wide), highest(first + wide)
+        to.bodies[at + _WHOLE + c] = 0.5 * (least + most)
+        to.bodies[at + _WHOLE + 3 + c] = 0.5 * (most - least)
 
 
 @inline
@@ -210,10 +205,10 @@ def near_group(groups, g, body, keep, skew, clear, to):
     y = absolute(load(groups, k + LANES) - to.bodies[at + 1])
     z = absolute(load(groups, k + 2 * LANES) - to.bodies[at + 2])
     k += 3 * LANES
-    apart = x > (load(groups, k) + (keep + to.bodies[at + 3])) * WIDER
-    apart = apart | (y > (load(groups, k + LANES) + (keep + to.bodies[at + 4])) * WIDER)
-    apart = apart | (z > (load(groups, k + 2 * LANES) + (keep + to.bodies[at + 5])) * WIDER)
-    return ~movemask(apart)
+    far = x > (load(groups, k) + (keep + to.bodies[at + 3])) * WIDER
+    far = far | (y > (load(groups, k + LANES) + (keep + to.bodies[at + 4])) * WIDER)
+    far = far | (z > (load(groups, k + 2 * LANES) + (keep + to.bodies[at + 5])) * WIDER)
+    return ~movemask(far)
 
 
 @inline
@@ -248,6 +243,10 @@ def _middle(to, at):
 def near_in_world(problem, body, other, keep, to):
     """Intervals, as bits, in which two moving bodies may come within `keep` of each other, relative to the world."""
     a, b = body * BODY, other * BODY
+    for k in range(_WHOLE, _WHOLE + 3):
+        wide = to.bodies[a + k + 3] + to.bodies[b + k + 3]
+        if abs(to.bodies[a + k] - to.bodies[b + k]) > (wide + keep) * WIDER:
+            return 0
     r = minus(_middle(to, a), _middle(to, b))
     far = load(to.bodies, a + _HALF_CHORD) + load(to.bodies, b + _HALF_CHORD)
     far = (far + (problem.ball[body, 3] + problem.ball[other, 3] + keep)) * WIDER
