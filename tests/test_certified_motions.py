@@ -551,7 +551,7 @@ def test_boxes_without_widths_or_margins_are_noticed(arms, rows, margin):
 
 
 def test_groups_hold_every_pair(arms, rng):
-    """Each pair with a static body is in a group of its moving body, with the box, margin and size that belong to it."""
+    """Each pair with a static body is in a group of its moving body, with its box, its margin and its size."""
     ready = CollisionChecker(arms("panda"), ring(rng, 13, 0.3, 1.2, 0.3))._ready()
     tables, moving = ready.motions.tables, len(ready.link)
     numbers, rows = tables.group_pairs.reshape(-1, 8), tables.groups.reshape(-1, 8, 8)
