@@ -2,6 +2,7 @@
 
 from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.joint_limits import JointLimits
+from loewner.planners.lines import straight
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
 from loewner.planners.pose_goals import PoseGoal
@@ -18,5 +19,6 @@ __all__ = [
     "roadmap",
     "shorten",
     "space_information",
+    "straight",
     "trajectory",
 ]
