@@ -3,6 +3,7 @@
 from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.improving import Plan
 from loewner.planners.joint_limits import JointLimits
+from loewner.planners.lines import straight
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
 from loewner.planners.pose_goals import PoseGoal
@@ -20,5 +21,6 @@ __all__ = [
     "roadmap",
     "shorten",
     "space_information",
+    "straight",
     "trajectory",
 ]

@@ -25,10 +25,11 @@ CHAINED, SEEDS_OF_A_CHAIN = 64, 2**14
 # Limit on the seeds, and on the size of a table of seeds that is kept.
 MOST_SEEDS, KEPT = 2**16, 1024
 
-# Solutions among which a free one is sought first; if none is free, all seeds are tried.
-FIRST_FEW = 4
+# If the first solution is not free, a free one is sought among so many; then all seeds are tried.
+FEW = 4
 
 IDENTITY = np.eye(3)
+EXACT, NO_SEEDS = np.zeros(6), np.empty((0, 0))  # tolerances and seeds for lines
 
 # Number of columns of a configuration that a joint reads.
 WIDTHS = {
@@ -90,6 +91,8 @@ class Chain(NamedTuple):
     ranges : ndarray, shape (3, K)
     columns : ndarray of int64, shape (K,)
         Columns of the values in a configuration of the robot.
+    path : ndarray of int64, shape (L,)
+        The links of the robot's tree that the joints move.
     usual : ndarray, shape (2, K)
         Finite limits within which seeds are drawn.
     tables : dict
@@ -100,6 +103,7 @@ class Chain(NamedTuple):
     constants: Floats
     ranges: Floats
     columns: Ints
+    path: Ints
     usual: Floats
     tables: dict[int, Floats]
 
@@ -147,7 +151,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
             constants[row, columns.AXIS :] = _axis(tree.constants[path[row]])
         if moves[first]:
             _set_ranges(ranges[:, at : at + wide], kind, limits[:, first : first + wide], wraps[first : first + wide])
-    return Chain(links, constants, ranges, used, usual[:, used], {})
+    return Chain(links, constants, ranges, used, np.array(path), usual[:, used], {})
 
 
 def wrapping(tree: Tree, dof: int) -> Bools:
@@ -255,6 +259,18 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
     return Answers(found, counts, nearest)
 
 
+def near(chain: Chain, T: Floats, starts: Floats) -> tuple[Floats, Bools]:
+    """Seek each pose from its start alone, shape (n, K), as for lines; return the values, and which reach the pose."""
+    count, values = len(T), len(chain.columns)
+    found, counts, nearest = (
+        np.empty((count, 1, values)),
+        np.zeros(count, dtype=np.int64),
+        np.empty((count, values + 3)),
+    )
+    entries.reach_poses(*chain[:3], EXACT, T, starts, NO_SEEDS, 1, 0, count, found, counts, nearest)
+    return nearest[:, :values], counts > 0
+
+
 class Solutions(NamedTuple):
     """All solutions as configurations, the pose of each, and which are free: in the order of `Reached.solutions`."""
 
@@ -295,8 +311,7 @@ def reach(
     targets = np.array(np.broadcast_to(targets_of(T), (*shape, 4, 4)), order="C").reshape(count, 4, 4)
     starts = np.array(np.broadcast_to(starts, (*shape, starts.shape[-1]))).reshape(count, starts.shape[-1])
     table, begins = seeded(chain, seeds), np.array(starts[:, chain.columns], order="C")
-    few = seeds + 2 if every else 1 if checker is None else FIRST_FEW
-    answers = solve(chain, targets, begins, table, few, tolerance)
+    answers = solve(chain, targets, begins, table, seeds + 2 if every else 1, tolerance)
     Q, reached = starts.copy(), answers.counts > 0
     Q[:, chain.columns] = answers.nearest[:, :values]
     lists, numbers = None, None
@@ -306,10 +321,10 @@ def reach(
     if every:
         lists = tuple(np.split(found.Q, np.cumsum(answers.counts)[:-1]))
         numbers = None if checker is None else np.bincount(found.poses[found.free], minlength=count).reshape(shape)
-    elif checker is not None:
-        left = np.flatnonzero(~reached & (answers.counts == few))
+    for most in () if every or checker is None else (FEW, seeds + 2):
+        left = np.flatnonzero(~reached & (answers.counts > 0))
         if len(left):
-            more = solve(chain, targets[left], begins[left], table, seeds + 2, tolerance)
+            more = solve(chain, targets[left], begins[left], table, most, tolerance)
             chosen, freed = Q[left], reached[left]
             Solutions.of(more, chain, starts[left], checker).choose(chosen, freed)
             Q[left], reached[left] = chosen, freed
