@@ -169,7 +169,7 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, boxes: Floats) -> records
     ----------
     p : PieceArrays
     tree : SurfaceTree
-        Of the whole surface.
+        The whole surface's tree.
     boxes : ndarray, shape (parts, 24)
         Corners of boxes around the parts, without the radius: eight x, eight y, eight z.
     """

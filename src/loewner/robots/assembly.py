@@ -34,7 +34,7 @@ class Source(NamedTuple):
     Attributes
     ----------
     prefix : str
-        What was put before its names.
+        Prefix of its names.
     format : str
         "URDF" or "MJCF".
     path : Path
@@ -210,7 +210,7 @@ def with_body(
     """Return the same robot with a body as another link, on a joint of its own.
 
     Thus a door, a drawer or an obstacle that moves becomes a part of the configuration, and its motions are proven
-    together with those of the robot. If the parent has a body, the two are an adjacent pair.
+    together with the robot's. If the parent has a body, the two are an adjacent pair.
 
     Parameters
     ----------
@@ -284,9 +284,9 @@ def with_body(
 
 
 class _Piece(NamedTuple):
-    """A robot that is combined with others: the prefix of its names, and the link on which its root stands.
+    """A robot that is combined with others: the prefix of its names, and the link to which its root is fixed.
 
-    The root stands in the world if `on` is None; it is left out with `without_root`.
+    The root is fixed to the world if `on` is None; it is left out with `without_root`.
     """
 
     prefix: str

@@ -37,7 +37,7 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     version : int
         The scene's version, read before any of its other contents.
     before : Problem or None
-        What was prepared for an earlier version, for the same robot.
+        The result for an earlier version and the same robot.
 
     Raises
     ------

@@ -36,8 +36,8 @@ IN_TURN = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# Rows of the table of arrays: where those of `records.MotionTables` begin, the order of the pairs, and the arrays of
-# `Standing`.
+# Rows of the table of arrays: where the arrays of `records.MotionTables` begin, the order of the pairs, and the arrays
+# that kernels write.
 _MOTIONS, _ORDER, _WRITTEN = 14, 10, [11, 12, 13, 16, 17, 18, 22]
 
 
@@ -129,7 +129,8 @@ class Problem:
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
-    standing : Standing
+    `standing` : `Standing`
+        Arrays that kernels write for the present poses.
     hits : ndarray of int64, shape (pairs,)
         Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
         these affect only the order of the pairs.

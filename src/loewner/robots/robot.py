@@ -388,7 +388,7 @@ class Robot:
     @classmethod
     @guarded
     def join(cls, parts: Mapping[str, Robot], poses: Mapping[str, ArrayLike | None] | None = None) -> Robot:
-        """Make one robot of several that stand beside each other, so that they are checked and planned together.
+        """Make one robot of several, so that they are checked and planned together.
 
         Parameters
         ----------
@@ -402,9 +402,9 @@ class Robot:
         Returns
         -------
         Robot
-            Its configurations are those of the parts, one after another. Groups, states and disabled pairs are kept;
-            pairs of links of different parts are checked. If only some parts have disabled pairs, the adjacent pairs of
-            the others are disabled, too.
+            Its configurations are the parts' configurations, one after another. Groups, states and disabled pairs are
+            kept; pairs of links of different parts are checked. If only some parts have disabled pairs, the adjacent
+            pairs of the others are disabled, too.
 
         Raises
         ------

@@ -1,6 +1,6 @@
 """Preparation of bodies for `configurations` and `motions`: balls about moving ones, bounds and rows of static ones.
 
-A static body is placed again only if its pose has changed, so a change of a scene costs what has changed.
+A static body is placed again only if its pose has changed.
 
 For proofs of motions, a ball about each body is carried along the tree of joints, starting at the joint next to the
 body. A joint that turns sweeps the ball around its axis, and a ball about the swept region is carried on to the next
@@ -41,7 +41,8 @@ from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, problem_of
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
-# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch; and for those of a base as well.
+# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch; reaches are also stretched by the
+# pose of a base.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 STRETCH_OF_REACHES = 1.0 + 8.0 * ROTATION_TOLERANCE
 
@@ -213,7 +214,7 @@ def measure_moving(pack, problem_handle, tables_handle):
 
 @njit()
 def place_static(pack, problem_handle, tables_handle, poses):
-    """Place the static bodies whose poses are not those in the problem, and write what depends on their poses.
+    """Place the static bodies whose poses differ from the poses in the problem, and write all dependent arrays.
 
     Parameters
     ----------

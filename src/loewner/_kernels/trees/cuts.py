@@ -279,7 +279,7 @@ def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, mark
     Parameters
     ----------
     numbers : ndarray
-        Of the part.
+        The part's numbers.
     rows, scratch, marks, bins, held : ndarray
         Memory.
     """
@@ -303,7 +303,7 @@ def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, mark
         axis, slot, low, scale = _boundary(rows, items, least, grown, bins, held)
     rank = 0
     if axis >= 0:
-        # The items in the two bins at the boundary, and boxes around those in the bins before and after them.
+        # The items in the two bins at the boundary, and boxes around the items in the bins before and after them.
         count, before, ahead, behind = 0, 0, nothing, nothing
         for item in range(items):
             own = max(0, min(BINS - 1, int((_middle(rows, item, axis) - low) * scale)))
@@ -519,7 +519,7 @@ def _form(Q, r):
 
 @njit()
 def _around(points):
-    """Mean and covariance of weighted points, which are those of the smallest ellipsoid around them up to its scale.
+    """Mean and covariance of weighted points: center and shape, up to a factor, of a small ellipsoid around them.
 
     Each weight is multiplied by its share in the optimality condition; Titterington, Some aspects of D-optimal design
     for estimation (1976). Returns the mean, the covariance and its inverse.
