@@ -57,10 +57,12 @@ def random_robot(rng: np.random.Generator, folder: Path, links: int, bodies: lis
     joints = []
     for k in range(1, links):
         x, turn, axis = rng.normal(size=3) * 0.3, rng.uniform(-3, 3, 3), rng.normal(size=3)
+        kind = KINDS[rng.integers(len(KINDS))]
         joints.append((
-            KINDS[rng.integers(len(KINDS))], rng.integers(max(0, k - 2), k),
+            kind, rng.integers(max(0, k - 2), k),
             f'<origin xyz="{x[0]} {x[1]} {x[2]}" rpy="{turn[0]} {turn[1]} {turn[2]}"/>'
-            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/><limit lower="-2" upper="2"/>',
+            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
+            + '<limit lower="-2" upper="2"/>' * (kind in ("revolute", "prismatic")),
         ))  # fmt: skip
     chosen = {f"l{k}": bodies[rng.integers(len(bodies))] for k in range(links) if rng.random() < 0.85}
     return robot_of(folder, joints, chosen)

@@ -46,7 +46,15 @@ def folder_with_robot(folder_with_meshes):
 
 
 @pytest.mark.parametrize(
-    "name", ["docs/meshes.md", "docs/scenes.md", "docs/robots.md", "docs/motions.md", "docs/viewer.md"]
+    "name",
+    [
+        "docs/meshes.md",
+        "docs/scenes.md",
+        "docs/robots.md",
+        "docs/motions.md",
+        "docs/viewer.md",
+        "docs/howto/two-robots.md",
+    ],
 )
 def test_code_blocks_run(name, folder_with_robot, capsys):
     """Every Python block of the document runs, in order, from a fresh start."""

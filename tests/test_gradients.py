@@ -228,7 +228,7 @@ def test_bodies_far_beyond_single_precision(far: float, tmp_path: Path):
 
 
 def test_bodies_are_taken_out_once(tmp_path: Path):
-    """Not for each question, nor when they move; anew where another one takes a name."""
+    """Bodies are those of the robot and the scene, also when they move; anew where another one takes a name."""
     rng = np.random.default_rng(9)
     robot = random_robot(rng, tmp_path, 3, simple_bodies(rng))
     scene = Scene()
@@ -241,14 +241,14 @@ def test_bodies_are_taken_out_once(tmp_path: Path):
         return found.distance[(found.names == "seen").any(axis=1)]
 
     before, ready = nearest(), checker._ready()
-    kept = [ready.body(k) for k in range(len(ready.names))]
-    assert ready.body.cache_info().hits
+    kept = [ready.body(k)._packed for k in range(len(ready.names))]
+    assert kept[-1] is scene["seen"]._packed
     T = np.eye(4)
     T[0, 3] = 3.0
     scene.move("seen", T)
     moved = nearest()
     assert (moved != before).any()
-    assert all(checker._ready().body(k) is body for k, body in enumerate(kept))
+    assert all(checker._ready().body(k)._packed is pack for k, pack in enumerate(kept))
     scene.remove("seen")
     scene.add("seen", Body.from_cloud(rng.normal(size=(50, 3)) - [3, 0, 0], radius=0.1), T)
     assert (nearest() != moved).any()

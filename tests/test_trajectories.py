@@ -307,7 +307,8 @@ def test_velocities_of_a_urdf(tmp_path):
     assert written(tmp_path, limited('velocity="0.25"')).velocity.tolist() == [0.25]
     for none in ("", 'velocity="0"', 'velocity="-1"', 'velocity="inf"'):
         assert np.isnan(written(tmp_path, limited(none)).velocity).all(), none
-    assert np.isnan(written(tmp_path, limited('velocity="1"', "planar")).velocity).all()
+    with pytest.warns(UserWarning, match="planar"):
+        assert np.isnan(written(tmp_path, limited('velocity="1"', "planar")).velocity).all()
     with pytest.raises(InputError, match="velocity"):
         written(tmp_path, limited('velocity="fast"'))
     with pytest.raises(ValueError, match="read-only"):

@@ -825,6 +825,10 @@ CALLS: dict[str, Call] = {
     "Scene.remove": Call(on(scene, "remove"), {"name": arg("post")}),
     "Scene.replace": Call(on(scene, "replace"), {"name": arg("post"), "body": arg(ball, "Body")}),
     "Scene.move": Call(on(scene, "move"), {"name": arg("post"), "T_world_body": pose()}),
+    "Scene.move_all": Call(
+        on(scene, "move_all"),
+        {"names": arg(lambda: ["post", "box"]), "Ts": array(np.tile(np.eye(4), (2, 1, 1)), FINITE)},
+    ),
     "Scene.attach": Call(
         on(scene, "attach"),
         {
@@ -885,6 +889,30 @@ CALLS: dict[str, Call] = {
     "Robot.from_mjcf": Call(Robot.from_mjcf, {"path": arg("pole.xml"), "tol": TOL}),
     "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
     "Robot.disabling": Call(on(robot, "disabling"), {"pairs": arg(lambda: [("ball", "rod")], NOTHING)}),
+    "Robot.join": Call(
+        Robot.join, {"parts": arg(lambda: {"a": robot(), "b": robot()}), "poses": arg(None, NONE, "empty dict")}
+    ),
+    "Robot.part": Call(on(lambda: Robot.join({"a": robot()}), "part"), {"name": arg("a")}),
+    "Robot.add_base": Call(
+        on(robot, "add_base"),
+        {
+            "kind": choice("planar"),
+            "bounds": array([[-1.0, 1.0], [0.0, 0.5]], NONE, FINITE, "turned over"),
+            "name": arg("wheels", TEXTS, skips=frozenset({"object that fails"})),
+        },
+    ),
+    "Robot.with_body": Call(
+        on(robot, "with_body"),
+        {
+            "name": arg("door", TEXTS),
+            "body": arg(ball, "Body"),
+            "T_parent_joint": pose(),
+            "joint": choice("revolute"),
+            "parent": arg("rod", NONE),
+            "axis": array([0.0, 0.0, 1.0], FINITE),
+            "limits": array([0.0, 1.0], FINITE),
+        },
+    ),
     "Robot.link_pairs": Call(
         on(robot, "link_pairs"),
         {
@@ -1446,7 +1474,8 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
+    "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
+    "Robot",
     "CertifiedMotions", "CertifiedTrajectory",
     "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",

@@ -16,8 +16,8 @@ from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
 from loewner.bodies.kinds import KIND_NAMES
-from loewner.bodies.layout import PieceArrays, arrays_of
-from loewner.bodies.pack import Packed, empty, join, moved, take
+from loewner.bodies.layout import PieceArrays
+from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids, trusted
@@ -803,9 +803,7 @@ class Body(_Bodies):
         listed = _validate.listed(bodies, "bodies")
         if not listed:
             raise GeometryError("bodies: expected at least one body, found none")
-        packed = join([_expect_body(b, "bodies")._packed for b in listed])
-        start = np.array([0, len(packed.layout)])
-        return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps, packed.trees))
+        return cls(as_one([_expect_body(b, "bodies")._packed for b in listed]))
 
     def transformed(self, T: ArrayLike) -> Body:
         """Return a copy of the body and its ellipsoids, moved by a rigid motion of shape (4, 4).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,7 +13,7 @@ from loewner._kernels import columns, records, tolerances
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies.boxes import least_box_axes
-from loewner.bodies.surface_trees import Trees
+from loewner.bodies.surface_trees import SurfaceTree, Trees
 from loewner.errors import GeometryError, InputError
 
 Maps = dict[int, tuple[Ints, Floats]]
@@ -110,6 +111,85 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
     vertices = records.aligned(len(points) if len(single) else 0, np.float32)
     vertices[:] = points[: len(vertices)]
     return records.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices, *_parts(p, trees))
+
+
+def joined_kernel(parts: Sequence[records.Pieces]) -> records.Pieces:
+    """Join the kernels' arrays of several packs, in order: what `kernel_arrays` makes of all of their pieces.
+
+    Making them anew would take a hundred times as long for a cloud.
+    """
+    sizes = [(len(p.table), len(p.points) // 3, len(p.children) // columns.WIDE, len(p.parts)) for p in parts]
+    pieces, points, groups, rows = zip(*[(0, 0, 0, 0), *np.cumsum(sizes, axis=0).tolist()], strict=True)
+    layout = [part.layout + np.array([0, first, first, 0]) for part, first in zip(parts, points, strict=False)]
+    start = [part.piece_start[1:] + first for part, first in zip(parts, pieces, strict=False)]
+    # A child is a group, or a piece if it is negative.
+    children = [
+        np.where(part.children < 0, part.children - piece, part.children + group)
+        for part, piece, group in zip(parts, pieces, groups, strict=False)
+    ]
+    roots = [np.where(part.roots < 0, -1, part.roots + group) for part, group in zip(parts, groups, strict=False)]
+    surfaces = any(len(part.part_start) for part in parts)
+    part_start = [
+        part.part_start + row
+        if len(part.part_start)
+        else np.zeros(columns.PARTS * len(part.table) * surfaces, np.int64)
+        for part, row in zip(parts, rows, strict=False)
+    ]
+    singles = all(len(part.single) or not len(part.table) for part in parts)
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("table", "hot", "groups", "parts")
+    }
+    return records.Pieces(
+        **joined,
+        layout=np.concatenate(layout),
+        points=_end_to_end([part.points for part in parts]),
+        piece_start=np.concatenate([[0], *start]).astype(np.int64),
+        single=np.concatenate([part.single for part in parts[: len(parts) * singles]] or [parts[0].single[:0]]),
+        children=np.concatenate(children),
+        roots=np.concatenate(roots),
+        vertices=_end_to_end([part.vertices for part in parts[: len(parts) * singles]] or [parts[0].vertices[:0]]),
+        part_start=np.concatenate(part_start),
+    )
+
+
+def one_body(kernel: records.Pieces) -> records.Pieces:
+    """Make one body of all pieces."""
+    start = np.array([0, len(kernel.table)])
+    groups, children, roots = _trees(kernel.table, start)
+    return kernel._replace(piece_start=start, groups=groups, children=children, roots=roots)
+
+
+def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, boxes: Floats) -> records.Pieces:
+    """Make the kernels' arrays of one body, the parts of a surface.
+
+    An exact search on a part is answered by the whole surface's tree: it may find a collision with another part, which
+    is a collision of the same bodies.
+
+    Parameters
+    ----------
+    p : PieceArrays
+    tree : SurfaceTree
+        The whole surface's tree.
+    boxes : ndarray, shape (parts, 24)
+        Corners of boxes around the parts, without the radius: eight x, eight y, eight z.
+    """
+    table, count = _table(p), len(boxes)
+    hot, number = np.ascontiguousarray(table[:, : columns.HOT]), np.arange(count)
+    single, points = _single(hot), _end_to_end([boxes.ravel()])
+    layout = np.column_stack([p.layout[:, columns.KIND], 8 * number, 8 * number + 8, number])
+    layout[:, columns.SURFACE_AT] = tree.table.ctypes.data
+    vertices = _end_to_end([points[: len(points) * (len(single) > 0)].astype(np.float32)])
+    part_start = np.column_stack([number, number + 1, number + 1]).ravel()
+    return records.Pieces(
+        table, layout, points, p.piece_start.copy(), hot, single, *_trees(table, p.piece_start), vertices, hot.copy(),
+        part_start,
+    )  # fmt: skip
+
+
+def _end_to_end(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Concatenate flat arrays, at the start of a cache line."""
+    made: NDArray[Any] = records.aligned(sum(map(len, arrays)), arrays[0].dtype)
+    return np.concatenate(arrays, out=made)
 
 
 def direction_maps(layout: Ints, points: Floats) -> Maps:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,9 @@ from loewner.bodies.layout import (
     arrays_of,
     direction_maps,
     heights_of,
+    joined_kernel,
     kernel_arrays,
+    one_body,
     starts,
 )
 from loewner.bodies.surface_trees import Trees, around_point, surface_trees
@@ -85,10 +87,18 @@ class Packed(Prepared):
         if trees is None:
             trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
         pieces = _with_inner_of_solids(pieces, trees)
-        kernel = kernel_arrays(pieces, maps, trees)
+        return cls.with_kernel(
+            Prepared(**arrays_of(pieces), maps=maps, trees=trees), kernel_arrays(pieces, maps, trees)
+        )
+
+    @classmethod
+    def with_kernel(cls, made: Prepared, kernel: records.Pieces) -> Packed:
+        """Combine pieces with their arrays for kernels."""
         table = records.table_of(kernel)
-        arrays = arrays_of(pieces)
-        return cls(**arrays, maps=maps, trees=trees, kernel=kernel, addresses=table, handle=table.ctypes.data)
+        return cls(
+            **arrays_of(made), maps=made.maps, trees=made.trees, kernel=kernel, addresses=table,
+            handle=table.ctypes.data,
+        )  # fmt: skip
 
     def __reduce__(self) -> Any:
         """Let copies and pickles be built anew: the handle is an address that is valid only for this object."""
@@ -142,14 +152,23 @@ def empty() -> Packed:
     return Packed.of(pieces)
 
 
-def join(parts: list[Packed]) -> Packed:
-    """Join all bodies of several packs, in order."""
-    return joined(parts).packed()
+def join(parts: Sequence[Packed]) -> Packed:
+    """Join all bodies of several packs, in order; the kernels' arrays are joined as well, and not made anew."""
+    _memory.expect_place(_memory.KERNELS)
+    return Packed.with_kernel(joined(parts), joined_kernel([part.kernel for part in parts]))
+
+
+def as_one(parts: Sequence[Packed]) -> Packed:
+    """Make one body of all pieces of several packs."""
+    made = joined(parts)
+    kernel = one_body(joined_kernel([part.kernel for part in parts]))
+    return Packed.with_kernel(replace(made, piece_start=np.array([0, len(made.layout)])), kernel)
 
 
 def joined(parts: Sequence[Prepared]) -> Prepared:
     """Join packs without making the arrays for kernels."""
-    _validate.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
+    copied = sum(array.nbytes for part in parts for array in arrays_of(part).values())
+    _validate.fits_memory(copied, f"{len(parts)} bodies")
     arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])

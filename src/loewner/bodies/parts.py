@@ -2,173 +2,116 @@
 
 from __future__ import annotations
 
-import heapq
-from dataclasses import replace
-from itertools import count
+from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loewner._kernels import columns
-from loewner._validate import Bools, Floats, Ints
-from loewner.bodies.boxes import least_box_axes
+from loewner._native import entries
+from loewner._validate import Bools
 from loewner.bodies.flat_faces import flat_faces
-from loewner.bodies.layout import starts
-from loewner.bodies.pack import Packed, Prepared, joined, some
-from loewner.bodies.surface_trees import SurfaceTree, surface_trees
-from loewner.bodies.surfaces import surface_pieces
-from loewner.errors import GeometryError
+from loewner.bodies.layout import PieceArrays, kernel_of_parts
+from loewner.bodies.pack import Packed, Prepared, as_one, some
+from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
 
-# Limits on the parts of a surface, and of all surfaces of a pack together: each part takes a millisecond to make.
+# Limits on the parts of a surface, and of all surfaces of a problem together.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Thickness assumed for a flat part, relative to the whole.
-THICKNESS = 0.01
-
-# When a part is cut in two, each side gets at least one in this many triangles; with several faces, one face. With 16,
-# cuts leave parts of three quarters over and over, and no more is proven.
-LEAST_SHARE = 4
-
-# Certified log-volume gap of the ellipsoids around parts: a loose one, since proofs use the boxes.
-TOLERANCE = 1e-2
-
 # Parts of surfaces by tree, with the limit on their number; None for a surface that cannot be cut.
-_known: WeakKeyDictionary[SurfaceTree, tuple[int, Prepared | None]] = WeakKeyDictionary()
+_known: WeakKeyDictionary[SurfaceTree, tuple[int, Packed | None]] = WeakKeyDictionary()
 
 
-def in_parts(packed: Packed, bodies: Bools) -> Packed:
-    """Cut the surfaces of bodies into parts, each a piece of its own; a pack without surfaces is returned as it is.
+def in_parts(packs: Sequence[Packed], bodies: Bools) -> list[Packed]:
+    """Cut the surfaces of bodies into parts, each a piece of its own; a body without surfaces is returned as it is.
 
     Parts of a solid cover only its surface. A body that starts outside and stays clear of all parts stays outside.
 
     Parameters
     ----------
-    packed : Packed
+    packs : sequence of Packed
+        One body each.
     bodies : ndarray of bool
         Bodies whose surfaces are cut.
     """
-    of_piece = np.repeat(bodies, np.diff(packed.piece_start))
-    standing = [i for i in packed.trees if of_piece[i]]
+    surfaces = sum(len(pack.trees) for pack, chosen in zip(packs, bodies.tolist(), strict=True) if chosen)
     # A power of two, so that adding a surface does not always cut all others anew.
     most = MOST_PARTS
-    while most * len(standing) > ALL_PARTS:
+    while most * surfaces > ALL_PARTS:
         most //= 2
-    cut = {i: _parts_of(packed, i, most) for i in standing}
-    rows: list[Prepared] = []
-    counts, done = np.ones(len(packed.layout), dtype=np.int64), 0
-    for i, parts in cut.items():
+    return [
+        _in_parts(pack, most) if chosen and pack.trees else pack for pack, chosen in zip(packs, bodies, strict=True)
+    ]
+
+
+def _in_parts(packed: Packed, most: int) -> Packed:
+    """Return a body with its surfaces in parts."""
+    rows: list[Packed] = []
+    done = 0
+    for i in packed.trees:
+        parts = _parts_of(packed, i, most)
         if parts is not None:
-            rows += [_as_they_are(packed, done, i), parts]
-            counts[i], done = len(parts.layout), i + 1
+            rows += [*_as_they_are(packed, done, i), parts]
+            done = i + 1
     if not rows:
         return packed
-    rows.append(_as_they_are(packed, done, len(packed.layout)))
-    return replace(joined(rows), piece_start=starts(counts)[packed.piece_start]).packed()
+    rows += _as_they_are(packed, done, len(packed.layout))
+    return rows[0] if len(rows) == 1 else as_one(rows)
 
 
-def _as_they_are(packed: Packed, first: int, last: int) -> Prepared:
-    return some(packed, np.arange(first, last), np.array([0, last - first]))
+def _as_they_are(packed: Packed, first: int, last: int) -> list[Packed]:
+    if first == last:
+        return []
+    return [some(packed, np.arange(first, last), np.array([0, last - first])).packed()]
 
 
-def _parts_of(packed: Packed, i: int, most: int) -> Prepared | None:
-    """Return the parts of a surface, made once; None if it is a single part, or if a part is too small for kernels."""
+def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
+    """Return the parts of a surface, made once, as a body; None if it is a single part."""
     tree = packed.trees[i]
     known = _known.get(tree)
     if known is None or known[0] != most:
-        try:
-            known = most, _cut(packed, i, most)
-        except GeometryError:
-            known = most, None
-        _known[tree] = known
+        known = _known[tree] = most, _cut(packed, i, most)
     return known[1]
 
 
-def _cut(packed: Packed, i: int, most: int) -> Prepared | None:
+def _cut(packed: Packed, i: int, most: int) -> Packed | None:
     row, radius = packed.layout[i], float(packed.frames[i, 0])
     vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
     triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
-    if min(len(triangles), most) < 2:
+    total = len(triangles)
+    if min(total, most) < 2:
         return None
     # The triangles of a cloud are points.
     single = bool((triangles == triangles[:, :1]).all())
-    faces = np.zeros(len(triangles), dtype=np.int64) if single else flat_faces(vertices, triangles)
-    made = []
-    corners = vertices[triangles[:, :1] if single else triangles].transpose(2, 1, 0)
-    for part in _cut_up(np.ascontiguousarray(corners), faces, radius, most):
-        pieces = surface_pieces("part", vertices, triangles[part], radius, False, TOLERANCE)
-        trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
-        made.append(Prepared(**vars(pieces), maps={}, trees=trees))
-    return joined(made)
-
-
-def _cut_up(triangles: Floats, faces: Ints, radius: float, most: int) -> list[Ints]:
-    """Return the triangle indices of each part; the part with the emptiest box is cut, repeatedly.
-
-    Parameters
-    ----------
-    triangles : ndarray, shape (3, corners, n)
-        Coordinates come first.
-    faces : ndarray of int, shape (n,)
-        Face of each triangle. A face is cut only if it is alone in its part. The boards of a shelf are thus separated,
-        even if they intersect, however fine their triangles are.
-    radius : float
-        Radius around the triangles, in metres.
-    most : int
-        Largest number of parts.
-    """
-    numbers = count()  # of parts with equal boxes the older one comes first
-    # Flat boxes are given a volume too, partly filled by triangles: triangles in one plane may be far apart.
-    thick = THICKNESS * float(np.ptp(triangles, axis=(1, 2)).max())
-    filled = thick * _areas(triangles)
-
-    def entry(part: Ints) -> tuple[float, int, Ints, Floats, Floats]:
-        own = triangles[:, :, part]
-        turned = (least_box_axes(own).T @ own.reshape(3, -1)).reshape(own.shape)
-        lower, upper = turned.min(axis=1), turned.max(axis=1)
-        box = _volumes(lower.min(axis=1), upper.max(axis=1), 2 * radius + thick)
-        empty = float(box - filled[part].sum()) if len(part) > 1 else 0.0
-        return -empty, next(numbers), part, lower, upper
-
-    parts = [entry(faces.argsort(kind="stable"))]
-    while len(parts) < most and parts[0][0] < 0:
-        _, _, part, lower, upper = heapq.heappop(parts)
-        for piece in _cut_in_two(lower, upper, faces[part], 2 * radius + thick):
-            heapq.heappush(parts, entry(part[piece]))
-    return [part for _, _, part, _, _ in parts]
-
-
-def _cut_in_two(lower: Floats, upper: Floats, faces: Ints, thick: float) -> tuple[Ints, Ints]:
-    """Split triangles, sorted by face, in two parts, by the cut across an axis that gives the smallest boxes."""
-    first, many = np.flatnonzero(np.diff(faces, prepend=-1)), len(faces)
-    if len(first) == 1:
-        first = np.arange(many)
-    elif len(first) < many:
-        lower, upper = np.minimum.reduceat(lower, first, axis=1), np.maximum.reduceat(upper, first, axis=1)
-    least = max(len(first) // LEAST_SHARE, 1)
-    found = []
-    for order in (lower + upper).argsort(axis=1, kind="stable"):
-        low, high = lower[:, order], upper[:, order]
-        volumes = _of_first(low, high, thick)[:-1] + _of_first(low[:, ::-1], high[:, ::-1], thick)[-2::-1]
-        at = least + int(volumes[least - 1 : len(order) - least].argmin())
-        found.append((float(volumes[at - 1]), order[:at]))
-    chosen = np.zeros(len(first), dtype=bool)
-    chosen[min(found, key=lambda one: one[0])[1]] = True
-    of_first = np.repeat(chosen, np.diff(first, append=many))
-    return np.flatnonzero(of_first), np.flatnonzero(~of_first)
-
-
-def _of_first(lower: Floats, upper: Floats, thick: float) -> Floats:
-    """Compute the volumes of the boxes around the first box, the first two boxes, the first three boxes, ..."""
-    return _volumes(np.minimum.accumulate(lower, axis=1), np.maximum.accumulate(upper, axis=1), thick)
-
-
-def _volumes(lower: Floats, upper: Floats, thick: float) -> Floats:
-    return np.asarray((upper - lower + thick).prod(axis=0))
-
-
-def _areas(triangles: Floats) -> Floats:
-    """Compute the area of each triangle; points have area 0."""
-    if triangles.shape[1] == 1:
-        return np.zeros(triangles.shape[2])
-    a, b, c = triangles.transpose(1, 2, 0)
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2
+    faces = np.zeros(total, dtype=np.int64) if single else flat_faces(vertices, triangles)
+    order, start = faces.argsort(kind="stable"), np.empty(most + 1, dtype=np.int64)
+    boxes, centers, shapes = np.empty((most, 24)), np.empty((most, 3)), np.empty((most, 3, 3))
+    corners = vertices[triangles[:, :1] if single else triangles].reshape(total, -1)
+    count = entries.cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes)
+    if count < 2:
+        return None
+    each, points = corners.shape[1] // 3, corners[order].reshape(-1, 3)
+    first = each * start[:count]
+    layout = np.zeros((count, 5), dtype=np.int64)
+    layout[:, columns.KIND] = columns.SURFACE
+    layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO] = first, each * start[1 : count + 1]
+    local = np.arange(each * total).reshape(-1, each) - np.repeat(first, np.diff(start[: count + 1]))[:, None]
+    frames = np.zeros((count, 13))
+    frames[:, 0] = radius
+    pieces = PieceArrays(
+        layout=layout,
+        points=points,
+        planes=np.zeros((0, 4)),
+        piece_start=np.array([0, count], dtype=np.int64),
+        frames=frames,
+        triangles=np.ascontiguousarray(np.broadcast_to(local, (total, 3))),
+        triangle_start=start[: count + 1].copy(),
+        inner_center=points[first],
+        inner_factor=np.repeat(around_point(radius)[None], count, axis=0),
+        outer_center=centers[:count],
+        outer_factor=around_sums(shapes[:count], np.full(count, radius)),
+        gaps=np.full((count, 2), [0.0, np.inf]),
+    )
+    tree = packed.trees[i]
+    made = Prepared(**vars(pieces), maps={}, trees=dict.fromkeys(range(count), tree))
+    return Packed.with_kernel(made, kernel_of_parts(pieces, tree, boxes[:count]))

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, planners
+from loewner import Verdict, _archives, _tables, planners
+from loewner._files import read_regular
+from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
@@ -24,11 +26,15 @@ MEASURED = 33
 EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal goals.csv -o path.csv
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
+  loewner plan panda.urdf --srdf panda.srdf --start ready --goal-pose panda_hand "0.4 0.2 0.5 0 1 0 0"
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
   numbers themselves. A file may contain several goals, and reaching any one is enough. A named goal keeps the
   start's values for joints that its state does not name; in a named start these are 0.
+
+poses: "x y z qw qx qy qz" in metres, with a unit quaternion; "x y z" for the position alone; or a .npy file with
+  T_world_link, shape (4, 4) or (poses, 4, 4).
 
 Every motion of the path is proven free at every one of its configurations. With --sampled, motions are sampled
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
@@ -53,7 +59,11 @@ def add(commands: Any) -> None:
             help=f"two bodies or links that may be in contact at the {where} only; repeatable",
         )
     plan.add_argument("--start", required=True, metavar="Q", help="start: a state, a file, or numbers")
-    plan.add_argument("--goal", required=True, metavar="Q", help="goal, likewise")
+    ends = plan.add_mutually_exclusive_group(required=True)
+    ends.add_argument("--goal", metavar="Q", help="goal, likewise")
+    ends.add_argument(
+        "--goal-pose", nargs=2, metavar=("LINK", "POSE"), help="or a pose of a link as the goal: numbers, or a file"
+    )
     plan.add_argument(
         "--joints",
         metavar="NAME",
@@ -93,7 +103,11 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     start = robot.checked_one(configurations.given(options.start, "--start", options, robot, None), "--start")
-    goal = configurations.given(options.goal, "--goal", options, robot, start)
+    goal: Floats | planners.PoseGoal
+    if options.goal_pose is None:
+        goal = configurations.given(options.goal, "--goal", options, robot, start)
+    else:
+        goal = _pose_goal(*options.goal_pose)
     inputs.refuse_no_pairs(checker, options.urdf)
     try:
         path, seconds = _found(checker, start, goal, options)
@@ -110,6 +124,25 @@ def _run(options: argparse.Namespace) -> int:
     return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
 
 
+def _pose_goal(link: str, text: str) -> planners.PoseGoal:
+    """Read the goal that a pose of a link gives."""
+    if Path(text).suffix.lower() == ".npy":
+        data = read_regular(Path(text), "poses", configurations.MOST_BYTES)
+        return planners.PoseGoal(link, _archives.numbers(data, text, "an array of numbers"))
+    try:
+        numbers = _tables.row(text)
+    except ValueError as error:
+        raise InputError(f"--goal-pose: expected numbers or a .npy file, found {text!r} ({error})") from None
+    if len(numbers) not in (3, 7):
+        raise InputError(f"--goal-pose: expected x y z qw qx qy qz, or x y z, found {len(numbers)} numbers")
+    T = np.eye(4)
+    T[:3, 3] = numbers[:3]
+    if len(numbers) == 3:
+        return planners.PoseGoal(link, T, tolerance=[0, 0, 0, np.inf, np.inf, np.inf])
+    T[:3, :3] = from_quaternion(numbers[3:], "--goal-pose")
+    return planners.PoseGoal(link, T)
+
+
 def _refuse_unused(options: argparse.Namespace) -> None:
     """Before the work begins, refuse options that would silently be ignored, and a path that cannot be written."""
     if options.resolution is not None and not options.sampled and options.planner is None:
@@ -123,7 +156,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 
 
 def _found(
-    checker: loewner.CollisionChecker, start: Floats, goal: Floats, options: argparse.Namespace
+    checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
 ) -> tuple[Floats, float]:
     """Return the path, and the seconds that it took to find."""
     given = {"max_iterations": options.max_iterations, "resolution": options.resolution}

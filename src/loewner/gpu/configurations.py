@@ -238,7 +238,7 @@ def _tables(gpu: Device, ready: Problem) -> _Tables:
     tree, packed, moving = ready.robot.tree, ready.packed, len(ready.link)
     start = packed.piece_start
     rows = single_rows(packed).copy()
-    rows[start[moving] :] = ready.standing_rows
+    rows[start[moving] :] = ready.standing.rows
 
     joints = np.zeros((len(tree.parent), columns.LINK_INTEGERS), dtype=np.int32)
     joints[:, columns.PARENT_OF_LINK], joints[:, columns.KIND_OF_LINK] = tree.parent, tree.kind
@@ -267,5 +267,5 @@ def _tables(gpu: Device, ready: Problem) -> _Tables:
         rows=gpu.upload(rows),
         pairs=gpu.upload(ready.pairs.astype(np.int32)),
         margins=gpu.upload(floats[2]),
-        standing=gpu.upload(ready.standing_bounds),
+        standing=gpu.upload(ready.standing.bounds),
     )

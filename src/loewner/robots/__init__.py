@@ -5,10 +5,12 @@
 finds pairs that need no check.
 """
 
+from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
+from loewner.robots.reaching import Reached
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
 from loewner.robots.verdicts import Settled
@@ -18,6 +20,8 @@ __all__ = [
     "CertifiedTrajectory",
     "CollisionChecker",
     "PairDistances",
+    "Part",
+    "Reached",
     "Robot",
     "Settled",
     "StateDistance",

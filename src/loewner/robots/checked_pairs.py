@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from operator import is_
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loewner import _validate
 from loewner._kernels import columns
 from loewner._validate import Bools, Floats, Ints, Pair
-from loewner.bodies import Bodies, packed_of
+from loewner.bodies import Body, Packed, packed_of
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots.problem import Problem, rigid_with
 from loewner.robots.robot import Robot
-from loewner.scenes import Scene
+from loewner.scenes import Attachment, Scene
 
 # Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
 MOST_PAIRS = 2**24
 
 
-def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) -> Problem:
+# Attached bodies in the frame of their link, and the bodies from which they were made.
+_carried: WeakKeyDictionary[Attachment, tuple[Body, Packed]] = WeakKeyDictionary()
+
+
+def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, before: Problem | None) -> Problem:
     """Prepare all pairs that can meet but may not touch.
 
     Parameters
@@ -30,6 +36,8 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
         Pairs of links that may touch, in addition to the pairs that the scene allows.
     version : int
         The scene's version, read before any of its other contents.
+    before : Problem or None
+        The result for an earlier version and the same robot.
 
     Raises
     ------
@@ -40,13 +48,17 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
     """
     structure_version = scene.structure_version
     _check_names(robot, scene)
-    names, bodies, link = _bodies(robot, scene)
+    names, packs, link = _bodies(robot, scene)
     pairs = _pairs(robot, names, link, _allowed_pairs(scene, skipped))
     leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
-    _check_convex(names, bodies, pairs[leaving | reaching])
+    _check_convex(names, packs, pairs[leaving | reaching])
     margins = _margins(scene, names, pairs)
-    unplaced = Problem.of(robot, (version, structure_version), names, bodies, link, pairs, margins, leaving, reaching)
-    return unplaced.with_poses(scene.static_poses, version)
+    count = len(link)
+    same = before is not None and count == len(before.link) and all(map(is_, packs[:count], before.packs))
+    return Problem.of(
+        robot, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching,
+        before.moving if same and before is not None else None,
+    ).with_poses(scene.static_poses, version)  # fmt: skip
 
 
 # -- names and pairs --------------------------------------------------------------------------
@@ -75,18 +87,24 @@ def _check_names(robot: Robot, scene: Scene) -> None:
             raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")
 
 
-def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], Bodies, Ints]:
+def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], list[Packed], Ints]:
     """List names and bodies, the moving ones first, and the link with which each moving body moves."""
     links = {name: k for k, name in enumerate(robot.link_names)}
-    moving = [(name, links[name], body) for name, body in robot.bodies.items()]
-    moving += [
-        (name, links[held.link], scene[name].transformed(held.T_link_body)) for name, held in scene.attachments.items()
-    ]
-    moving = [entry for entry in moving if packed_of(entry[2]).piece_start[-1] > 0]
+    moving = [(name, links[name], packed_of(body)) for name, body in robot.bodies.items()]
+    moving += [(name, links[held.link], _on_link(scene[name], held)) for name, held in scene.attachments.items()]
+    moving = [entry for entry in moving if entry[2].piece_start[-1] > 0]
     standing = scene.static_names
-    bodies = Bodies([*(body for _, _, body in moving), *(scene[name] for name in standing)])
+    packs = [*(pack for _, _, pack in moving), *(packed_of(scene[name]) for name in standing)]
     link = np.array([number for _, number, _ in moving], dtype=np.int64)
-    return (*(name for name, _, _ in moving), *standing), bodies, link
+    return (*(name for name, _, _ in moving), *standing), packs, link
+
+
+def _on_link(body: Body, held: Attachment) -> Packed:
+    """Return an attached body in the frame of its link, made once for each attachment."""
+    known = _carried.get(held)
+    if known is None or known[0] is not body:
+        known = _carried[held] = body, packed_of(body.transformed(held.T_link_body))
+    return known[1]
 
 
 def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]:
@@ -161,13 +179,11 @@ def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Boo
     return ruled[:-1]
 
 
-def _check_convex(names: tuple[str, ...], bodies: Bodies, pairs: Ints) -> None:
+def _check_convex(names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints) -> None:
     """Refuse rules about the contact of surfaces, whose depth is not defined as for convex pieces."""
-    packed = packed_of(bodies)
     for pair in pairs:
         for k in pair:
-            first, last = packed.piece_start[k], packed.piece_start[k + 1]
-            if (packed.layout[first:last, columns.KIND] <= columns.SURFACE).any():
+            if (packs[k].layout[:, columns.KIND] <= columns.SURFACE).any():
                 a, b = (names[n] for n in pair)
                 raise InputError(
                     f"leave or reach of {a} and {b}: expected bodies of convex pieces, found {names[k]!r}, which is a "

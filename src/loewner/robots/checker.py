@@ -27,7 +27,7 @@ from loewner.robots.motions import CertifiedMotions
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 from loewner.robots.verdicts import Settled, Verdicts
-from loewner.scenes import Contact, Scene
+from loewner.scenes import Contact, Scene, poses_since
 
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
@@ -282,9 +282,9 @@ class CollisionChecker:
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
         found, fractions = verdicts.sampled(ready, a, b, step)
-        for k in np.flatnonzero(found == Verdict.AMBIGUOUS)[:1]:
+        for k in np.flatnonzero(found == codes.AMBIGUOUS)[:1]:
             verdicts.expect_settled(ready, self.robot.between(a[k], b[k], fractions[k])[None], found[k : k + 1])
-        valid = np.asarray(found == Verdict.FREE)
+        valid = np.asarray(found == codes.FREE)
         return valid.reshape(shape) if shape else bool(valid[0])
 
     def certify_edges(
@@ -634,12 +634,13 @@ class CollisionChecker:
         if ready is not None and ready.version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
-        scene = self._scene.snapshot()
-        if ready is None or ready.structure_version != scene.structure_version:
-            ready = prepared(self._robot, scene, self._skipped, scene.version)
-            self._seen, self._next_look = 0, FIRST_LOOK
+        moved = None if ready is None else poses_since(self._scene, ready.structure_version)
+        if ready is not None and moved is not None:
+            ready = ready.with_poses(*moved)
         else:
-            ready = ready.with_poses(scene.static_poses, scene.version)
+            scene = self._scene.snapshot()
+            ready = prepared(self._robot, scene, self._skipped, scene.version, ready)
+            self._seen, self._next_look = 0, FIRST_LOOK
         self._prepared = ready.version, ready.single, ready
         return ready
 

@@ -152,7 +152,7 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
         The segments in which these times lie.
     Q : ndarray, shape (n, dof)
     """
-    unproven = np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    unproven = np.flatnonzero(found.segments.verdict != codes.FREE)
     ticks, lengths = np.linspace(curve.times[0], curve.times[-1], MEASURED), np.diff(curve.times)
     numbers = np.clip(np.searchsorted(curve.times, ticks, side="right") - 1, 0, len(lengths) - 1)
     shares = np.clip((ticks - curve.times[numbers]) / lengths[numbers], 0.0, 1.0)

@@ -1,24 +1,25 @@
-"""Compute how far bodies are from the joints that turn them, for the proofs of motions.
+"""Describe the joints between the world and each link, for the proofs of motions.
 
-A ball about a body is carried along the tree of joints, starting at the joint next to the body. A joint that turns
-sweeps the ball around its axis, and a ball about the swept region is carried on to the next joint. Sliding joints are
-at 0 here; their travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in
-docs/certified.md, "Motions".
+The kernel `loewner._kernels.robots.standing` computes how far bodies are from these joints.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from loewner._kernels import columns, tolerances
-from loewner._kernels.records import MotionTables, Tree
+from loewner._kernels.records import Tree
 from loewner._validate import Floats, Ints
 from loewner.bodies import Packed
+from loewner.robots.robot import Robot
 
 # An allowance for rounding, and for the stretching by poses of a base or a body that are accepted as rigid.
 STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
 
-# Pairs in a group, and numbers that describe one.
+# Pairs in a group.
 LANES = 8
 
 # Angles at which a joint's rotation is compared with an orthonormal one. The difference is a sum of waves of up to
@@ -26,50 +27,50 @@ LANES = 8
 ANGLES = np.arange(8) * (np.pi / 4)
 
 
-def motion_tables(
-    tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, margins: Floats, standing: Floats,
-    poses: Floats, rows: Floats,
-) -> MotionTables:  # fmt: skip
-    """Prepare the input of `entries.certify_motions` in addition to the checked pairs.
+class Chains(NamedTuple):
+    """What proofs of motions take of a robot alone.
 
-    Parameters
+    Attributes
     ----------
-    tree : Tree
-    packed : Packed
-        Pieces of all bodies, moving bodies first.
-    link, balls, pairs, margins
-        As in `Problem`.
-    standing : ndarray, shape (bodies, BOUNDS)
-        Bounds of the static bodies.
-    poses : ndarray, shape (bodies, 16)
-        Poses of the static bodies.
-    rows : ndarray, shape (pieces, HOT)
-        Ellipsoids of the static bodies in world coordinates.
+    path_start, path_link : ndarray of int64
+        See `records.MotionTables`.
+    lengths : ndarray, shape (L,)
+        Lengths of the chains of links, from the world's origin to the origin of each link.
+    bend : float
+        Bound on the departure of all rotations together from orthonormality.
     """
-    start, links = _paths(tree)
-    moving = _reaches(tree, link, balls[:, :3], balls[:, 3])
-    still = _reaches(tree, np.full(len(standing), -1), standing[:, :3], standing[:, 3])
-    far = _farthest(packed)
-    depth = np.diff(start)[link]
-    sizes = far[len(link) :] + np.abs(poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1)
-    group_start, group_pairs, groups = _groups(len(link), pairs, margins, standing, sizes)
-    return MotionTables(
-        path_start=start,
-        path_link=links,
-        reach=np.ascontiguousarray(np.concatenate([moving, still]) * STRETCH),
-        standing_rows=np.ascontiguousarray(rows),
-        sizes=sizes,
-        # Bodies far out on the robot move most, and collide most often.
-        order=np.argsort(-depth[pairs[:, 0]], kind="stable"),
-        group_start=group_start,
-        group_pairs=group_pairs,
-        groups=groups,
-        chain=np.array([1 + depth.max(initial=0), _longest(tree, link, far), _bend(tree)]),
-    )
+
+    path_start: Ints
+    path_link: Ints
+    lengths: Floats
+    bend: float
+
+    def depth(self, link: Ints) -> Ints:
+        """Count the joints between the world and links."""
+        return np.asarray(np.diff(self.path_start)[link])
+
+    def chain(self, packed: Packed, link: Ints) -> Floats:
+        """Describe the longest chain up to the points of bodies on links; see `records.MotionTables`."""
+        start = packed.piece_start[: len(link) + 1]
+        reaches = packed.kernel.table[: start[-1], columns.REACH]
+        far = np.maximum.reduceat(reaches, start[:-1]) if len(link) else reaches
+        longest = float((self.lengths[link] + far).max(initial=0.0)) * STRETCH
+        return np.array([1 + self.depth(link).max(initial=0), longest, self.bend])
 
 
-def _groups(moving: int, pairs: Ints, margins: Floats, standing: Floats, sizes: Floats) -> tuple[Ints, Ints, Floats]:
-    """Arrange the pairs with static bodies in groups of eight, in the form of `records.MotionTables`."""
+_known: WeakKeyDictionary[Robot, Chains] = WeakKeyDictionary()
+
+
+def chains_of(robot: Robot) -> Chains:
+    """Describe a robot's chains of links, once."""
+    known = _known.get(robot)
+    if known is None:
+        known = _known[robot] = Chains(*_paths(robot.tree), _lengths(robot.tree), _bend(robot.tree))
+    return known
+
+
+def pairs_in_groups(moving: int, pairs: Ints) -> tuple[Ints, Ints]:
+    """Put the pairs with static bodies in groups of eight: `group_start`, `group_pairs` of `records.MotionTables`."""
     at = np.flatnonzero(pairs[:, 1] >= moving)
     at = at[np.argsort(pairs[at, 0], kind="stable")]
     counts = np.bincount(pairs[at, 0], minlength=moving)
@@ -77,17 +78,7 @@ def _groups(moving: int, pairs: Ints, margins: Floats, standing: Floats, sizes: 
     start = np.cumsum([0, *groups])
     body = np.repeat(np.arange(moving), LANES * groups)
     number = np.arange(LANES * start[-1]) - LANES * start[body] + (ends - counts)[body]
-    listed = at[np.minimum(number, ends[body] - 1)]
-    still = pairs[listed, 1] - moving
-    rows = np.stack([*standing[still][:, [0, 1, 2, 4, 5, 6]].T, margins[listed], sizes[still]])
-    return start, listed, np.ascontiguousarray(rows.reshape(LANES, start[-1], LANES).swapaxes(0, 1)).ravel()
-
-
-def _farthest(packed: Packed) -> Floats:
-    """Compute the largest distance of each body's points from the body's origin."""
-    table, start = packed.kernel.table, packed.piece_start
-    far = [table[i:j, columns.REACH].max(initial=0.0) for i, j in zip(start[:-1], start[1:], strict=True)]
-    return np.array(far, dtype=np.float64)
+    return start, at[np.minimum(number, ends[body] - 1)]
 
 
 def _paths(tree: Tree) -> tuple[Ints, Ints]:
@@ -99,63 +90,11 @@ def _paths(tree: Tree) -> tuple[Ints, Ints]:
     return start.astype(np.int64), np.array([k for path in paths for k in path], dtype=np.int64)
 
 
-def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
-    """Compute the largest distances of balls from the joints, shape (balls, links); static bodies have the link -1."""
-    count, links = len(link), len(tree.parent)
-    reach = np.zeros((count, links))
-    # The ball in the frame of each link, with the world's frame last; filled in as it becomes known.
-    center, radius = np.full((links + 1, count, 3), np.nan), np.full((links + 1, count), np.nan)
-    for k in np.unique(link):
-        center[k, link == k], radius[k, link == k] = centers[link == k], radii[link == k]
-    joints = [_joint(tree, k) for k in range(links)]
-    for k in range(links - 1, -1, -1):  # up: from each link to its parent
-        at = np.flatnonzero(~np.isnan(radius[k]))
-        if len(at) == 0:
-            continue
-        R, t, axis = joints[k]
-        far, c, r = _swept(center[k, at], radius[k, at], axis, int(tree.kind[k]))
-        reach[at, k] = far
-        center[tree.parent[k], at], radius[tree.parent[k], at] = c @ R.T + t, r
-    for k in range(links):  # down: from each link to its children
-        at = np.flatnonzero(np.isnan(radius[k]) & ~np.isnan(radius[tree.parent[k]]))
-        if len(at) == 0:
-            continue
-        R, t, axis = joints[k]
-        above = tree.parent[k]
-        far, c, r = _swept((center[above, at] - t) @ R, radius[above, at], axis, int(tree.kind[k]))
-        reach[at, k] = far
-        center[k, at], radius[k, at] = c, r
-    return reach
-
-
-def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Floats, Floats, Floats]:
-    """Compute the farthest reach of balls from a joint's axis, and balls about the regions swept as the joint turns."""
-    if kind in (columns.FIXED, columns.PRISMATIC):
-        return np.zeros(len(radius)), center, radius
-    # A floating or ball joint may turn about any axis through its origin: its own is 0.
-    onto = center @ np.outer(axis, axis)
-    far = np.linalg.norm(center - onto, axis=1) + radius
-    return far, onto, far
-
-
-def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
-    """Return the rotation and translation of a joint at 0, and its unit axis in the frame that the joint moves."""
-    row = tree.constants[link]
-    fixed = row[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
-    R = fixed + row[columns.COSINE : columns.COSINE + 9].reshape(3, 3)
-    axis = np.zeros(3)
-    if tree.kind[link] in (columns.REVOLUTE, columns.PLANAR):
-        longest = fixed[np.argmax(np.linalg.norm(fixed, axis=1))]  # rows of R axis axisᵀ: along the axis
-        axis = longest / np.linalg.norm(longest)
-    return R, row[columns.TRANSLATION : columns.TRANSLATION + 3], axis
-
-
-def _longest(tree: Tree, link: Ints, far: Floats) -> float:
-    """Compute the length of the longest chain of links, from the world's origin to a body's farthest point."""
+def _lengths(tree: Tree) -> Floats:
     lengths = np.linalg.norm(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3], axis=1)
     for k, above in enumerate(tree.parent):
         lengths[k] += lengths[above] if above >= 0 else 0.0
-    return float((lengths[link] + far[: len(link)]).max(initial=0.0)) * STRETCH
+    return np.asarray(lengths)
 
 
 def _bend(tree: Tree) -> float:

@@ -6,9 +6,9 @@ bodies in world coordinates, and the additional data for proofs of motions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,19 +16,16 @@ from numpy.typing import NDArray
 
 from loewner import _archives
 from loewner._kept import kept
-from loewner._kernels import columns, records, tolerances
+from loewner._kernels import columns, records
 from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
 from loewner._validate import Bools, Floats, Ints
-from loewner.bodies import Bodies, Body, Packed, bodies_of, packed_of
-from loewner.bodies.layout import arrays_of, starts
-from loewner.bodies.pack import ranges
+from loewner.bodies import Bodies, Body, Packed, bodies_of
+from loewner.bodies.layout import arrays_of
+from loewner.bodies.pack import join
 from loewner.bodies.parts import in_parts
-from loewner.robots.motion_tables import motion_tables
+from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
-
-# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch.
-STRETCH = 1 + 4 * tolerances.ROTATION_TOLERANCE
 
 # Configurations a thread takes at a time, at least: about half a millisecond of work.
 LEAST_SHARE = 512
@@ -39,9 +36,9 @@ IN_TURN = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# Entries of a symmetric matrix in the order of the kernels, and back.
-_UPPER = np.triu_indices(3)
-_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+# Rows of the table of arrays: where the arrays of `records.MotionTables` begin, the order of the pairs, and the arrays
+# that kernels write.
+_MOTIONS, _ORDER, _WRITTEN = 14, 10, [11, 12, 13, 16, 17, 18, 22]
 
 
 class PreparedMotions(NamedTuple):
@@ -62,6 +59,57 @@ class OfMargin(NamedTuple):
     rows: Ints
 
 
+class Standing(NamedTuple):
+    """What kernels write about bodies for their present poses: all in one block of memory, which is copied as a whole.
+
+    Attributes
+    ----------
+    memory : ndarray
+        The block.
+    reach, exact_rows, sizes, groups : ndarray
+        `reach`, `standing_rows`, `sizes` and `groups` of `records.MotionTables`.
+    bounds, rows, poses : ndarray
+        `standing`, `standing_rows` and `standing_poses` of `records.Problem`.
+    """
+
+    memory: Floats
+    reach: Floats
+    exact_rows: Floats
+    sizes: Floats
+    groups: Floats
+    bounds: NDArray[np.float32]
+    rows: NDArray[np.float32]
+    poses: Floats
+
+    @classmethod
+    def of(cls, packed: Packed, moving: int, links: int, groups: int) -> Standing:
+        """Allocate memory; the poses differ from all others."""
+        bodies, pieces = len(packed.piece_start) - 1, int(packed.piece_start[-1] - packed.piece_start[moving])
+        static, f = bodies - moving, np.float32
+        shapes = (
+            ((bodies, links), float), ((pieces, columns.HOT), float), ((static,), float), ((groups,), float),
+            ((static, columns.BOUNDS), f),
+            ((pieces, columns.HOT), f), ((static, 16), float),
+        )  # fmt: skip
+        sizes = [math.prod(shape) * np.dtype(kind).itemsize // 8 for shape, kind in shapes]
+        memory, begin = records.aligned(sum(sizes)), np.cumsum([0, *sizes]).tolist()
+        memory[:] = 0.0
+        parts = (memory[first:last] for first, last in zip(begin[:-1], begin[1:], strict=True))
+        made = cls(memory, *(p.view(kind).reshape(shape) for p, (shape, kind) in zip(parts, shapes, strict=True)))
+        made.poses[:] = np.nan
+        return made
+
+    def copy(self) -> Standing:
+        """Copy the block."""
+        memory = records.aligned(len(self.memory))
+        memory[:] = self.memory
+        first, made = self.memory.ctypes.data, [memory]
+        for array in self[1:]:
+            at = (array.ctypes.data - first) // 8
+            made.append(memory[at : at + array.nbytes // 8].view(array.dtype).reshape(array.shape))
+        return Standing(*made)
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """The pairs to check, at one state of the scene, as arrays for the kernels; other data is derived when needed.
@@ -73,26 +121,32 @@ class Problem:
         Versions of the scene's state.
     names : tuple of str
         Names of all bodies: first the bodies that move with links, then the static ones.
-    bodies : Bodies
-        The bodies in the same order, packed; moving bodies in the frame of their link.
-    body : callable
-        Maps an index to the body, packed by itself when it is first requested, since packing a cloud takes
-        milliseconds.
-    link, balls, pairs, margins, order, standing_bounds, standing_rows, standing_poses : ndarray
+    packs : tuple of Packed
+        The bodies in the same order; moving bodies in the frame of their link.
+    moving, packed : Packed
+        The moving bodies together, and all bodies together.
+    link, balls, pairs, margins, order
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
+    `standing` : `Standing`
+        Arrays that kernels write for the present poses.
     hits : ndarray of int64, shape (pairs,)
         Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
         these affect only the order of the pairs.
+    motion_order, group_start, group_pairs, chain : ndarray
+        `order`, `group_start`, `group_pairs` and `chain` of `records.MotionTables`.
+    table : ndarray of int64
+        Addresses of the arrays of `records.Problem`, and then of `records.MotionTables`.
     """
 
     robot: Robot
     version: int
     structure_version: int
     names: tuple[str, ...]
-    bodies: Bodies
-    body: Callable[[int], Body]
+    packs: tuple[Packed, ...]
+    moving: Packed
+    packed: Packed
     link: Ints
     balls: Floats
     pairs: Ints
@@ -100,10 +154,13 @@ class Problem:
     leaving: Bools
     reaching: Bools
     order: Ints
-    standing_bounds: NDArray[np.float32]
-    standing_rows: NDArray[np.float32]
-    standing_poses: Floats
+    standing: Standing
     hits: Ints
+    motion_order: Ints
+    group_start: Ints
+    group_pairs: Ints
+    chain: Floats
+    table: Ints
 
     @classmethod
     def of(
@@ -111,88 +168,105 @@ class Problem:
         robot: Robot,
         versions: tuple[int, int],
         names: tuple[str, ...],
-        bodies: Bodies,
+        packs: Sequence[Packed],
         link: Ints,
         pairs: Ints,
         margins: Floats,
         leaving: Bools,
         reaching: Bools,
+        moving: Packed | None = None,
+        packed: Packed | None = None,
     ) -> Problem:
-        """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses."""
-        packed = packed_of(bodies)
-        start = packed.piece_start[len(link) :]
-        return cls(
-            robot, *versions, names, bodies, lru_cache(None)(bodies.__getitem__), link,
-            balls=np.array([_ball(packed, k) for k in range(len(link))]).reshape(-1, 5),
-            pairs=pairs,
-            margins=margins,
-            leaving=leaving,
-            reaching=reaching,
-            order=np.arange(len(pairs)),
-            standing_bounds=np.zeros((len(start) - 1, columns.BOUNDS), dtype=np.float32),
-            standing_rows=np.zeros((start[-1] - start[0], columns.HOT), dtype=np.float32),
-            standing_poses=np.full((len(start) - 1, 16), np.nan),  # differs from every pose
-            hits=np.zeros(len(pairs), dtype=np.int64),
+        """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses.
+
+        Bodies that are joined already can be given so.
+        """
+        moving = join(packs[: len(link)]) if moving is None else moving
+        packed = join([moving, *packs[len(link) :]]) if packed is None else packed
+        chains, balls = chains_of(robot), np.empty((len(link), 5))
+        group_start, group_pairs = pairs_in_groups(len(link), pairs)
+        standing = Standing.of(packed, len(link), len(robot.tree.parent), LANES * len(group_pairs))
+        order, chain = np.arange(len(pairs)), chains.chain(packed, link)
+        # Bodies far out on the robot move most, and collide most often.
+        motion_order = np.argsort(-chains.depth(link)[pairs[:, 0]], kind="stable")
+        arrays = (
+            *robot.tree, link, balls, pairs, margins, order, standing.bounds, standing.rows, standing.poses,
+            chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, motion_order,
+            group_start, group_pairs, standing.groups, chain,
         )  # fmt: skip
+        made = cls(
+            robot, *versions, names, tuple(packs), moving, packed, link, balls, pairs, margins, leaving, reaching,
+            order, standing, np.zeros(len(pairs), dtype=np.int64), motion_order, group_start, group_pairs, chain,
+            records.table_of(arrays),
+        )  # fmt: skip
+        entries.measure_moving(packed.handle, made.handle, made.handle_of_motions)
+        return made
 
     # -- other problems with the same bodies --------------------------------------------------
 
     def only(self, pairs: Ints) -> Problem:
         """Select pairs by index."""
-        chosen = replace(
-            self, pairs=self.pairs[pairs], margins=self.margins[pairs], leaving=self.leaving[pairs],
-            reaching=self.reaching[pairs], order=np.arange(len(pairs)), hits=np.zeros(len(pairs), dtype=np.int64),
-        )  # fmt: skip
+        chosen = Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs[pairs],
+            self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
+        ).with_poses(self.standing.poses, self.version)  # fmt: skip
         Problem.cut.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
         return chosen
 
     def with_order(self, order: Ints) -> Problem:
         """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
-        ordered = replace(self, order=order)
-        Problem.cut.hand_on(self, ordered)
-        Problem.motions.hand_on(self, ordered)
+        table = self.table.copy()
+        table[_ORDER, 0] = order.ctypes.data
+        ordered = replace(self, order=order, table=table)
+        for value in (*_OF_COUNTS, Problem.cut, Problem.motions):
+            value.hand_on(self, ordered)
         return ordered
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
-        start = self.packed.piece_start[len(self.link) :]
-        flat = np.ascontiguousarray(poses.reshape(-1, 16))
-        # New arrays, since another thread may be reading the old ones; most of their entries still hold.
-        bounds, rows = self.standing_bounds.copy(), self.standing_rows.copy()
-        for k in np.flatnonzero((flat != self.standing_poses).any(axis=1)):
-            placed = _placed_rows(self.packed.kernel.hot[start[k] : start[k + 1]], poses[k])
-            rows[start[k] - start[0] : start[k + 1] - start[0]] = _single(placed)
-            bounds[k, :7] = _single(_bounds(self.packed, start[k], placed, poses[k]))
-        moved = replace(self, version=version, standing_bounds=bounds, standing_rows=rows, standing_poses=flat)
+        # New memory, since another thread may be reading the old one; most of its entries still hold.
+        standing, table = self.standing.copy(), self.table.copy()
+        table[_WRITTEN, 0] += standing.memory.ctypes.data - self.standing.memory.ctypes.data
+        moved = replace(self, version=version, standing=standing, table=table)
+        entries.place_static(self.packed.handle, moved.handle, moved.handle_of_motions, poses.reshape(-1, 16))
+        for value in _OF_COUNTS:
+            value.hand_on(self, moved)
         Problem.cut.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
         return moved
 
     # -- for kernels --------------------------------------------------------------------------
 
     @kept
-    def packed(self) -> Packed:
-        """The arrays of the bodies; its `handle` is their address."""
-        return packed_of(self.bodies)
+    def bodies(self) -> Bodies:
+        """All bodies, packed."""
+        return bodies_of(self.packed)
 
-    @kept
+    def body(self, k: int) -> Body:
+        """Return one of the bodies."""
+        return Body(self.packs[k])
+
+    @property
     def arrays(self) -> tuple[Any, ...]:
-        """The arrays in the order of `records.Problem`, and the table of their addresses."""
-        arrays = (
-            *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order,
-            self.standing_bounds, self.standing_rows, self.standing_poses,
+        """The arrays of `records.Problem`, in order."""
+        return (
+            *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order, self.standing.bounds,
+            self.standing.rows, self.standing.poses,
         )  # fmt: skip
-        return *arrays, records.table_of(arrays)
 
     @kept
     def handle(self) -> int:
-        """Address of the table; valid as long as this object lives."""
-        return int(self.arrays[-1].ctypes.data)
+        """Address of their table; valid as long as this object lives."""
+        return int(self.table.ctypes.data)
+
+    @property
+    def handle_of_motions(self) -> int:
+        """Address of the table of `records.MotionTables`, likewise."""
+        return self.handle + 8 * records.ENTRIES * _MOTIONS
 
     @kept
     def names_of_pairs(self) -> NDArray[np.str_]:
         """Names of all pairs, shape (pairs + 1, 2); the last row is empty."""
-        names: NDArray[np.str_] = np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)]
-        return names
+        return np.asarray(np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)])
 
     @kept
     def memory(self) -> int:
@@ -210,29 +284,33 @@ class Problem:
         return int(entries.memory_of_clearances(self.packed.handle, self.handle, self.robot.dof))
 
     @kept
+    def memory_of_motions(self) -> int:
+        """Scratch memory for proofs of motions."""
+        return int(entries.motion_memory(self.packed.handle, self.handle, self.robot.dof))
+
+    @kept
+    def piece_pairs(self) -> int:
+        """Number of pairs of pieces to check."""
+        return int(np.diff(self.packed.piece_start)[self.pairs].prod(axis=1).sum())
+
+    @kept
     def single(self) -> Any:
         """Fast queries of a single configuration or motion; see `loewner._native.singles`."""
-        piece_pairs = int(np.diff(self.packed.piece_start)[self.pairs].prod(axis=1).sum())
         plain = self.robot._watch.range if self.robot.runs_straight else None
-        held = self.arrays, self.packed
-        return singles.configurations(self.packed.handle, self.handle, self.memory, piece_pairs, plain, self.hits, held)
+        return singles.configurations(
+            self.packed.handle, self.handle, self.memory, self.piece_pairs, plain, self.hits,
+            (self.arrays, self.table, self.packed),
+        )  # fmt: skip
 
     @kept
     def motions(self) -> PreparedMotions:
         """The additional data for certifying motions."""
-        start = self.packed.piece_start[len(self.link) :]
-        rows = [
-            _placed_rows(self.packed.kernel.hot[start[k] : start[k + 1]], T)
-            for k, T in enumerate(self.standing_poses.reshape(-1, 4, 4))
-        ]
-        tables = motion_tables(
-            self.robot.tree, self.packed, self.link, self.balls, self.pairs, self.margins,
-            self.standing_bounds.astype(np.float64), self.standing_poses,
-            np.concatenate([np.empty((0, columns.HOT)), *rows]),
+        chains, standing = chains_of(self.robot), self.standing
+        tables = MotionTables(
+            chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, self.motion_order,
+            self.group_start, self.group_pairs, standing.groups, self.chain,
         )  # fmt: skip
-        addresses = records.table_of(tables)
-        memory = entries.motion_memory(self.packed.handle, self.handle, self.robot.dof)
-        return PreparedMotions(tables, addresses, addresses.ctypes.data, memory)
+        return PreparedMotions(tables, self.table, self.handle_of_motions, self.memory_of_motions)
 
     # -- parts and subsets --------------------------------------------------------------------
 
@@ -242,19 +320,15 @@ class Problem:
 
         Static bodies are bodies in the world, or attached to links that are fixed to the root.
         """
-        packed = in_parts(self.packed, self._stand)
-        if packed is self.packed:
+        packs = in_parts(self.packs, self._stand)
+        if all(one is other for one, other in zip(packs, self.packs, strict=True)):
             return None
-        first, bodies = packed.piece_start[len(self.link)], bodies_of(packed)
-        unplaced = replace(
-            self,
-            bodies=bodies,
-            body=lru_cache(None)(bodies.__getitem__),
-            standing_bounds=np.zeros_like(self.standing_bounds),
-            standing_rows=np.zeros((packed.piece_start[-1] - first, columns.HOT), dtype=np.float32),
-            standing_poses=np.full_like(self.standing_poses, np.nan),
-        )
-        return unplaced.with_poses(self.standing_poses.reshape(-1, 4, 4), self.version)
+        count = len(self.link)
+        same = all(one is other for one, other in zip(packs[:count], self.packs[:count], strict=True))
+        return Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, packs, self.link, self.pairs, self.margins,
+            self.leaving, self.reaching, self.moving if same else None,
+        ).with_poses(self.standing.poses, self.version)  # fmt: skip
 
     @property
     def in_parts(self) -> Problem:
@@ -275,7 +349,7 @@ class Problem:
     @property
     def _stand(self) -> Bools:
         """Mark the bodies that have the same pose at all configurations."""
-        stand = np.ones(len(self.bodies), dtype=bool)
+        stand = np.ones(len(self.packs), dtype=bool)
         rigid = rigid_with(self.robot)
         stand[: len(self.link)] = rigid[self.link] == rigid[0]
         return stand
@@ -306,14 +380,14 @@ class Problem:
         """A checksum of everything on which a verdict depends: the joint tree, bodies, pairs, margins and poses."""
         arrays = {
             **self.robot.tree._asdict(), **arrays_of(self.packed), "link": self.link, "pairs": self.pairs,
-            "margins": self.margins, "standing_poses": self.standing_poses,
+            "margins": self.margins, "standing_poses": self.standing.poses,
         }  # fmt: skip
         return _archives.digest(arrays)
 
     def poses(self, Q: Floats) -> Floats:
         """Compute the world poses of all bodies, shape (N, bodies, 4, 4), at checked configurations."""
         moving = link_poses(self.robot, Q)[:, self.link]
-        standing = self.standing_poses.reshape(-1, 4, 4)
+        standing = self.standing.poses.reshape(-1, 4, 4)
         # In C order, which the kernels take for granted; NumPy may choose another.
         return np.ascontiguousarray(
             np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
@@ -332,82 +406,8 @@ def rigid_with(robot: Robot) -> Ints:
     return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
 
 
-# -- bounds and rows --------------------------------------------------------------------------
-
-
-def _ball(packed: Packed, k: int) -> tuple[float, ...]:
-    """Compute the center and radius of a ball about a body, and the ball's largest distance from the origin."""
-    first, last = packed.piece_start[k], packed.piece_start[k + 1]
-    centers = packed.kernel.table[first:last, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    # The kernel takes a single piece and its outer ellipsoid to have the same center.
-    middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
-    radius = _farthest(packed, first, last, np.eye(4), middle) * STRETCH
-    return (*middle, radius, (np.linalg.norm(middle) + radius) * STRETCH)
-
-
-def _bounds(packed: Packed, first: int, placed: Floats, T: Floats) -> Floats:
-    """Bound a placed body in the world: center and half sides of an axis-aligned box, and radius of a ball.
-
-    The body's pieces begin at the index `first`; `placed` are their `_placed_rows` at the pose T.
-    """
-    last = first + len(placed)
-    lower, upper = _box(packed, first, last, T, placed)
-    reach = packed.kernel.table[first:last, columns.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
-    off = 2 * tolerances.OFF * reach + tolerances.LEAST
-    center, half = (lower + upper) / 2, (upper - lower) / 2 + off
-    ball = _farthest(packed, first, last, T, center)
-    wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
-    return np.array((*center, wide, *(half * STRETCH)))
-
-
-def _placed_rows(hot: Floats, T: Floats) -> Floats:
-    """Express the ellipsoids of pieces in world coordinates, as rows for the certificate."""
-    R, t = T[:3, :3], T[:3, 3]
-    rows = hot.copy()
-    for at in (columns.OUTER_CENTER, columns.INNER_CENTER):
-        rows[:, at : at + 3] = hot[:, at : at + 3] @ R.T + t
-    for at in (columns.OUTER_SHAPE, columns.INNER_SHAPE):
-        rows[:, at : at + 6] = (R @ hot[:, at + _SYMMETRIC] @ R.T)[:, *_UPPER]
-    rows[:, columns.REACH] += np.abs(t).sum()
-    rows[:, [columns.OUTER_RADIUS, columns.REACH, columns.INVERSE_INNER_SIGMA]] *= tolerances.UP
-    return rows
-
-
-def _single(rows: Floats) -> NDArray[np.float32]:
-    """Convert rows to single precision; numbers that are too large become infinite and certify nothing."""
-    with np.errstate(over="ignore"):
-        return rows.astype(np.float32)
-
-
-def _box(packed: Packed, first: int, last: int, T: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Compute the corners of a world-aligned box about placed pieces, up to rounding.
-
-    The box of a piece is no larger than the box of its ellipsoid or the box of its corners.
-    """
-    center = rows[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    Q = rows[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]]
-    half = np.sqrt(Q + tolerances.SHAPE_ROUNDINGS * Q.sum(axis=1, keepdims=True))
-    least, most = center - half, center + half
-    corners, start, polytopes = _corners(packed, first, last, T)
-    if len(start):
-        least[polytopes] = np.maximum(least[polytopes], np.minimum.reduceat(corners, start))
-        most[polytopes] = np.minimum(most[polytopes], np.maximum.reduceat(corners, start))
-    return least.min(axis=0, initial=np.inf), most.max(axis=0, initial=-np.inf)
-
-
-def _farthest(packed: Packed, first: int, last: int, T: Floats, center: Floats) -> float:
-    """Bound from above, up to rounding, the distance from a point to the farthest point of placed pieces."""
-    corners, _, polytopes = _corners(packed, first, last, T)
-    others = packed.kernel.table[first:last][~polytopes]
-    middles = others[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3] @ T[:3, :3].T + T[:3, 3]
-    reach = np.linalg.norm(middles - center, axis=1) + others[:, columns.OUTER_RADIUS]
-    return float(max(np.linalg.norm(corners - center, axis=1).max(initial=0.0), reach.max(initial=0.0)))
-
-
-def _corners(packed: Packed, first: int, last: int, T: Floats) -> tuple[Floats, Ints, NDArray[np.bool_]]:
-    """Place the corners of all polytopes among the pieces; also return their first rows, and which pieces they are."""
-    layout = packed.layout[first:last]
-    polytopes = layout[:, columns.KIND] == columns.POLYTOPE
-    begin, end = layout[polytopes, columns.POINTS_FROM], layout[polytopes, columns.POINTS_TO]
-    points = packed.points[ranges(begin, end)]
-    return points @ T[:3, :3].T + T[:3, 3], starts(end - begin)[:-1], polytopes
+# What depends only on the numbers of bodies, pieces, pairs and links.
+_OF_COUNTS = (
+    Problem.memory, Problem.memory_of_nearest, Problem.memory_of_clearances, Problem.memory_of_motions,
+    Problem.piece_pairs,
+)  # fmt: skip

@@ -24,6 +24,8 @@ from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
 from loewner.mjcf_models import read_mjcf
+from loewner.robots import assembly, reaching
+from loewner.robots.assembly import Part, Source
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
@@ -67,7 +69,7 @@ def _model(meshes: str, decompose: bool) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`.
+    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`, or join several with `join`.
 
     Attributes
     ----------
@@ -143,9 +145,11 @@ class Robot:
     # For messages: the links that only have visual geometry.
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
-    # The source format, "URDF" or "MJCF", and the text if it was not read from a file.
-    _format: str = field(repr=False)
-    _text: str | None = field(repr=False)
+    # The tree with the root link at the origin.
+    _rooted: Tree = field(repr=False)
+    # Descriptions, and the robots that were joined.
+    _sources: tuple[Source, ...] = field(repr=False)
+    _parts: dict[str, Part[Robot]] = field(repr=False)
 
     @classmethod
     @guarded
@@ -255,6 +259,9 @@ class Robot:
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
         free = [kinds[name] in ("planar", *WITH_QUATERNION) for name, _ in entries]
+        tree = tree_of(robot, columns)
+        # Absolute: the visual geometry is read later, perhaps from another working directory.
+        path, package_dirs = robot.path.absolute(), tuple(place.absolute() for place in places)
         return cls(
             name=robot.name,
             link_names=tuple(robot.shapes),
@@ -269,15 +276,15 @@ class Robot:
             disabled_pairs=semantics.disabled_pairs,
             adjacent_pairs=adjacent,
             mimics={j.name: (j.mimic.joint, j.mimic.multiplier) for j in robot.joints.values() if j.mimic is not None},
-            tree=tree_of(robot, columns),
-            # Absolute: the visual geometry is read later, perhaps from another working directory.
-            urdf=robot.path.absolute(),
-            package_dirs=tuple(place.absolute() for place in places),
+            tree=tree,
+            urdf=path,
+            package_dirs=package_dirs,
             _columns=columns,
             _only_visual=robot.only_visual,
             _watch=Watch(robot.name, names, lower, upper, turns, free),
-            _format=format,
-            _text=text,
+            _rooted=tree,
+            _sources=(Source("", format, path, text, package_dirs),),
+            _parts={},
         )
 
     @classmethod
@@ -372,7 +379,55 @@ class Robot:
         array([0., 0., 5.])
         """
         T = _validate.pose(T_world_base, "T_world_base")
-        return replace(self, tree=placed_tree(self.tree, T))
+        return replace(self, tree=placed_tree(self._rooted, T))
+
+    part = assembly.part
+    add_base = guarded(assembly.add_base)
+    with_body = guarded(assembly.with_body)
+
+    @classmethod
+    @guarded
+    def join(cls, parts: Mapping[str, Robot], poses: Mapping[str, ArrayLike | None] | None = None) -> Robot:
+        """Make one robot of several, so that they are checked and planned together.
+
+        Parameters
+        ----------
+        parts : mapping from str to Robot
+            The robots by name. The names of their links, joints, groups and states get this name and a slash as a
+            prefix: "left/panda_joint1".
+        poses : mapping from str to array_like, shape (4, 4), optional
+            Pose in the world of the root link of each part; translation in metres. A part without a pose stays where
+            it is.
+
+        Returns
+        -------
+        Robot
+            Its configurations are the parts' configurations, one after another. Groups, states and disabled pairs are
+            kept; pairs of links of different parts are checked. If only some parts have disabled pairs, the adjacent
+            pairs of the others are disabled, too.
+
+        Raises
+        ------
+        InputError
+            If there are no parts, a name is empty, or a part is not a robot.
+        UnknownNameError
+            If there is a pose for a part that does not exist.
+        PoseError
+            If a pose is not a rigid motion.
+
+        See Also
+        --------
+        part : Returns the values of one part.
+
+        Examples
+        --------
+        >>> arm = Robot.from_urdf("arm.urdf")
+        >>> opposite = [[-1, 0, 0, 3], [0, -1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
+        >>> both = Robot.join({"left": arm, "right": arm}, {"right": opposite})
+        >>> both.configuration_names
+        ('left/rail', 'left/elbow', 'right/rail', 'right/elbow')
+        """
+        return assembly.joined(cls, parts, poses)
 
     @guarded
     def disabling(self, pairs: Iterable[Pair]) -> Robot:
@@ -517,6 +572,126 @@ class Robot:
             lambda first, last: entries.link_jacobians(*self.tree, flat, first, last, number, x, J), count, LEAST_SHARE
         )
         return J.reshape(*batch, 6, self.dof)
+
+    @guarded
+    def reach(
+        self,
+        link: str,
+        T: ArrayLike,
+        *,
+        joints: str | Iterable[str] | None = None,
+        start: ArrayLike | None = None,
+        seeds: int = 64,
+        checker: reaching.Collides | None = None,
+        all: bool = False,
+        tolerance: ArrayLike | None = None,
+    ) -> reaching.Reached:
+        """Find configurations at which a link has given poses (inverse kinematics).
+
+        Parameters
+        ----------
+        link : str
+        T : array_like, shape (..., 4, 4)
+            The poses T_world_link, with translation in metres.
+        joints : str or iterable of str, optional
+            A group, or names of joints. Only these joints move. Default: all that move the link.
+        start : array_like, shape (..., dof), optional
+            Broadcast with the poses. All other joints keep these values, which are also the first seed. The second seed
+            is the answer for the previous pose, so the poses of a line are best given in order. Default:
+            `configuration()`, moved into the limits.
+        seeds : int
+            Number of further configurations from which to search, spread evenly within the limits; at least 1.
+        checker : CollisionChecker, optional
+            Look for a solution that is free, as decided by `CollisionChecker.collide`.
+        all : bool
+            Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
+        tolerance : array_like, shape (6,), optional
+            What the pose may deviate by, in the frame of the target, to either side; ``inf`` leaves a direction free.
+            Three lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about
+            its z axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis.
+            Default: zeros.
+
+        Returns
+        -------
+        Reached
+            One solution for each pose, and where there is none, how near the best attempt came.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such link, joint or group.
+        PoseError
+            If `T` is not made of rigid motions.
+        InputError
+            If none of the joints moves the link, or an argument has the wrong shape or value.
+
+        Notes
+        -----
+        Solutions are within the limits, and reach the tolerance to 1e-10 m and rad, or ten digits of the distance from
+        the world's origin if that is more. A joint that turns by more than a whole turn is returned at the angle that
+        is nearest to the start. Which solution comes first does not depend on the number of threads.
+
+        Each seed is improved by damped Newton steps, eight seeds at a time, and given up where these gain too little. A
+        redundant arm has infinitely many solutions, one for each seed or so.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> pose = robot.forward_kinematics([0.5, 1.0])[2]
+        >>> robot.reach("forearm", pose).configuration
+        array([0.5, 1. ])
+        >>> pose[0, 3] += 3.0  # the rail is too short
+        >>> found = robot.reach("forearm", pose)
+        >>> found.reached, found.residual.round(3)
+        (False, array([1.5, 0. ]))
+        """
+        poses, seeds = _validate.poses(T, "T"), _validate.whole_number(seeds, "seeds", 1, reaching.MOST_SEEDS)
+        limits = np.zeros(6) if tolerance is None else reaching.checked_tolerance(tolerance)
+        if checker is not None and getattr(checker, "robot", None) is not self:
+            raise InputError(
+                f"checker: expected a loewner.CollisionChecker of this robot, found {_validate.short(checker)}"
+            )
+        every, chain = _validate.flag(all, "all"), self.chain_to(link, joints)
+        begin = self.configuration().clip(self.lower, self.upper) if start is None else self.checked(start, "start")
+        return reaching.reach(chain, poses, begin, seeds=seeds, checker=checker, every=every, tolerance=limits)
+
+    def chain_to(self, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
+        """Return the joints that place a link, in the form that `reach` takes.
+
+        Parameters
+        ----------
+        link : str
+        joints : str or iterable of str, optional
+            As for `reach`.
+
+        Returns
+        -------
+        Chain
+
+        Raises
+        ------
+        UnknownNameError, InputError
+            As for `reach`.
+        """
+        if not isinstance(link, str) or link not in self.link_names:
+            raise _validate.unknown_name("link", link, self.link_names)
+        moving = named_joints(self, joints)
+        key = link, tuple(moving)
+        if key not in self._chains:
+            moves = np.zeros(self.dof, dtype=bool)
+            for joint in moving:
+                moves[self._columns[joint]] = True
+            limits, usual = np.stack([self.lower, self.upper]), np.stack(self.usual_range(np.pi))
+            made = reaching.chain(self.tree, self.link_names.index(link), moves, limits, usual)
+            if not made.moving.any():
+                raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
+            self._chains[key] = made
+        return self._chains[key]
+
+    @kept
+    def _chains(self) -> dict[tuple[str, tuple[str, ...]], reaching.Chain]:
+        """Chains that have been made, by link and joints."""
+        return {}
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
         """Check configurations and return them in the form that kernels take: C-order float64.
@@ -787,6 +962,24 @@ class Robot:
         }
 
 
+def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
+    """Return the names of the joints of a group, of given joints or of all joints, at least one."""
+    if isinstance(joints, str):
+        if joints not in robot.groups and joints not in robot.joint_names:
+            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
+        names = list(robot.groups.get(joints, (joints,)))
+    else:
+        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
+    if not names:
+        raise InputError(
+            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
+        )
+    for name in names:
+        if not isinstance(name, str) or name not in robot.joint_names:
+            raise _validate.unknown_name("joints", name, robot.joint_names)
+    return names
+
+
 def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
     """Refuse configurations whose shape is not (..., dof)."""
     if not shape or shape[-1] != robot.dof:
@@ -796,9 +989,9 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
         )
 
 
-def source_of(robot: Robot) -> tuple[str, str | None]:
-    """Return the format of a robot's description, and its text if that was not in a file."""
-    return robot._format, robot._text
+def sources_of(robot: Robot) -> tuple[Source, ...]:
+    """Return where the descriptions of a robot and of its parts came from."""
+    return robot._sources
 
 
 def link_poses(robot: Robot, Q: Floats) -> Floats:

@@ -280,9 +280,15 @@ def _axis(joint: Element, kind: str) -> Floats:
 
 def _limits(joint: Element, kind: str) -> tuple[float, float]:
     """Read the limits of a joint's values [rad or m]."""
-    if kind not in ("revolute", "prismatic"):
-        return -math.inf, math.inf
     element = joint.first("limit")
+    if kind not in ("revolute", "prismatic"):
+        dropped = {"lower", "upper", "velocity"} & (set() if element is None else element.attributes.keys())
+        if kind in ("planar", "floating") and element is not None and dropped:
+            warn(
+                f"{joint.path}, line {element.line}: a <limit> of the {kind} joint {joint.text('name')!r} is ignored, "
+                "since URDF does not define to which of its values it applies; Robot.add_base adds a base with bounds"
+            )
+        return -math.inf, math.inf
     if element is None:
         joint.fault(f"a <limit> of the {kind} joint {joint.text('name')!r}", "none (a joint without is continuous)")
     (lower,), (upper,) = element.numbers("lower", 1, "0"), element.numbers("upper", 1, "0")

@@ -42,6 +42,8 @@ class Watch:
 
     Attributes
     ----------
+    turns, free : tuple of bool
+        As given.
     range : ndarray, shape (2, dof)
         Least and largest values that need no warning. The array object stays the same, but its range may widen.
 
@@ -59,17 +61,18 @@ class Watch:
         turns: Sequence[bool],
         free: Sequence[bool],
     ) -> None:
-        self._robot, self._names, self._turns = robot, tuple(names), tuple(turns)
+        self._robot, self._names = robot, tuple(names)
+        self.turns, self.free = tuple(turns), tuple(free)
         self._limits = lower, upper
         self.range = np.empty((2, len(lower)))
         from_below, from_above = lower > -FARTHEST_LIMIT, upper < FARTHEST_LIMIT
         span = np.where(from_below & from_above, upper.clip(max=FARTHEST_LIMIT) - lower.clip(min=-FARTHEST_LIMIT), 0.0)
-        room = np.where(turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
-        widest = np.where(turns, LARGEST_TURN, LARGEST_VALUE)
+        room = np.where(self.turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
+        widest = np.where(self.turns, LARGEST_TURN, LARGEST_VALUE)
         # Where there is one limit only, it may lie beyond the values that a joint without any would be warned about.
         least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
         most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
-        self._look_for(np.where(free, -LARGEST_VALUE, least), np.where(free, LARGEST_VALUE, most))
+        self._look_for(np.where(self.free, -LARGEST_VALUE, least), np.where(self.free, LARGEST_VALUE, most))
 
     def _look_for(self, least: Floats, most: Floats) -> None:
         self.range[:] = np.clip([least, most], -LARGEST_VALUE, LARGEST_VALUE)
@@ -98,7 +101,7 @@ class Watch:
         where = f"{name}[{', '.join(map(str, row))}]" if row else name
         none = np.isinf(lower[k]) and np.isinf(upper[k])
         limits = "no limits" if none else f"the limits {lower[k]:.4g} .. {upper[k]:.4g}"
-        unit, slip = ("rad", "degrees") if self._turns[k] else ("m", "millimetres")
+        unit, slip = ("rad", "degrees") if self.turns[k] else ("m", "millimetres")
         warn(
             f"{where}: expected a value near the limits, found {self._names[k]} = {value:.6g} {unit} with {limits}; "
             f"is it in {slip}? (this warning is given once for robot {self._robot!r})"

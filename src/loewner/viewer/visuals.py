@@ -6,8 +6,9 @@ from loewner.bodies.kinds import Mesh
 from loewner.bodies.triangulated import joined
 from loewner.errors import LoewnerError
 from loewner.robots import Robot
+from loewner.robots.assembly import Source
 from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive
-from loewner.robots.robot import source_of
+from loewner.robots.robot import sources_of
 from loewner.robots.urdf import Shape, read_visuals
 from loewner.viewer.drawing import pieces
 
@@ -26,27 +27,30 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     faults : list of str
         Reasons why meshes are missing, since a picture without them is still worth showing.
     """
-    format, text = source_of(robot)
-    if format != "URDF":
-        return {}, [f"{robot.urdf}: of an MJCF file, what looks only is not read"]
-    try:
-        shapes, faults = read_visuals(robot.urdf, text)
-    except LoewnerError as error:  # moved or overwritten since the robot was read
-        return {}, [str(error)]
-    meshes = {}
-    for link, looks in shapes.items():
-        parts = []
-        for shape in looks:
-            try:
-                parts.append(_triangles(shape, link, robot))
-            except LoewnerError as error:
-                faults.append(str(error))
-        if parts and link in robot.link_names:
-            meshes[link] = joined(parts)
+    meshes: dict[str, Mesh] = {}
+    faults: list[str] = []
+    for source in sources_of(robot):
+        if source.format != "URDF":
+            faults.append(f"{source.path}: of an MJCF file, what looks only is not read")
+            continue
+        try:
+            shapes, more = read_visuals(source.path, source.text)
+        except LoewnerError as error:  # moved or overwritten since the robot was read
+            shapes, more = {}, [str(error)]
+        faults += more
+        for link, looks in shapes.items():
+            parts = []
+            for shape in looks:
+                try:
+                    parts.append(_triangles(shape, link, source))
+                except LoewnerError as error:
+                    faults.append(str(error))
+            if parts and source.prefix + link in robot.link_names:
+                meshes[source.prefix + link] = joined(parts)
     return meshes, faults
 
 
-def _triangles(shape: Shape, link: str, robot: Robot) -> Mesh:
+def _triangles(shape: Shape, link: str, source: Source) -> Mesh:
     if shape.kind != "mesh":
         return pieces(primitive(shape))
-    return placed_mesh(mesh_file(shape, link, robot.urdf, robot.package_dirs), shape)
+    return placed_mesh(mesh_file(shape, link, source.path, source.package_dirs), shape)

@@ -292,7 +292,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
             radius = max(radius, p * p + q * q + r * r)
             xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
     radius = np.sqrt(radius) + _LEAST
-    U, spread = _principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
+    U, spread = principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
     # Half widths along the axes, however accurate these are: a direction without width still gets the bound on
     # rounding.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
@@ -323,7 +323,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
 
 
 @njit()
-def _principal(xx, xy, xz, yy, yz, zz, turns):
+def principal(xx, xy, xz, yy, yz, zz, turns):
     """Principal axes of a symmetric matrix, as the columns of nine numbers in row order, and its values along them.
 
     Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.

@@ -1,0 +1,552 @@
+"""Surfaces cut into parts, with a box and an ellipsoid around each: proofs of motions replace a surface by its parts.
+
+The part whose box has the most empty space is cut next, across an axis of its box, where the boxes of its halves are
+smallest. Items are sorted into bins along each axis first, and only those next to the best boundary one by one, so that
+a cut takes a time proportional to the items; between two walls there is only one position, and this finds it.
+
+An item is a triangle if its part is a single flat face, and otherwise a face. It has a row of eight numbers: the lower
+corner of its box along the axes, the upper one negated, and two zeros.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.linalg3 import across, adjugate, apply_symmetric, cross, dot, minus, rotated_shape, scaled
+from loewner._kernels.simd.vectors import broadcast, load, minimum, store
+from loewner._kernels.trees.triangle_tree import principal
+
+# Thickness assumed for a flat part, relative to the whole; for a flat box, relative to its longest side, so that the
+# shorter of two equal areas is chosen; and for a flat ellipsoid, which needs little, relative to its longest side and
+# to the coordinates.
+THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
+
+# When a part is cut in two, each side gets at least one in this many items. With 16, cuts leave parts of three quarters
+# over and over, and no more is proven.
+LEAST_SHARE = 4
+
+# Largest number of triangles that suggest axes, number of directions in which a hull's points are looked for, and of
+# its edges, the longest, along which a box is tried.
+MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
+
+# Bins along each axis, up to how many items are sorted at once, and about how many are sorted into bins.
+BINS, FEW, MANY = 128, 32, 2048
+
+# Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
+TURN_ROUNDINGS = 128 * 2.0**-53
+
+# Rounds of the search for a small ellipsoid, its least semi-axis relative to the box, and an allowance for rounding:
+# coordinates relative to the box are off by 1e-7 at most.
+ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
+
+# Directions in which the extreme points determine the ellipsoid.
+_WAYS = np.array([(x, y, z) for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)], float)
+
+ROW = 8
+BOX = 16  # numbers of a part: turn, lower corner, upper corner, empty space
+
+
+@njit()
+def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
+    """Cut triangles into parts.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (n, 3) or (n, 9)
+        Points, or the corners of triangles.
+    faces : ndarray of int64, shape (n,)
+        Face of each triangle. A face is cut only if it is alone in its part.
+    radius : float
+        Radius around the triangles, in metres.
+    most : int
+        Largest number of parts.
+    order : ndarray of int64, shape (n,)
+        The triangles, sorted by face; receives the triangles in the order of the parts.
+    start : ndarray of int64, shape (most + 1,)
+        Receives the starts of the parts in that order, and the end.
+    boxes : ndarray, shape (most, 24)
+        Receives the corners of boxes around the parts: eight x, eight y, eight z.
+    centers, shapes : ndarray, shapes (most, 3) and (most, 3, 3)
+        Receive centers and shape matrices of ellipsoids around the parts, without the radius.
+
+    Returns
+    -------
+    int
+        Number of parts.
+    """
+    n, width = corners.shape
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for k in range(n):
+        for c in range(width):
+            low[c % 3], high[c % 3] = min(low[c % 3], corners[k, c]), max(high[c % 3], corners[k, c])
+    thick = THICKNESS * max(high[0] - low[0], max(high[1] - low[1], high[2] - low[2]))
+    grown = 2.0 * radius + thick
+    numbers, ranges, count = np.empty((most, BOX)), np.empty((most, 3), np.int64), 1
+    rows, scratch, marks = np.empty(ROW * n), np.empty((3, n), np.int64), np.empty(n)
+    bins, held = np.empty(3 * BINS * ROW), np.empty(3 * BINS, np.int64)
+    ranges[0] = 0, n, 0
+    _measure(corners, order, ranges[0], thick, grown, numbers[0])
+    age = 1
+    while count < most:
+        emptiest = 0
+        for k in range(1, count):
+            more, same = numbers[k, 15] > numbers[emptiest, 15], numbers[k, 15] == numbers[emptiest, 15]
+            if more or (same and ranges[k, 2] < ranges[emptiest, 2]):
+                emptiest = k
+        if not numbers[emptiest, 15] > 0.0:
+            break
+        first, last = ranges[emptiest, 0], ranges[emptiest, 1]
+        middle = _cut(corners, faces, order, first, last, numbers[emptiest], grown, rows, scratch, marks, bins, held)
+        ranges[emptiest] = first, middle, age
+        ranges[count] = middle, last, age + 1
+        _measure(corners, order, ranges[emptiest], thick, grown, numbers[emptiest])
+        _measure(corners, order, ranges[count], thick, grown, numbers[count])
+        count, age = count + 1, age + 2
+    at = 0
+    moved = scratch[0]
+    for k in range(count):
+        start[k] = at
+        for i in range(ranges[k, 0], ranges[k, 1]):
+            moved[at] = order[i]
+            at += 1
+        _enclose(corners, order, ranges[k], numbers[k], boxes[k], centers[k], shapes[k])
+    start[count] = n
+    for k in range(n):
+        order[k] = moved[k]
+    return count
+
+
+# -- boxes -------------------------------------------------------------------------------------
+
+
+@inline
+def _corner(corners, triangle, corner):
+    return corners[triangle, 3 * corner], corners[triangle, 3 * corner + 1], corners[triangle, 3 * corner + 2]
+
+
+@inline
+def _turned(turn, p):
+    """Coordinates of a point along three axes, the columns of a turn."""
+    return (
+        turn[0] * p[0] + turn[3] * p[1] + turn[6] * p[2],
+        turn[1] * p[0] + turn[4] * p[1] + turn[7] * p[2],
+        turn[2] * p[0] + turn[5] * p[1] + turn[8] * p[2],
+    )
+
+
+@inline
+def _frame(a, b):
+    """Orthonormal axes, as the columns of a turn, along a and nearly along b."""
+    a = scaled(1.0 / np.sqrt(dot(a, a)), a)
+    for _ in range(2):
+        b = minus(b, scaled(dot(a, b), a))
+        b = scaled(1.0 / np.sqrt(dot(b, b)), b)
+    c = cross(a, b)
+    return a[0], b[0], c[0], a[1], b[1], c[1], a[2], b[2], c[2]
+
+
+@njit()
+def _area(corners, order, first, last, step, turn):
+    """Half the surface area of a box around some triangles, along the axes of a turn."""
+    low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
+    for k in range(first, last, step):
+        for corner in range(corners.shape[1] // 3):
+            p = _turned(turn, _corner(corners, order[k], corner))
+            low = min(low[0], p[0]), min(low[1], p[1]), min(low[2], p[2])
+            high = max(high[0], p[0]), max(high[1], p[1]), max(high[2], p[2])
+    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+    flat = FLAT_BOX * max(x, max(y, z))
+    x, y, z = x + flat, y + flat, z + flat
+    return x * y + y * z + z * x
+
+
+@njit()
+def _measure(corners, order, part, thick, grown, numbers):
+    """Write axes with little area of the box around a part, the box, and its empty space."""
+    first, last, width = part[0], part[1], corners.shape[1]
+    step = (last - first + MOST_ASKED - 1) // MOST_ASKED
+    best = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    least = _area(corners, order, first, last, step, best)
+    middle, count = (0.0, 0.0, 0.0), 0
+    for k in range(first, last, step):
+        for corner in range(width // 3):
+            p = _corner(corners, order[k], corner)
+            middle = middle[0] + p[0], middle[1] + p[1], middle[2] + p[2]
+            count += 1
+    middle = scaled(1.0 / count, middle)
+    xx = xy = xz = yy = yz = zz = 0.0
+    for k in range(first, last, step):
+        for corner in range(width // 3):
+            r = minus(_corner(corners, order[k], corner), middle)
+            xx, xy, xz = xx + r[0] * r[0], xy + r[0] * r[1], xz + r[0] * r[2]
+            yy, yz, zz = yy + r[1] * r[1], yz + r[1] * r[2], zz + r[2] * r[2]
+    U, _ = principal(xx, xy, xz, yy, yz, zz, np.empty((2, 3, 3)))
+    turn = _frame((U[0], U[3], U[6]), (U[1], U[4], U[7]))
+    area = _area(corners, order, first, last, step, turn)
+    if area < least:
+        least, best = area, turn
+    if width == 9:
+        best = _along_faces(corners, order, first, last, step, middle, least, best)
+    low, high, filled = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf), 0.0
+    for k in range(first, last):
+        for corner in range(width // 3):
+            p = _turned(best, _corner(corners, order[k], corner))
+            low = min(low[0], p[0]), min(low[1], p[1]), min(low[2], p[2])
+            high = max(high[0], p[0]), max(high[1], p[1]), max(high[2], p[2])
+        if width == 9:
+            v = _normal(corners, order[k])
+            # Flat boxes are given a volume too, partly filled by triangles: triangles in one plane may be far apart.
+            filled += thick * 0.5 * np.sqrt(dot(v, v))
+    for c in range(9):
+        numbers[c] = best[c]
+    numbers[9], numbers[10], numbers[11] = low
+    numbers[12], numbers[13], numbers[14] = high
+    box = (high[0] - low[0] + grown) * (high[1] - low[1] + grown) * (high[2] - low[2] + grown)
+    numbers[15] = box - filled if last - first > 1 else 0.0
+
+
+@inline
+def _normal(corners, triangle):
+    a = _corner(corners, triangle, 0)
+    return cross(minus(_corner(corners, triangle, 1), a), minus(_corner(corners, triangle, 2), a))
+
+
+@njit()
+def _along_faces(corners, order, first, last, step, middle, least, best):
+    """Axes of a box with less area along the largest triangle and edges of the outline as seen along its normal.
+
+    The smallest rectangle around points in a plane has a side along an edge of their hull (Freeman and Shapira:
+    Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975). The hull is approximated by
+    the farthest points in some directions.
+    """
+    normal, squared = (0.0, 0.0, 0.0), 0.0
+    for k in range(first, last, step):
+        v = _normal(corners, order[k])
+        if dot(v, v) > squared:
+            normal, squared = v, dot(v, v)
+    if not squared > 0.0:
+        return best
+    normal = scaled(1.0 / np.sqrt(squared), normal)
+    u, v = across(normal)
+    rim = np.empty((LOOKS + 1, 2))
+    for look in range(LOOKS):
+        angle = look * (2.0 * np.pi / LOOKS)
+        x, y, farthest = np.cos(angle), np.sin(angle), -np.inf
+        for k in range(first, last, step):
+            for corner in range(3):
+                r = minus(_corner(corners, order[k], corner), middle)
+                s, t = dot(r, u), dot(r, v)
+                if s * x + t * y > farthest:
+                    farthest, rim[look, 0], rim[look, 1] = s * x + t * y, s, t
+    rim[LOOKS, 0], rim[LOOKS, 1] = rim[0, 0], rim[0, 1]
+    squares = np.empty(LOOKS)
+    for look in range(LOOKS):
+        s, t = rim[look + 1, 0] - rim[look, 0], rim[look + 1, 1] - rim[look, 1]
+        squares[look] = s * s + t * t
+    for _ in range(MOST_EDGES):
+        at = 0
+        for look in range(LOOKS):
+            at = look if squares[look] > squares[at] else at
+        if not squares[at] > 0.0:
+            break
+        squares[at] = 0.0
+        s, t = rim[at + 1, 0] - rim[at, 0], rim[at + 1, 1] - rim[at, 1]
+        turn = _frame(normal, (s * u[0] + t * v[0], s * u[1] + t * v[1], s * u[2] + t * v[2]))
+        area = _area(corners, order, first, last, step, turn)
+        if area < least:
+            least, best = area, turn
+    return best
+
+
+# -- cuts --------------------------------------------------------------------------------------
+
+
+@inline
+def _volume(box, grown):
+    """Volume of a row, grown along each axis."""
+    return (grown - box[3] - box[0]) * (grown - box[4] - box[1]) * (grown - box[5] - box[2])
+
+
+@inline
+def _middle(rows, item, axis):
+    """Twice a coordinate of the middle of an item."""
+    return rows[ROW * item + axis] - rows[ROW * item + 3 + axis]
+
+
+@njit()
+def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, marks, bins, held):
+    """Cut a part in two: reorder its triangles, and return where the second one begins.
+
+    Parameters
+    ----------
+    numbers : ndarray
+        The part's numbers.
+    rows, scratch, marks, bins, held : ndarray
+        Memory.
+    """
+    begin, listed = scratch[0], scratch[1]
+    alone, nothing = faces[order[first]] == faces[order[last - 1]], broadcast(np.inf)
+    items = 0
+    for k in range(first, last):
+        if k == first or alone or faces[order[k]] != faces[order[k - 1]]:
+            begin[items] = k
+            store(rows, ROW * items, nothing)
+            items += 1
+        at = ROW * (items - 1)
+        for corner in range(corners.shape[1] // 3):
+            p = _turned(numbers, _corner(corners, order[k], corner))
+            for axis in range(3):
+                rows[at + axis] = min(rows[at + axis], p[axis])
+                rows[at + 3 + axis] = min(rows[at + 3 + axis], -p[axis])
+    least = max(items // LEAST_SHARE, 1)
+    axis, slot, low, scale = -1, 0, 0.0, 0.0
+    if items > FEW:
+        axis, slot, low, scale = _boundary(rows, items, least, grown, bins, held)
+    rank = 0
+    if axis >= 0:
+        # The items in the two bins at the boundary, and boxes around the items in the bins before and after them.
+        count, before, ahead, behind = 0, 0, nothing, nothing
+        for item in range(items):
+            own = max(0, min(BINS - 1, int((_middle(rows, item, axis) - low) * scale)))
+            marks[item] = 0.0
+            if own < slot - 1:
+                marks[item] = 1.0
+                before += 1
+                ahead = minimum(ahead, load(rows, ROW * item))
+            elif own > slot:
+                behind = minimum(behind, load(rows, ROW * item))
+            else:
+                listed[count] = item
+                count += 1
+        store(bins, 0, ahead)
+        store(bins, ROW, behind)
+        _sort(rows, axis, listed, count)
+        _, rank = _sweep(rows, listed, count, before, items, max(least // 2, 1), grown, bins, 0, 1)
+        for k in range(rank - before):
+            marks[listed[k]] = 1.0
+    if rank == 0:
+        store(bins, 0, nothing)
+        smallest = np.inf
+        for axis in range(3):
+            for item in range(items):
+                listed[item] = item
+            _sort(rows, axis, listed, items)
+            volume, rank = _sweep(rows, listed, items, 0, items, least, grown, bins, 0, 0)
+            if axis == 0 or volume < smallest:
+                smallest = volume
+                for k in range(items):
+                    marks[listed[k]] = 1.0 if k < rank else 0.0
+    kept, rest = first, scratch[2]
+    count = 0
+    for item in range(items):
+        stop = begin[item + 1] if item + 1 < items else last
+        for k in range(begin[item], stop):
+            if marks[item] == 1.0:
+                order[kept] = order[k]
+                kept += 1
+            else:
+                rest[count] = order[k]
+                count += 1
+    for k in range(count):
+        order[kept + k] = rest[k]
+    return kept
+
+
+@njit()
+def _boundary(rows, items, least, grown, bins, held):
+    """Axis and bin before which a cut leaves the smallest boxes; -1 if there is none. Also the bins along that axis."""
+    low, scale, step = np.empty(3), np.empty(3), max(items // MANY, 1)
+    for axis in range(3):
+        least_middle = most_middle = _middle(rows, 0, axis)
+        for item in range(step, items, step):
+            middle = _middle(rows, item, axis)
+            least_middle, most_middle = min(least_middle, middle), max(most_middle, middle)
+        low[axis] = least_middle
+        scale[axis] = BINS / (most_middle - least_middle)
+        if not scale[axis] < np.inf:
+            scale[axis] = 0.0
+    nothing = broadcast(np.inf)
+    for row in range(3 * BINS):
+        store(bins, ROW * row, nothing)
+        held[row] = 0
+    for item in range(0, items, step):
+        own = load(rows, ROW * item)
+        for axis in range(3):
+            row = axis * BINS + min(BINS - 1, int((_middle(rows, item, axis) - low[axis]) * scale[axis]))
+            store(bins, ROW * row, minimum(own, load(bins, ROW * row)))
+            held[row] += step
+    best_axis, best_slot, smallest = -1, 0, np.inf
+    volumes, around = np.empty(BINS), np.empty(ROW)
+    for axis in range(3):
+        box = nothing
+        for slot in range(BINS - 1, 0, -1):
+            box = minimum(box, load(bins, ROW * (axis * BINS + slot)))
+            store(around, 0, box)
+            volumes[slot] = _volume(around, grown)
+        box, below = nothing, 0
+        for slot in range(1, BINS):
+            box, below = minimum(box, load(bins, ROW * (axis * BINS + slot - 1))), below + held[axis * BINS + slot - 1]
+            store(around, 0, box)
+            if least <= below <= items - least:
+                volume = _volume(around, grown) + volumes[slot]
+                if volume < smallest:
+                    best_axis, best_slot, smallest = axis, slot, volume
+    return best_axis, best_slot, low[best_axis], scale[best_axis]
+
+
+@njit()
+def _sort(rows, axis, listed, count):
+    """Sort items by their middles along an axis, and equal ones by number: Shell's sort."""
+    gap = 1
+    while gap < count // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for n in range(gap, count):
+            item, m = listed[n], n
+            key = _middle(rows, item, axis)
+            while m >= gap:
+                other = listed[m - gap]
+                middle = _middle(rows, other, axis)
+                if middle < key or (middle == key and other < item):
+                    break
+                listed[m] = other
+                m -= gap
+            listed[m] = item
+        gap //= 3
+
+
+@njit()
+def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind):
+    """Volume and number of items before the cut that leaves the smallest boxes, among the sorted items listed; or 0.
+
+    `before` items come before these, in the box in row `ahead` of `bins`, and the rest are in the box in row `behind`.
+    """
+    volumes, around = np.empty(count + 1), np.empty(ROW)
+    box = load(bins, ROW * behind)
+    for k in range(count, -1, -1):
+        store(around, 0, box)
+        volumes[k] = _volume(around, grown)
+        if k > 0:
+            box = minimum(box, load(rows, ROW * listed[k - 1]))
+    box, smallest, rank = load(bins, ROW * ahead), np.inf, 0
+    for k in range(count + 1):
+        if k > 0:
+            box = minimum(box, load(rows, ROW * listed[k - 1]))
+        if least <= before + k <= items - least:
+            store(around, 0, box)
+            volume = _volume(around, grown) + volumes[k]
+            if volume < smallest:
+                smallest, rank = volume, before + k
+    return smallest, rank
+
+
+# -- bounds ------------------------------------------------------------------------------------
+
+
+@njit()
+def _enclose(corners, order, part, numbers, box, center, shape):
+    """Write the corners of the box around a part, and an ellipsoid around it."""
+    first, last, count = part[0], part[1], corners.shape[1] // 3
+    largest = 0.0
+    for k in range(first, last):
+        for c in range(3 * count):
+            largest = max(largest, abs(corners[order[k], c]))
+    same = True
+    for c in range(9):
+        same &= numbers[c] == (1.0 if c % 4 == 0 else 0.0)
+    slack = 0.0 if same else TURN_ROUNDINGS * largest
+    low = numbers[9] - slack, numbers[10] - slack, numbers[11] - slack
+    high = numbers[12] + slack, numbers[13] + slack, numbers[14] + slack
+    for corner in range(8):
+        p = (
+            high[0] if corner & 4 else low[0], high[1] if corner & 2 else low[1], high[2] if corner & 1 else low[2]
+        )  # fmt: skip
+        for row in range(3):
+            box[8 * row + corner] = numbers[3 * row] * p[0] + numbers[3 * row + 1] * p[1] + numbers[3 * row + 2] * p[2]
+    # The ellipsoid, in coordinates in which the box is a cube.
+    half = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
+    thin = max(FLAT_OVAL * max(half[0], max(half[1], half[2])), max(DIGITS * largest, 1e-12))
+    half = max(half[0], thin), max(half[1], thin), max(half[2], thin)
+    per = 1.0 / half[0], 1.0 / half[1], 1.0 / half[2]
+    middle = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
+    ways = len(_WAYS)
+    points, ends = np.empty((2 * ways, 3)), np.empty((2, ways))
+    for way in range(ways):
+        ends[0, way] = ends[1, way] = -np.inf
+    for k in range(first, last):
+        for corner in range(count):
+            p = _relative(numbers, _corner(corners, order[k], corner), middle, per)
+            for way in range(ways):
+                along = _WAYS[way, 0] * p[0] + _WAYS[way, 1] * p[1] + _WAYS[way, 2] * p[2]
+                if along > ends[0, way]:
+                    ends[0, way] = along
+                    points[2 * way, 0], points[2 * way, 1], points[2 * way, 2] = p
+                if -along > ends[1, way]:
+                    ends[1, way] = -along
+                    points[2 * way + 1, 0], points[2 * way + 1, 1], points[2 * way + 1, 2] = p
+    c, Q, inverse = _around(points)
+    farthest = 0.0
+    for k in range(first, last):
+        for corner in range(count):
+            r = minus(_relative(numbers, _corner(corners, order[k], corner), middle, per), c)
+            farthest = max(farthest, _form(inverse, r))
+    most = farthest * WIDER * WIDER
+    F = (
+        numbers[0] * half[0], numbers[1] * half[1], numbers[2] * half[2], numbers[3] * half[0], numbers[4] * half[1],
+        numbers[5] * half[2], numbers[6] * half[0], numbers[7] * half[1], numbers[8] * half[2],
+    )  # fmt: skip
+    xx, xy, xz, yy, yz, zz = rotated_shape(F, Q)
+    shape[0, 0], shape[0, 1], shape[0, 2] = xx * most, xy * most, xz * most
+    shape[1, 0], shape[1, 1], shape[1, 2] = xy * most, yy * most, yz * most
+    shape[2, 0], shape[2, 1], shape[2, 2] = xz * most, yz * most, zz * most
+    for row in range(3):
+        center[row] = F[3 * row] * c[0] + F[3 * row + 1] * c[1] + F[3 * row + 2] * c[2]
+        for axis in range(3):
+            center[row] += numbers[3 * row + axis] * middle[axis]
+
+
+@inline
+def _relative(numbers, p, middle, per):
+    """Coordinates of a point in a frame in which the box of its part is a cube."""
+    x, y, z = minus(_turned(numbers, p), middle)
+    return x * per[0], y * per[1], z * per[2]
+
+
+@inline
+def _form(Q, r):
+    """r · Q r of a symmetric matrix."""
+    return dot(r, apply_symmetric(Q, r))
+
+
+@njit()
+def _around(points):
+    """Mean and covariance of weighted points: center and shape, up to a factor, of a small ellipsoid around them.
+
+    Each weight is multiplied by its share in the optimality condition; Titterington, Some aspects of D-optimal design
+    for estimation (1976). Returns the mean, the covariance and its inverse.
+    """
+    n = len(points)
+    weights = np.full(n, 1.0 / n)
+    c, Q = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+    inverse = Q
+    for _ in range(ROUNDS):
+        x = y = z = 0.0
+        for k in range(n):
+            x, y, z = x + weights[k] * points[k, 0], y + weights[k] * points[k, 1], z + weights[k] * points[k, 2]
+        c = x, y, z
+        xx = yy = zz = LEAST_AXIS * LEAST_AXIS
+        xy = xz = yz = 0.0
+        for k in range(n):
+            r, u = (points[k, 0] - x, points[k, 1] - y, points[k, 2] - z), weights[k]
+            xx, xy, xz = xx + u * r[0] * r[0], xy + u * r[0] * r[1], xz + u * r[0] * r[2]
+            yy, yz, zz = yy + u * r[1] * r[1], yz + u * r[1] * r[2], zz + u * r[2] * r[2]
+        Q = xx, xy, xz, yy, yz, zz
+        A = adjugate(Q)
+        s = 1.0 / (xx * A[0] + xy * A[1] + xz * A[2])
+        inverse = A[0] * s, A[1] * s, A[2] * s, A[3] * s, A[4] * s, A[5] * s
+        total = 0.0
+        for k in range(n):
+            weights[k] *= 1.0 + _form(inverse, (points[k, 0] - x, points[k, 1] - y, points[k, 2] - z))
+            total += weights[k]
+        for k in range(n):
+            weights[k] /= total
+    return c, Q, inverse

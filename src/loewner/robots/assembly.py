@@ -1,0 +1,413 @@
+"""Assemble robots: several beside each other, one on a base that moves, or one with another body on a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._kernels import columns
+from loewner._kernels.records import Tree
+from loewner._validate import Floats, Named
+from loewner.bodies import Body
+from loewner.errors import InputError
+from loewner.robots.srdf import Semantics
+from loewner.robots.tree import placed_tree
+from loewner.robots.urdf import SHORTEST_AXIS, VALUES, Description, Joint
+from loewner.robots.watch import Watch
+
+# A robot; its class is above this module.
+R = TypeVar("R")
+
+# Kinds of joints that need limits.
+LIMITED = ("revolute", "prismatic")
+
+
+class Source(NamedTuple):
+    """Where the description of a robot came from, or of a part of one.
+
+    Attributes
+    ----------
+    prefix : str
+        Prefix of its names.
+    format : str
+        "URDF" or "MJCF".
+    path : Path
+        The file, or a placeholder.
+    text : str or None
+        The contents, if they were not in a file.
+    package_dirs : tuple of Path
+    """
+
+    prefix: str
+    format: str
+    path: Path
+    text: str | None
+    package_dirs: tuple[Path, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Part(Generic[R]):
+    """One robot of several that were joined; see `Robot.join`.
+
+    Attributes
+    ----------
+    robot : Robot
+        The robot that was joined, at its pose.
+    columns : slice
+        Its values in a configuration of the joined robot: ``Q[..., part.columns]`` are configurations of `robot`, and
+        assigning to them moves this robot alone.
+    joint_names, link_names : tuple of str
+        Its joints and links, by their names in the joined robot.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> arm = Robot.from_urdf("arm.urdf")
+    >>> part = Robot.join({"left": arm, "right": arm}).part("right")
+    >>> part.columns, part.joint_names
+    (slice(2, 4, None), ('right/rail', 'right/elbow'))
+    """
+
+    robot: R
+    columns: slice
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+
+
+def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike | None] | None) -> R:
+    """Make one robot of several; see `Robot.join`."""
+    if not isinstance(parts, Mapping) or not parts:
+        raise InputError(f"parts: expected a mapping from names to robots, found {_validate.short(parts)}")
+    for name, robot in parts.items():
+        if not isinstance(name, str) or not name:
+            raise InputError(f"parts: expected names, found {_validate.short(name)}")
+        if not isinstance(robot, kind):
+            raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
+    for name in poses or ():
+        if name not in parts:
+            raise _validate.unknown_name("part in poses", name, parts)
+    placed: dict[str, Any] = dict(parts)
+    placed |= {name: placed[name].placed(T) for name, T in (poses or {}).items()}
+    made = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
+    if any(robot.disabled_pairs for robot in placed.values()):
+        left = [(f"{name}/", robot) for name, robot in placed.items() if not robot.disabled_pairs]
+        more = {(prefix + a, prefix + b) for prefix, robot in left for a, b in robot.adjacent_pairs}
+        made = replace(made, disabled_pairs=made.disabled_pairs | more)
+    at, of_parts = 0, dict(made._parts)
+    for name, robot in placed.items():
+        names = (_prefixed(f"{name}/", names) for names in (robot.joint_names, robot.link_names))
+        of_parts[name] = Part(robot, slice(at, at + robot.dof), *names)
+        at += robot.dof
+    return cast(R, replace(made, _parts=of_parts))
+
+
+def part(self: R, name: str) -> Part[R]:
+    """Return one of the robots that were joined.
+
+    Parameters
+    ----------
+    name : str
+        Its name in `Robot.join`; for a robot that was joined twice, "outer/inner".
+
+    Returns
+    -------
+    Part
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such part.
+
+    Examples
+    --------
+    >>> arm = Robot.from_urdf("arm.urdf")
+    >>> both = Robot.join({"left": arm, "right": arm})
+    >>> q = both.configuration()
+    >>> q[both.part("right").columns] = 0.5, 1.0
+    >>> q
+    array([0. , 0. , 0.5, 1. ])
+    """
+    parts: dict[str, Part[R]] = cast(Any, self)._parts
+    if name not in parts:
+        raise _validate.unknown_name("part", name, parts)
+    return parts[name]
+
+
+def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | None = None, *, name: str = "base") -> R:
+    """Return the same robot on a base that moves.
+
+    Parameters
+    ----------
+    kind : {"planar", "floating"}
+        "planar": joints that slide along x and along y and one that turns about z, which planners plan like all others.
+        "floating": one joint with a position and a quaternion.
+    bounds : array_like, shape (2, 2) for a planar base or (3, 2) for a floating one, optional
+        Lowest and highest position along each axis, in metres; without them there are no limits.
+    name : str
+        Prefix of the new joints and links.
+
+    Returns
+    -------
+    Robot
+        Its configurations begin with ``name/x``, ``name/y`` and ``name/theta``, or with the seven values of a floating
+        joint. Its root link is ``name/world``, which does not move.
+
+    Raises
+    ------
+    InputError
+        If the bounds have the wrong shape, or a lower one is above the upper one, or a name is taken.
+    UnknownNameError
+        If there is no such kind.
+
+    Examples
+    --------
+    >>> robot = Robot.from_urdf("arm.urdf").add_base("planar", [[-2, 2], [-1, 1]])
+    >>> robot.configuration_names
+    ('base/x', 'base/y', 'base/theta', 'rail', 'elbow')
+    >>> robot.upper[:3]
+    array([ 2.,  1., inf])
+    """
+    _validate.choice(kind, "kind", ("planar", "floating"))
+    axes = 2 if kind == "planar" else 3
+    limits = np.full((axes, 2), [-np.inf, np.inf])
+    if bounds is not None:
+        limits = _validate.finite_array(bounds, "bounds", (axes, 2))
+        if not (limits[:, 0] <= limits[:, 1]).all():
+            raise InputError(f"bounds: expected rows of a lower and an upper position, found {limits.tolist()}")
+    if not isinstance(name, str) or not name:
+        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    joints = [(name, "floating", [0.0, 0.0, 1.0])]
+    if kind == "planar":
+        joints = [
+            (f"{name}/x", "prismatic", [1.0, 0.0, 0.0]), (f"{name}/y", "prismatic", [0.0, 1.0, 0.0]),
+            (f"{name}/theta", "continuous", [0.0, 0.0, 1.0]),
+        ]  # fmt: skip
+    base = _chain(self, f"{name}/world", joints)
+    lower, upper = base.lower.copy(), base.upper.copy()
+    lower[:axes], upper[:axes] = limits.T
+    base = replace(base, lower=lower, upper=upper)
+    robot: Any = self
+    return cast(R, _combined([_Piece("", base), _Piece("", robot, base.link_names[-1])], robot.name))
+
+
+def with_body(
+    self: R,
+    name: str,
+    body: Body,
+    T_parent_joint: ArrayLike | None = None,
+    *,
+    joint: Literal["fixed", "prismatic", "revolute", "continuous", "planar", "floating"] = "floating",
+    parent: str | None = None,
+    axis: ArrayLike = (0.0, 0.0, 1.0),
+    limits: tuple[float, float] | None = None,
+) -> R:
+    """Return the same robot with a body as another link, on a joint of its own.
+
+    Thus a door, a drawer or an obstacle that moves becomes a part of the configuration, and its motions are proven
+    together with the robot's. If the parent has a body, the two are an adjacent pair.
+
+    Parameters
+    ----------
+    name : str
+        Name of the new link and of the new joint.
+    body : Body
+        In the frame of the new link.
+    T_parent_joint : array_like, shape (4, 4), optional
+        Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
+    joint : str
+        Kind of the joint.
+    parent : str, optional
+        The link to which the joint belongs. Default: the world.
+    axis : array_like, shape (3,)
+        Axis along which the joint slides or about which it turns.
+    limits : (float, float), optional
+        Least and greatest value, in metres or radians; required for a prismatic or a revolute joint.
+
+    Returns
+    -------
+    Robot
+        The new values are the last ones of its configurations.
+
+    Raises
+    ------
+    InputError
+        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order.
+    PoseError
+        If the pose is not a rigid motion.
+    UnknownNameError
+        If there is no such kind of joint, or no such link.
+
+    Examples
+    --------
+    >>> from loewner import Body
+    >>> door = Body.box([0.8, 0.02, 1.0]).transformed([[1, 0, 0, 0.4], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]])
+    >>> hinge = [[1, 0, 0, 2.5], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> robot = Robot.from_urdf("arm.urdf").with_body("door", door, hinge, joint="revolute", limits=(0, 1.5))
+    >>> robot.configuration_names
+    ('rail', 'elbow', 'door')
+    """
+    if not isinstance(name, str) or not name:
+        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    if not isinstance(body, Body):
+        raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
+    _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
+    robot: Any = self
+    if parent is not None and parent not in robot.link_names:
+        raise _validate.unknown_name("parent", parent, robot.link_names)
+    T = _validate.pose(T_parent_joint, "T_parent_joint")
+    direction = _validate.finite_array(axis, "axis", (3,))
+    length = float(np.linalg.norm(direction))
+    if not length >= SHORTEST_AXIS:
+        raise InputError(f"axis: expected a direction, found {direction.tolist()}")
+    made = _chain(self, f"{name}/world", [(name, joint, (direction / length).tolist())])
+    if (limits is None) == (joint in LIMITED):
+        expected = "two numbers for prismatic and revolute joints, and none for others"
+        raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
+    if limits is not None:
+        low, high = _validate.finite_array(limits, "limits", (2,)).tolist()
+        if low > high:
+            raise InputError(f"limits: expected a lower and an upper one, found {limits}")
+        made = replace(made, lower=np.array([low]), upper=np.array([high]))
+    made = replace(made, bodies={name: body}).placed(T)
+    adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
+    robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
+    return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent))
+
+
+# -- assembly ---------------------------------------------------------------------------------
+
+
+class _Piece(NamedTuple):
+    """A robot that is combined with others: the prefix of its names, and the link to which its root is fixed.
+
+    The root is fixed to the world if `on` is None; it is left out with `without_root`.
+    """
+
+    prefix: str
+    robot: Any
+    on: str | None = None
+    without_root: bool = False
+
+
+def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(prefix + name for name in names)
+
+
+def _chain(robot: Any, root: str, joints: list[tuple[str, str, list[float]]]) -> Any:
+    """Make a robot of links without bodies from joints given by name, kind and axis; a link has the joint's name."""
+    made, above = {}, root
+    for name, kind, axis in joints:
+        made[name] = Joint(
+            name, kind, above, name, np.eye(4), np.array(axis), -np.inf, np.inf, np.nan, mimic=None, line=0
+        )  # fmt: skip
+        above = name
+    shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(made, ())}
+    description = Description(root, Path(root), shapes, made, {joint.child: joint for joint in made.values()}, ())
+    made_robot = type(robot)._of(description, {}, Semantics(), frozenset(), (), "none", None)
+    return replace(made_robot, _sources=())
+
+
+def _combined(pieces: Sequence[_Piece], name: str) -> Any:
+    """Make one robot of several."""
+    robots = [piece.robot for piece in pieces]
+    links = [n for p in pieces for n in _prefixed(p.prefix, p.robot.link_names[p.without_root :])]
+    joints = [n for p in pieces for n in _prefixed(p.prefix, (*p.robot.joint_names, *p.robot.mimics))]
+    for names in (links, joints):
+        taken = next((own for k, own in enumerate(names) if own in names[:k]), None)
+        if taken is not None:
+            raise InputError(f"expected names of links and joints that differ, found {taken!r} twice")
+    first = np.cumsum([0, *(robot.dof for robot in robots)]).tolist()
+    lower, upper, velocity = (
+        np.concatenate([getattr(r, key) for r in robots]) for key in ("lower", "upper", "velocity")
+    )
+    for limits in (lower, upper, velocity):
+        limits.setflags(write=False)
+    configuration_names = tuple(n for piece in pieces for n in _prefixed(piece.prefix, piece.robot.configuration_names))
+    turns = [turns for robot in robots for turns in robot._watch.turns]
+    free = [free for robot in robots for free in robot._watch.free]
+    tree = _tree(pieces, first)
+
+    def named(what: str, of: Any) -> Any:
+        return Named(what, {p.prefix + key: value for p in pieces for key, value in of(p).items()})
+
+    def pairs(key: str) -> frozenset[tuple[str, str]]:
+        return frozenset((p.prefix + a, p.prefix + b) for p in pieces for a, b in getattr(p.robot, key))
+
+    return replace(
+        next(robot for robot in robots if robot._sources),
+        name=name,
+        link_names=tuple(links),
+        joint_names=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot.joint_names)),
+        configuration_names=configuration_names,
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        bodies=named("link with a body", lambda p: p.robot.bodies),
+        groups=named("group", lambda p: {g: _prefixed(p.prefix, joints) for g, joints in p.robot.groups.items()}),
+        states=named("state", _states),
+        disabled_pairs=pairs("disabled_pairs"),
+        adjacent_pairs=pairs("adjacent_pairs"),
+        mimics={
+            p.prefix + joint: (p.prefix + other, by) for p in pieces for joint, (other, by) in p.robot.mimics.items()
+        },
+        tree=tree,
+        _rooted=tree,
+        _columns={
+            p.prefix + joint: slice(at.start + shift, at.stop + shift)
+            for p, shift in zip(pieces, first, strict=False) for joint, at in p.robot._columns.items()
+        },
+        _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
+        _watch=Watch(name, configuration_names, lower, upper, turns, free),
+        _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
+        _parts={
+            p.prefix + key: _shifted(p.prefix, part, shift)
+            for p, shift in zip(pieces, first, strict=False) for key, part in p.robot._parts.items()
+        },
+    )  # fmt: skip
+
+
+def _states(piece: _Piece) -> dict[str, Any]:
+    return {
+        name: (group and piece.prefix + group, {piece.prefix + joint: value for joint, value in values.items()})
+        for name, (group, values) in piece.robot.states.items()
+    }
+
+
+def _shifted(prefix: str, part: Part[Any], by: int) -> Part[Any]:
+    at = slice(part.columns.start + by, part.columns.stop + by)
+    return Part(part.robot, at, _prefixed(prefix, part.joint_names), _prefixed(prefix, part.link_names))
+
+
+def _tree(pieces: Sequence[_Piece], first_column: Sequence[int]) -> Tree:
+    """Put the trees of robots side by side, each on the link that carries it."""
+    trees: list[Tree] = []
+    numbers: dict[str, int] = {}
+    for piece, column in zip(pieces, first_column, strict=False):
+        tree, above, count = piece.robot.tree, -1, len(numbers)
+        if piece.on is not None:
+            # A link that is fixed is a frame of the first link of its rigid group.
+            above = numbers[piece.on]
+            before = Tree(*(np.concatenate(arrays) for arrays in zip(*trees, strict=True)))
+            if before.kind[above] == columns.FIXED:
+                tree, above = placed_tree(tree, _constant_pose(before.constants[above])), int(before.parent[above])
+        skip = int(piece.without_root)
+        parent = np.where(tree.parent < skip, above, tree.parent + count - skip)
+        tree = tree._replace(parent=parent, column=np.where(tree.kind == columns.FIXED, 0, tree.column + column))
+        trees.append(Tree(*(array[skip:] for array in tree)))
+        for name in piece.robot.link_names[skip:]:
+            numbers[piece.prefix + name] = len(numbers)
+    return Tree(*(np.ascontiguousarray(np.concatenate(arrays)) for arrays in zip(*trees, strict=True)))
+
+
+def _constant_pose(constants: Floats) -> Floats:
+    """Return the pose of a fixed link in the frame of its parent."""
+    T = np.eye(4)
+    T[:3, :3] = constants[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
+    T[:3, 3] = constants[columns.TRANSLATION : columns.TRANSLATION + 3]
+    return T
