@@ -176,7 +176,7 @@ MEMORY = Arena(
     listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
     listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
     relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
-    waiting=integers(WAITING, 2),  # intervals to be halved: row in the list of piece pairs, number
+    waiting=integers(WAITING, 3),  # intervals to be halved: row in the list of piece pairs, number, whether undecided
     waiting_normals=floats(WAITING, 3),
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
     cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
@@ -631,8 +631,10 @@ def _halve_waiting(motion, count, found, tally):
         back = _ways(motion, False, other, link, problem.link[one])
         n = normals[e, 0], normals[e, 1], normals[e, 2]
         keep, least = _kept(near, times[k + 1] - times[k])
-        tally[1] += 1
-        proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
+        proven, undecided = False, waiting[e, 2] != 0
+        if near.stray == 0.0:  # otherwise the best plane has been found
+            tally[1] += 1
+            proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
         left = EVERY
         if not proven and undecided:
             tally[0] += LANES
@@ -713,7 +715,9 @@ def _search(motion, e, found, waiting_count, tally):
     swept, times, waiting, normals = (
         _swept_of(motion), _times_of(motion), _waiting_of(motion), _waiting_normals_of(motion),
     )  # fmt: skip
-    near, N, at = _listed_pair(motion, e), _listed_ways_of(motion), e * LISTED_WAYS + _NORMALS
+    near, N, at, gaps = (
+        _listed_pair(motion, e), _listed_ways_of(motion), e * LISTED_WAYS + _NORMALS, _gaps_of(motion),
+    )  # fmt: skip
     live, tested = _listed_of(motion)[e, 3], _listed_of(motion)[e, 4]
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
@@ -733,11 +737,14 @@ def _search(motion, e, found, waiting_count, tally):
             live &= left
             if (left >> k) & 1 == 0:
                 continue
+            for end in range(k, k + 2):
+                if gaps[end] > near.margin + (near.slack - near.stray):
+                    tested |= 1 << end
         for end in range(k + 1, k - 1, -1):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
-        waiting[waiting_count, 0], waiting[waiting_count, 1] = e, k
+        waiting[waiting_count, 0], waiting[waiting_count, 1], waiting[waiting_count, 2] = e, k, undecided
         normals[waiting_count, 0], normals[waiting_count, 1], normals[waiting_count, 2] = n
         waiting_count += 1
     return found, waiting_count
@@ -819,11 +826,8 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
         for j in range(start[other], start[other + 1]):
             at = count * LISTED_WAYS
             to = at + _NORMALS
-            if other < moving:
-                left = near_piece(rows, first, hot[i, OUTER_RADIUS], hot, j, keep, live, ways, to)
-            else:
-                table, row = tables.standing_rows, j - start[moving]
-                left = near_piece(rows, first, hot[i, OUTER_RADIUS], table, row, keep, live, ways, to)
+            table, row = (hot, j) if other < moving else (tables.standing_rows, j - start[moving])
+            left = near_piece(rows, first, hot[i, OUTER_RADIUS], table, row, keep, live, ways, to)
             if left == 0:
                 continue
             listed[count, 0], listed[count, 1], listed[count, 2], listed[count, 3] = pair, i, j, left
