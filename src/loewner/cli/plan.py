@@ -79,6 +79,14 @@ def add(commands: Any) -> None:
     plan.add_argument(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
+    plan.add_argument(
+        "--improve-for", type=float, default=0.0, metavar="S", help="improve the path until S seconds have passed (0)"
+    )
+    plan.add_argument(
+        "--weights",
+        metavar="W",
+        help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
+    )
     plan.add_argument("--sampled", action="store_true", help="sample motions in steps instead of proving them")
     plan.add_argument(
         "--resolution",
@@ -110,13 +118,13 @@ def _run(options: argparse.Namespace) -> int:
         goal = _pose_goal(*options.goal_pose)
     inputs.refuse_no_pairs(checker, options.urdf)
     try:
-        path, seconds = _found(checker, start, goal, options)
+        found = _found(checker, start, goal, options)
     except PlanningError as error:
         print(f"loewner: no path: {error}", file=sys.stderr)
         return NO_PATH
     if options.out is not None:
-        configurations.write(options.out, robot, path)
-    answer = _answer(checker, path, seconds, options)
+        configurations.write(options.out, robot, found.path)
+    answer = _answer(checker, found, options)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
@@ -149,6 +157,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
+    if options.weights is not None and not options.improve_for:
+        raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
@@ -157,14 +167,13 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
-) -> tuple[Floats, float]:
-    """Return the path, and the seconds that it took to find."""
+) -> planners.Plan:
+    """Return the path, its cost, and the seconds that it took to find."""
     given = {"max_iterations": options.max_iterations, "resolution": options.resolution}
-    joints = options.joints
+    joints, weights = options.joints, options.weights
     with progress_bar() as progress:
         progress.add_task("searching", total=None)
-        started = time.perf_counter()
-        path = planners.plan(
+        return planners.plan(
             checker,
             start,
             goal,
@@ -175,15 +184,24 @@ def _found(
             timeout=options.timeout,
             simplify=not options.no_simplify,
             seed=options.seed,
+            full=True,
+            improve_for=options.improve_for,
+            weights=None if weights is None else _weights(weights),
             **{name: value for name, value in given.items() if value is not None},
         )
-        return path, time.perf_counter() - started
 
 
-def _answer(
-    checker: loewner.CollisionChecker, path: Floats, seconds: float, options: argparse.Namespace
-) -> dict[str, Any]:
+def _weights(text: str) -> list[float]:
+    """Read the numbers of an option."""
+    try:
+        return _tables.row(text)
+    except ValueError as error:
+        raise InputError(f"--weights: expected numbers, found {text!r} ({error})") from None
+
+
+def _answer(checker: loewner.CollisionChecker, plan: planners.Plan, options: argparse.Namespace) -> dict[str, Any]:
     """Make the full report on a path."""
+    path = plan.path
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
     found = checker.certify_edges(a, b, joint_error=options.joint_error)
@@ -217,9 +235,12 @@ def _answer(
         "configurations": path.tolist(),
         "motions": motions,
         "length": float(lengths.sum()),
+        "cost": plan.cost,
+        "cost_bound": plan.bound,
+        "improvements": plan.iterations,
         "measured": MEASURED,
         "checked_pairs": len(checker.checked_pairs),
-        "seconds": seconds,
+        "seconds": plan.seconds,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
     }
@@ -246,6 +267,10 @@ def _print_answer(answer: dict[str, Any]) -> None:
         )
     work = [sum(motion[kind] for motion in motions) for kind in ("poses", "searches")]
     print(f"length    {answer['length']:.6g}, in the units of the joints")
+    print(
+        f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
+        f"{answer['cost_bound']:.6g}; {answer['improvements']} rounds of improvement"
+    )
     print(
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
     )

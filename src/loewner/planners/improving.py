@@ -232,8 +232,9 @@ class Rounds:
         The cheapest path so far.
     box : ndarray, shape (3, dof)
         See `_kernels.robots.polishing.Work`.
-    idle : ndarray of bool, shape (joints,)
-        Joints with equal values at the start and at all goals; the first round does not move them.
+    idle : ndarray of int64, shape (k,)
+        Numbers of joints with equal values at the start and at all goals, in order of falling weights; none if all
+        values are equal.
     least : float
         Cost of the straight way.
     longest : float
@@ -249,7 +250,7 @@ class Rounds:
     growth: Growth
     best: Polish
     box: Floats
-    idle: Floats
+    idle: Ints
     least: float
     longest: float
     seed: int
@@ -259,18 +260,19 @@ class Rounds:
 
     def run(self, number: int) -> None:
         """Run one round."""
-        growth = self.growth
-        if number == 1 and self.idle.any() and not self.idle.all():
-            limits, turning = growth.limits.copy(), growth.numbers[1].copy()
-            growth.limits[:2, self.idle] = growth.start[growth.space.columns][self.idle]
-            growth.numbers[1, self.idle] = 0
-            self._search(number)
-            growth.limits[:], growth.numbers[1] = limits, turning
-        else:
-            self._search(number)
+        growth, box = self.growth, self.box.copy()
+        # Odd rounds do not move the idle joints, then the heavier half of them, and so on.
+        halvings = number // 2 % len(self.idle).bit_length() if len(self.idle) else 0
+        resting = self.idle[: len(self.idle) >> halvings] if number % 2 else self.idle[:0]
+        limits, turning = growth.limits.copy(), growth.numbers[1].copy()
+        growth.limits[:2, resting] = growth.start[growth.space.columns[resting]]
+        growth.numbers[1, resting], box[2, growth.space.columns[resting]] = 0, 0.0
+        self._search(number, box)
+        growth.limits[:], growth.numbers[1] = limits, turning
         self._on(self.best, BEST_STEPS)
+        self.best = self._resting(self.best)
 
-    def _search(self, number: int) -> None:
+    def _search(self, number: int, box: Floats) -> None:
         """Search for another path, and keep it if it is cheaper when it is polished."""
         growth, best, seed = self.growth.rooted(self.seed + number), self.best, self.seed + number
         growth.reach[:] = min(self.longest, SHARE * best.cost), self.least + SLACK * (best.cost - self.least)
@@ -279,7 +281,7 @@ class Rounds:
             return
         self.searches = max(int(AFTER_SUCCESS * self.searches), FIRST_SEARCH)
         try:
-            found = Polish.of(growth.judge, self.box, growth.path(), seed)
+            found = Polish.of(growth.judge, box, growth.path(), seed)
         except PlanningError:  # not free as a whole
             return
         self._on(found, QUICK_STEPS)
@@ -287,6 +289,17 @@ class Rounds:
             self._on(found, MORE_STEPS)
         if found.cost < best.cost:
             self.best = found
+
+    def _resting(self, found: Polish) -> Polish:
+        """Let idle joints rest on the whole path wherever the path is still free."""
+        for k in self.growth.space.columns[self.idle]:
+            path, box = found.path.copy(), found.box.copy()
+            if (path[:, k] == path[0, k]).all():
+                continue
+            path[:, k], box[2, k] = path[0, k], 0.0
+            if found.judge.free(path[:-1], path[1:]).all():
+                found = Polish.of(found.judge, box, path, int(found.state[RANDOM]))
+        return found
 
     def _on(self, work: Growth | Polish, steps: int) -> int:
         """Let a kernel work, in portions that do not change the result; return its code."""
@@ -317,7 +330,9 @@ def improved(
     box[1, at] = np.where(space.turning, np.inf, space.upper)
     box[2, at] = asked.weights[at]
     growth = Growth.of(space, judge, path[0], goals, box[2, at])
-    idle = (goals[:, at] == path[0, at]).all(axis=0)
+    same = (goals[:, at] == path[0, at]).all(axis=0)
+    idle = np.flatnonzero(same & ~same.all())
+    idle = idle[np.argsort(-asked.weights[at[idle]], kind="stable")]
     best = Polish.of(growth.judge, box, path, seed)
     rounds = Rounds(growth, best, box, idle, least, float(growth.reach[0]), seed, asked.deadline)
     done = 0

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels._jit import apart, borrowed, inline, njit
 from loewner._kernels.columns import (
     ACROSS,
     ALONG,
@@ -151,7 +151,7 @@ def translation_of_link(W, link):
     return load(W, at), load(W, at + LANES), load(W, at + 2 * LANES)
 
 
-@inline
+@apart
 def place_links(tree, Q, rows, at, W):
     """Write the world poses of all links of eight configurations to W, in the layout of this module.
 
