@@ -324,7 +324,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
     """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
     if isinstance(given, float) and 0.0 <= given < np.inf:
-        return np.full(robot.dof, given)  # what follows takes as long as the proof of a motion
+        return np.full(robot.dof, given)  # the checks take as long as the proof of a motion
     array = _validate.finite_array(given, name, ("...",))
     wanted = f"{name}: expected one number >= 0 or {robot.dof} of them, found"
     if array.shape not in ((), (robot.dof,)):

@@ -5,7 +5,8 @@ one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in 
 body beyond it at both ends by more than the margin and A w² / 8, proves the pair for the whole interval.
 
 cull
-    balls and boxes about swept bodies, and planes between their ellipsoids, seven intervals at a time (`sweeps`).
+    boxes about bodies in a whole block, then balls and boxes about swept bodies, and planes between their ellipsoids,
+    seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are tested at once.
 search
     a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair; a plane that proves one
     interval is tried on the others (`planes`).
@@ -85,12 +86,12 @@ SETTLED_STRAY = 0.125
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
 
-# Capacity for piece pairs of a block that wait to be searched; and numbers of such a pair, of which some come first.
+# Capacity for piece pairs of a block that wait to be searched; and numbers of such a pair: some scalars come first.
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
 
-# Pairs that are tested before bounds about whole blocks are compared: those that often collide.
+# Pairs that are tested before bounds about whole blocks are compared; planners put often colliding pairs there.
 FIRST_PAIRS = 4
 
 # Pieces whose ellipsoids are nearer to each other than this, as a share of the distance at which they touch, are tested
@@ -807,7 +808,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     -------
     found : Found
     count : int
-        Of listed piece pairs; those that do not fit have been settled.
+        Number of listed piece pairs; a full list has been settled.
     """
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)

@@ -47,7 +47,7 @@ _BOX = _HALF_CHORD + LANES
 _WHOLE = _BOX + 6 * LANES
 BODY = _WHOLE + LANES
 
-SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # what has been written of a body: bounds, pieces, poses
+SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # parts of a body: bounds, pieces, poses
 
 # Numbers of a group of static bodies, see `records.MotionTables`.
 _MARGIN = 6 * LANES
@@ -74,7 +74,7 @@ class Swept(NamedTuple):
     bodies : ndarray, BODY numbers per body
     pieces : ndarray, PIECE numbers per piece
     done : ndarray of int64, an entry per body
-        What has been written, as bits. To be set to 0 for each block.
+        The parts that have been written, as bits; to be set to 0 for each block.
     links : ndarray
         Output of the kinematics.
     numbers : ndarray of int64, shape (LANES,)
