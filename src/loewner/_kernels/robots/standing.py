@@ -41,7 +41,7 @@ from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, problem_of
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
-# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch; reaches are also stretched by
+# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch. Reaches are also stretched by
 # the pose of a base.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 STRETCH_OF_REACHES = 1.0 + 8.0 * ROTATION_TOLERANCE
