@@ -130,7 +130,7 @@ def test_bounds_hold():
         ("a = 2 * (np.cumsum(b, axis=1) - b) + b", "a = np.cumsum(b, axis=1)"),
         ("bends[0] + twists[0]", "bends[0]"),
         ("bends[1] + twists[1]", "bends[1]"),
-        ("np.abs(bent @ axis @ direction) + 0.5 * total**3", "np.abs(bent @ axis @ direction)"),
+        ("np.abs(bent @ axis @ direction) + 0.5 * (1 + SPARE) * total**3", "np.abs(bent @ axis @ direction)"),
         ("- MIDDLE * curved", "+ 0 * curved"),
         ("[:, turns.columns] * turns.multipliers", "[:, turns.columns]"),
         ("M = b.swapaxes(1, 2) @ a", "M = a.swapaxes(1, 2) @ b"),

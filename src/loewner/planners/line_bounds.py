@@ -15,7 +15,9 @@ from loewner.robots.reaching import Chain
 from loewner.robots.robot import link_poses
 
 # Rounding of a computed deviation, for each joint, times the lengths and one plus the square of the turns.
-LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 146, certified.md B55
+LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 180, certified.md B55
+
+SPARE = 1e-9  # relative; covers the rounding of third derivatives and of lengths, docs/certified.md
 
 MIDDLE = 0.125  # the largest value of s (1 - s) / 2: a curve's distance from its chord, over its second derivative
 
@@ -221,14 +223,14 @@ def strays(
     third = np.where(turns.turning > 0, reach * ((before + size) ** 3 - before**3), 3 * size * before**2).sum(axis=1)
     third_turn = np.sqrt(2.0) * (total**3 + share**3)
     rounding = LINE_ROUNDINGS * (len(chain.path) + 1) * (1 + total**2) * max(1.0, float(np.abs(Q).max()))
-    bends, twists = MIDDLE * np.stack([second, second_turn]), 0.5 * MIDDLE * np.stack([third, third_turn])
+    bends, twists = MIDDLE * np.stack([second, second_turn]), 0.5 * (1 + SPARE) * MIDDLE * np.stack([third, third_turn])
     positions = np.maximum(off[:-1], off[1:]) + bends[0] + twists[0] + rounding * length
     rotations = np.maximum(turned[:-1], turned[1:]) + bends[1] + twists[1] + rounding
     leasts, cosines = np.ones(n), np.ones(n + 1)
     if kept is not None:
         axis, direction = kept
         cosines = ends[:, :3, :3] @ axis @ direction
-        curved = np.abs(bent @ axis @ direction) + 0.5 * total**3
+        curved = np.abs(bent @ axis @ direction) + 0.5 * (1 + SPARE) * total**3
         leasts = np.minimum(cosines[:-1], cosines[1:]) - MIDDLE * curved - rounding
     return Strays(positions, rotations, leasts, cosines, bends, twists)
 
@@ -242,4 +244,4 @@ def _lengths(chain: Chain, turns: Turns, Q: Floats) -> tuple[Floats, float]:
             values = Q[:, chain.columns[at : at + wide]]
             factor, offset = chain.constants[k, columns.MULTIPLIER], chain.constants[k, columns.OFFSET]
             links[k] += np.abs(values * factor + offset).max(axis=0).sum()
-    return (1 + 1e-9) * (turns.after @ links), (1 + 1e-9) * float(links.sum()) + 1e-300
+    return (1 + SPARE) * (turns.after @ links), (1 + SPARE) * float(links.sum())

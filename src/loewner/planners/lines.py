@@ -33,7 +33,7 @@ LEAP = 0.75
 LEAST_STEP, LEAST_MOTION = 2.0**-12, 2.0**-16
 
 # Parts into which a motion is divided at a time at most, and the share of the tolerance that they may take.
-MOST_PARTS, SHARE = 16, 0.9
+MOST_PARTS, SHARE = 16, 0.75
 
 # The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
 LARGEST_ANGLE = np.pi - 1e-6

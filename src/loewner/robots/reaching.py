@@ -267,7 +267,9 @@ def near(chain: Chain, T: Floats, starts: Floats) -> tuple[Floats, Bools]:
         np.zeros(count, dtype=np.int64),
         np.empty((count, values + 3)),
     )
-    entries.reach_poses(*chain[:3], EXACT, T, starts, NO_SEEDS, 1, 0, count, found, counts, nearest)
+    entries.reach_poses(
+        *chain[:3], EXACT, T, np.array(starts, order="C"), NO_SEEDS, 1, 0, count, found, counts, nearest
+    )
     return nearest[:, :values], counts > 0
 
 
