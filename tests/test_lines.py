@@ -246,7 +246,7 @@ def test_bad_input():
         with pytest.raises(InputError, match=f"{name}: expected"):
             planners.straight(checker, q, link, T, **{name: 0.0})
     for keep in (("z", [0, 0, 1]), ("w", [0, 0, 1], 0.1), ("z", [0, 0, 0], 0.1), ("z", [0, 0, 1], -1.0), 3):
-        with pytest.raises(InputError, match="keep"):
+        with pytest.raises((InputError, UnknownNameError), match="keep"):
             planners.straight(checker, q, link, T, keep=keep)
     half = T.copy()
     half[:3, :2] *= -1

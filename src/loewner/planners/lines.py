@@ -133,6 +133,8 @@ def straight(
         raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
     judge = Judge.of(checker, 0.0)
     u, Q = _followed(robot, chain, line, q, link)
+    if not turns.turning.any():  # joints that slide follow a line in one motion
+        u, Q = u[[0, -1]], Q[[0, -1]]
     limits = np.array([position, 2 * np.sqrt(2) * np.sin(rotation / 2)])
     while True:
         found = strays(robot, chain, turns, line, u, Q, number, None if kept is None else kept[:2])
