@@ -15,7 +15,9 @@ from loewner.robots.reaching import Chain
 from loewner.robots.robot import link_poses
 
 # Rounding of a computed deviation, for each joint, times the lengths and one plus the square of the turns.
-LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 146, certified.md B55
+LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 180, certified.md B55
+
+SPARE = 1e-9  # relative; covers the rounding of third derivatives and of lengths, docs/certified.md
 
 MIDDLE = 0.125  # the largest value of s (1 - s) / 2: a curve's distance from its chord, over its second derivative
 
@@ -89,37 +91,40 @@ class Line(NamedTuple):
         The position at the fraction u is start + u way.
     rotation : ndarray, shape (3, 3)
         At the fraction 0.
-    axis : ndarray, shape (3,)
-        In the world's frame.
     angle : float
+    sine, cosine : ndarray, shape (3, 3)
+        The rotation at the fraction u is rotation + sin(u angle) sine + (1 - cos(u angle)) cosine.
     """
 
     start: Floats
     way: Floats
     rotation: Floats
-    axis: Floats
     angle: float
+    sine: Floats
+    cosine: Floats
 
     @classmethod
     def between(cls, T0: Floats, T1: Floats) -> Line:
         """Make the line between two poses; the angle is at most half a turn."""
         axis, angle = axis_and_angle(T1[:3, :3] @ T0[:3, :3].T)
-        return cls(T0[:3, 3], T1[:3, 3] - T0[:3, 3], T0[:3, :3], axis, angle)
+        K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+        sine = K @ T0[:3, :3]
+        return cls(T0[:3, 3], T1[:3, 3] - T0[:3, 3], T0[:3, :3], angle, sine, K @ sine)
 
     def poses(self, u: Floats) -> Floats:
         """Compute the poses at fractions, shape (n, 4, 4)."""
-        K = cross_matrix(self.axis)
         angles = (self.angle * u)[:, None, None]
         T = np.zeros((len(u), 4, 4))
-        T[:, :3, :3] = self.rotation + (np.sin(angles) * K + 2 * np.sin(angles / 2) ** 2 * (K @ K)) @ self.rotation
+        T[:, :3, :3] = self.rotation + np.sin(angles) * self.sine + 2 * np.sin(angles / 2) ** 2 * self.cosine
         T[:, :3, 3] = self.start + u[:, None] * self.way
         T[:, 3, 3] = 1.0
         return T
 
 
-def cross_matrix(x: Floats) -> Floats:
-    """The matrix [x] with [x] y = x × y."""
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+def _cross(a: Floats, b: Floats) -> Floats:
+    """The products a × b; NumPy's function takes several times as long."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def axis_and_angle(R: Floats) -> tuple[Floats, float]:
@@ -149,6 +154,8 @@ class Strays(NamedTuple):
         Largest deviations from the line at any real fraction of each motion.
     leasts : ndarray, shape (n,)
         Lower bounds on the product of the kept axis of the link and its direction in the world; 1 if there is none.
+    cosines : ndarray, shape (n + 1,)
+        This product at the configurations.
     bends, twists : ndarray, shape (2, n)
         The parts of the deviations that fall with the square, and those that fall with the cube of a motion's length.
     """
@@ -156,6 +163,7 @@ class Strays(NamedTuple):
     positions: Floats
     rotations: Floats
     leasts: Floats
+    cosines: Floats
     bends: Floats
     twists: Floats
 
@@ -195,17 +203,17 @@ def strays(
     middle = poses[n + 1 :]
     frames = np.concatenate([middle[:, chain.path], np.broadcast_to(np.eye(4), (n, 1, 4, 4))], axis=1)
     here = frames[:, turns.frames]
-    z = np.einsum("njrc,jc->njr", here[:, :, :3, :3], turns.axes)
+    z = (here[:, :, :3, :3] * turns.axes[:, None]).sum(axis=-1)
     p, R = middle[:, number, :3, 3], middle[:, number, :3, :3]
-    v = np.where(turns.turning[:, None] > 0, np.cross(z, p[:, None] - here[:, :, :3, 3]), z)
+    v = np.where(turns.turning[:, None] > 0, _cross(z, p[:, None] - here[:, :, :3, 3]), z)
     d = (Q[1:] - Q[:-1])[:, turns.columns] * turns.multipliers
     b = (turns.turning * d)[:, :, None] * z
     a = 2 * (np.cumsum(b, axis=1) - b) + b
-    second = np.linalg.norm((d[:, :, None] * np.cross(a, v)).sum(axis=1), axis=1)
-    M = np.einsum("njr,njc->nrc", b, a) - np.einsum("njr,njr->n", a, b)[:, None, None] * np.eye(3)
-    bent, K, share = M @ R, cross_matrix(line.axis), line.angle * (u[1:] - u[:-1])
-    square = K @ K @ targets[n + 1 :, :3, :3]
-    second_turn = np.linalg.norm(bent - (share**2)[:, None, None] * square, axis=(1, 2))
+    second = np.linalg.norm((d[:, :, None] * _cross(a, v)).sum(axis=1), axis=1)
+    M = b.swapaxes(1, 2) @ a - (a * b).sum(axis=(1, 2))[:, None, None] * np.eye(3)
+    bent, share = M @ R, line.angle * (u[1:] - u[:-1])
+    target_bent = (line.rotation + line.cosine) - targets[n + 1 :, :3, :3]  # per squared angle
+    second_turn = np.linalg.norm(bent - (share**2)[:, None, None] * target_bent, axis=(1, 2))
     # Third derivatives anywhere: each turn before a joint moves its derivative by no more than its length.
     size = np.abs(d)
     angle = turns.turning * size
@@ -215,16 +223,16 @@ def strays(
     third = np.where(turns.turning > 0, reach * ((before + size) ** 3 - before**3), 3 * size * before**2).sum(axis=1)
     third_turn = np.sqrt(2.0) * (total**3 + share**3)
     rounding = LINE_ROUNDINGS * (len(chain.path) + 1) * (1 + total**2) * max(1.0, float(np.abs(Q).max()))
-    bends, twists = MIDDLE * np.stack([second, second_turn]), 0.5 * MIDDLE * np.stack([third, third_turn])
+    bends, twists = MIDDLE * np.stack([second, second_turn]), 0.5 * (1 + SPARE) * MIDDLE * np.stack([third, third_turn])
     positions = np.maximum(off[:-1], off[1:]) + bends[0] + twists[0] + rounding * length
     rotations = np.maximum(turned[:-1], turned[1:]) + bends[1] + twists[1] + rounding
-    leasts = np.ones(n)
+    leasts, cosines = np.ones(n), np.ones(n + 1)
     if kept is not None:
         axis, direction = kept
         cosines = ends[:, :3, :3] @ axis @ direction
-        curved = np.abs(bent @ axis @ direction) + 0.5 * total**3
+        curved = np.abs(bent @ axis @ direction) + 0.5 * (1 + SPARE) * total**3
         leasts = np.minimum(cosines[:-1], cosines[1:]) - MIDDLE * curved - rounding
-    return Strays(positions, rotations, leasts, bends, twists)
+    return Strays(positions, rotations, leasts, cosines, bends, twists)
 
 
 def _lengths(chain: Chain, turns: Turns, Q: Floats) -> tuple[Floats, float]:
@@ -236,4 +244,4 @@ def _lengths(chain: Chain, turns: Turns, Q: Floats) -> tuple[Floats, float]:
             values = Q[:, chain.columns[at : at + wide]]
             factor, offset = chain.constants[k, columns.MULTIPLIER], chain.constants[k, columns.OFFSET]
             links[k] += np.abs(values * factor + offset).max(axis=0).sum()
-    return (1 + 1e-9) * (turns.after @ links), (1 + 1e-9) * float(links.sum()) + 1e-300
+    return (1 + SPARE) * (turns.after @ links), (1 + SPARE) * float(links.sum())

@@ -33,7 +33,7 @@ LEAP = 0.75
 LEAST_STEP, LEAST_MOTION = 2.0**-12, 2.0**-16
 
 # Parts into which a motion is divided at a time at most, and the share of the tolerance that they may take.
-MOST_PARTS, SHARE = 16, 0.9
+MOST_PARTS, SHARE = 16, 0.75
 
 # The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
 LARGEST_ANGLE = np.pi - 1e-6
@@ -124,15 +124,22 @@ def straight(
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
     target = targets_of(_validate.pose(T, "T")[None])[0]
     chain = robot.chain_to(link, joints)
-    turns, number = Turns.of(chain, link), robot.link_names.index(link)
+    number = robot.link_names.index(link)
+    if "turns" not in chain.kept:
+        chain.kept["turns"] = Turns.of(chain, link)
+    turns = chain.kept["turns"]
     line = Line.between(link_poses(robot, q[None])[0, number], target)
     if line.angle > LARGEST_ANGLE:
         raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
     judge = Judge.of(checker, 0.0)
     u, Q = _followed(robot, chain, line, q, link)
+    if not turns.turning.any():  # joints that slide follow a line in one motion
+        u, Q = u[[0, -1]], Q[[0, -1]]
     limits = np.array([position, 2 * np.sqrt(2) * np.sin(rotation / 2)])
     while True:
         found = strays(robot, chain, turns, line, u, Q, number, None if kept is None else kept[:2])
+        if kept is not None:
+            _refuse_tilt(found, u, kept, link)
         parts = _parts(found, limits, kept)
         if (parts == 1).all():
             break
@@ -199,8 +206,24 @@ def _parts(found: Strays, limits: Floats, kept: Kept | None) -> Floats:
     good = (found.positions <= limits[0]) & (found.rotations <= limits[1])
     if kept is not None:
         good &= found.leasts >= np.cos(kept.angle)
-    wanted = np.sqrt(found.bends / (SHARE * limits[:, None])) + np.cbrt(found.twists / (SHARE * limits[:, None]))
+    # The number m with bends / m² + twists / m³ equal to the tolerance.
+    bends, twists = (part / (SHARE * limits[:, None]) + 1e-9 for part in (found.bends, found.twists))
+    wanted = 1.0 + np.sqrt(bends)
+    for _ in range(4):
+        wanted = np.sqrt(bends + twists / wanted)
     return np.where(good, 1.0, np.clip(np.ceil(wanted.max(axis=0)), 2, MOST_PARTS))
+
+
+def _refuse_tilt(found: Strays, u: Floats, kept: Kept, link: str) -> None:
+    """Raise an error where the line itself does not keep the axis."""
+    tilted = found.cosines < np.cos(kept.angle)
+    short = (found.leasts < np.cos(kept.angle)) & (np.diff(u) < LEAST_MOTION * MOST_PARTS)
+    if tilted.any() or short.any():
+        k = int(tilted.argmax()) if tilted.any() else int(short.argmax())
+        raise PlanningError(
+            f"line: expected {link} to keep within {kept.angle:g} rad of the direction on the whole line, found "
+            f"{np.arccos(np.clip(found.cosines[k], -1, 1)):.6g} rad at the fraction {u[k]:.4g}"
+        )
 
 
 def _divided(

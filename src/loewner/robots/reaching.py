@@ -95,8 +95,8 @@ class Chain(NamedTuple):
         The links of the robot's tree that the joints move.
     usual : ndarray, shape (2, K)
         Finite limits within which seeds are drawn.
-    tables : dict
-        Tables of seeds that were made, by their number.
+    kept : dict
+        What was derived from it: tables of seeds by their number, and for lines "turns".
     """
 
     links: Ints
@@ -105,7 +105,7 @@ class Chain(NamedTuple):
     columns: Ints
     path: Ints
     usual: Floats
-    tables: dict[int, Floats]
+    kept: dict[str | int, Any]
 
     @property
     def moving(self) -> Bools:
@@ -185,8 +185,8 @@ def _axis(constants: Floats) -> Floats:
 
 def seeded(chain: Chain, count: int) -> Floats:
     """Make the table of seeds, shape (count, K), or return the one that was made before."""
-    if count in chain.tables:
-        return chain.tables[count]
+    if count in chain.kept:
+        return np.asarray(chain.kept[count])
     how, moving = chain.ranges[columns.HOW], np.flatnonzero(chain.moving)
     drawn = np.zeros((count, len(how)))
     drawn[:, moving] = points(count, len(moving))
@@ -199,7 +199,7 @@ def seeded(chain: Chain, count: int) -> Floats:
         a, b = np.sqrt(1 - u), np.sqrt(u)
         seeds[:, first : first + 4] = np.stack([a * np.sin(v), a * np.cos(v), b * np.sin(w), b * np.cos(w)], axis=-1)
     if count <= KEPT:
-        chain.tables[count] = seeds
+        chain.kept[count] = seeds
     return seeds
 
 
@@ -267,7 +267,9 @@ def near(chain: Chain, T: Floats, starts: Floats) -> tuple[Floats, Bools]:
         np.zeros(count, dtype=np.int64),
         np.empty((count, values + 3)),
     )
-    entries.reach_poses(*chain[:3], EXACT, T, starts, NO_SEEDS, 1, 0, count, found, counts, nearest)
+    entries.reach_poses(
+        *chain[:3], EXACT, T, np.array(starts, order="C"), NO_SEEDS, 1, 0, count, found, counts, nearest
+    )
     return nearest[:, :values], counts > 0
 
 
