@@ -89,6 +89,8 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
             raise InputError(f"parts: expected names, found {_validate.short(name)}")
         if not isinstance(robot, kind):
             raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
+    if poses is not None and not isinstance(poses, Mapping):
+        raise InputError(f"poses: expected a mapping from names to poses, found {_validate.short(poses)}")
     for name in poses or ():
         if name not in parts:
             raise _validate.unknown_name("part in poses", name, parts)
@@ -134,7 +136,7 @@ def part(self: R, name: str) -> Part[R]:
     array([0. , 0. , 0.5, 1. ])
     """
     parts: dict[str, Part[R]] = cast(Any, self)._parts
-    if name not in parts:
+    if not isinstance(name, str) or name not in parts:
         raise _validate.unknown_name("part", name, parts)
     return parts[name]
 
@@ -258,14 +260,15 @@ def with_body(
         raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
     _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
     robot: Any = self
-    if parent is not None and parent not in robot.link_names:
+    if parent is not None and (not isinstance(parent, str) or parent not in robot.link_names):
         raise _validate.unknown_name("parent", parent, robot.link_names)
     T = _validate.pose(T_parent_joint, "T_parent_joint")
     direction = _validate.finite_array(axis, "axis", (3,))
-    length = float(np.linalg.norm(direction))
-    if not length >= SHORTEST_AXIS:
+    longest = float(np.abs(direction).max())
+    if longest < SHORTEST_AXIS:
         raise InputError(f"axis: expected a direction, found {direction.tolist()}")
-    made = _chain(self, f"{name}/world", [(name, joint, (direction / length).tolist())])
+    direction = direction / longest  # its squares do not overflow
+    made = _chain(self, f"{name}/world", [(name, joint, (direction / np.linalg.norm(direction)).tolist())])
     if (limits is None) == (joint in LIMITED):
         expected = "two numbers for prismatic and revolute joints, and none for others"
         raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
