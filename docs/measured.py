@@ -20,6 +20,7 @@ TITLES = {
     "mbm-planning": "MotionBenchMaker: motions in OMPL's RRT-Connect",
     "mbm-tiers": "MotionBenchMaker: what settled a configuration",
     "mbm-validity": "MotionBenchMaker: problems whose start and goal are free",
+    "reach": "Inverse kinematics, beside SciPy's least squares",
     "executed-curves": "MotionBenchMaker: curves that are executed in place of proven paths",
     "memory": "Memory of a batch",
     "fits": "Fits, compared with conic solvers",

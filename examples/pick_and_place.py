@@ -9,7 +9,6 @@ the shelf may begin where the can is put down; at all other times touching is co
 import argparse
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import loewner
 from loewner import Body, Verdict, planners
@@ -17,7 +16,7 @@ from robot_meshes import panda_robot
 
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
 HAND, TIPS = "panda_hand", "panda_hand_tcp"  # the tips are a frame between the fingers
-ARM, FINGER = slice(0, 7), 7
+FINGER = 7
 
 RADIUS, LENGTH = 0.03, 0.12  # of the can, metres
 OPEN, CLOSED = 0.04, 0.0305  # of the fingers; closed, half a millimetre is left, which the gripper's force closes
@@ -102,20 +101,11 @@ def from_above(T_world_can: np.ndarray) -> np.ndarray:
 
 
 def reach(robot: loewner.Robot, T: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """A configuration near `start` with the finger tips at T, by damped Newton steps on the joints of the arm."""
-    q = start.copy()
-    for _ in range(100):
-        found = pose(robot, q, TIPS)
-        turn = Rotation.from_matrix(T[:3, :3] @ found[:3, :3].T).as_rotvec()
-        error = np.concatenate([T[:3, 3] - found[:3, 3], turn])
-        if np.abs(error).max() < 1e-12:
-            break
-        J = robot.jacobian(q, TIPS)[:, ARM]
-        step = J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(6), error)
-        q[ARM] += step / max(1.0, 5.0 * np.abs(step).max())  # 0.2 rad at most
-    if np.abs(error).max() > 1e-9 or (q < robot.lower).any() or (q > robot.upper).any():
+    """A configuration near `start` with the finger tips at T; only the arm moves."""
+    found = robot.reach(TIPS, T, joints="arm", start=start)
+    if not found.reached:
         raise SystemExit(f"no configuration within the limits was found for {T[:3, 3]}")
-    return q
+    return found.configuration
 
 
 def pose(robot: loewner.Robot, q: np.ndarray, link: str) -> np.ndarray:

@@ -4,6 +4,7 @@ python examples/reach_with_clearance.py [--seed 39]
 
 The hand is to reach a pose among boxes. First nothing else is asked for; then, that the clearance, a certified lower
 bound on the distance to everything, be two centimetres at least. Where the search stops short it starts anew elsewhere.
+`Robot.reach` solves the first of these tasks in a line, in microseconds.
 """
 
 import argparse

@@ -28,11 +28,12 @@ class Turns(NamedTuple):
     Attributes
     ----------
     frames : ndarray of int64, shape (J,)
-        For a joint that turns the entry of the chain's path that it moves, for one that slides the entry before it.
+        Entry of the chain's path in which the axis is fixed: the joint's own entry if it turns, the entry before it if
+        it slides.
     axes : ndarray, shape (J, 3)
         In these frames; entry -1 is the world.
     turning : ndarray, shape (J,)
-        1 for joints that turn, 0 for those that slide.
+        1 for joints that turn, 0 for sliding joints.
     columns : ndarray of int64, shape (J,)
         Columns of configurations.
     multipliers : ndarray, shape (J,)
@@ -146,18 +147,19 @@ def axis_and_angle(R: Floats) -> tuple[Floats, float]:
 
 
 class Strays(NamedTuple):
-    """Bounds for motions: metres, the Frobenius norm of the rotation's error, and what a direction of the link moves.
+    """Bounds for motions: on the position, the rotation and the direction of a kept axis.
 
     Attributes
     ----------
     positions, rotations : ndarray, shape (n,)
-        Largest deviations from the line at any real fraction of each motion.
+        Largest deviations from the line at any real fraction of each motion: metres, and the Frobenius norm of the
+        difference of rotation matrices.
     leasts : ndarray, shape (n,)
         Lower bounds on the product of the kept axis of the link and its direction in the world; 1 if there is none.
     cosines : ndarray, shape (n + 1,)
         This product at the configurations.
     bends, twists : ndarray, shape (2, n)
-        The parts of the deviations that fall with the square, and those that fall with the cube of a motion's length.
+        Parts of the deviations that are proportional to the square and to the cube of a motion's length.
     """
 
     positions: Floats
@@ -190,7 +192,7 @@ def strays(
         Fractions of the line that belong to the configurations.
     Q : ndarray, shape (n + 1, dof)
     number : int
-        Of the link.
+        The link's number.
     kept : pair of ndarray, shape (3,), optional
         An axis of the link, and the direction in the world near which it must stay.
     """
@@ -199,7 +201,7 @@ def strays(
     ends, targets = poses[: n + 1, number], line.poses(np.concatenate([u, 0.5 * (u[:-1] + u[1:])]))
     off = np.linalg.norm(ends[:, :3, 3] - targets[: n + 1, :3, 3], axis=1)
     turned = np.linalg.norm(ends[:, :3, :3] - targets[: n + 1, :3, :3], axis=(1, 2))
-    # Second derivatives in the middle, where C is what the joints before each one turn together.
+    # Second derivatives in the middle; a - b is twice the turn of all joints before each one.
     middle = poses[n + 1 :]
     frames = np.concatenate([middle[:, chain.path], np.broadcast_to(np.eye(4), (n, 1, 4, 4))], axis=1)
     here = frames[:, turns.frames]

@@ -77,7 +77,8 @@ def straight(
     T : array_like, shape (4, 4)
         T_world_link at the end, in metres.
     position, rotation : float
-        What the link may deviate by from the pose that belongs to the same fraction of the line, in metres and radians.
+        Largest deviations of the link from the pose that belongs to the same fraction of the line, in metres and
+        radians.
     joints : str or iterable of str, optional
         A group, or names of joints: only these joints move. Default: all that move the link.
     keep : (axis, direction, angle), optional
@@ -202,7 +203,7 @@ def _followed(robot: Robot, chain: Chain, line: Line, q: Floats, link: str) -> t
 
 
 def _parts(found: Strays, limits: Floats, kept: Kept | None) -> Floats:
-    """Return into how many parts to divide each motion, 1 for those that are proven to be near enough to the line."""
+    """Return into how many parts to divide each motion, 1 for motions that are proven to be near enough to the line."""
     good = (found.positions <= limits[0]) & (found.rotations <= limits[1])
     if kept is not None:
         good &= found.leasts >= np.cos(kept.angle)

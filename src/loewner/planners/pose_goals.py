@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
-from loewner.robots import Robot
+from loewner.robots import CollisionChecker
 
-# Configurations that are tried as goals at most, those nearest to the start first.
-MOST_GOALS = 64
+# Configurations that are tried as goals at most: free ones first, then those nearest to the start.
+MOST_GOALS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class PoseGoal:
     T : array_like, shape (..., 4, 4)
         One pose or several, such as candidates for a grasp; reaching any of them is enough. T_world_link, in metres.
     tolerance : array_like, shape (6,), optional
-        What a pose may deviate by, as for `Robot.reach`.
+        Largest deviations from a pose, as for `Robot.reach`.
     seeds : int
         As for `Robot.reach`: more find more of the configurations.
 
@@ -47,12 +47,14 @@ class PoseGoal:
     tolerance: ArrayLike | None = None
     seeds: int = 64
 
-    def configurations(self, robot: Robot, start: Floats, joints: str | Iterable[str] | None = None) -> Floats:
-        """Find configurations that reach the goal, those nearest to the start first.
+    def configurations(
+        self, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None = None
+    ) -> Floats:
+        """Find configurations that reach the goal: free ones first, then those nearest to the start.
 
         Parameters
         ----------
-        robot : Robot
+        checker : CollisionChecker
         start : ndarray, shape (dof,)
             Joints that do not move the link, or are not among `joints`, keep these values.
         joints : str or iterable of str, optional
@@ -61,7 +63,7 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            They may collide.
+            At most sixteen, which collide only if there are too few free ones.
 
         Raises
         ------
@@ -73,8 +75,15 @@ class PoseGoal:
         poses = _validate.poses(self.T, "goal, T").reshape(-1, 4, 4)
         if len(poses) == 0:
             raise InputError("goal, T: expected one pose or more, found none")
-        found = robot.reach(
-            self.link, poses, joints=joints, start=start, seeds=self.seeds, all=True, tolerance=self.tolerance
+        found = checker.robot.reach(
+            self.link,
+            poses,
+            joints=joints,
+            start=start,
+            seeds=self.seeds,
+            checker=checker,
+            all=True,
+            tolerance=self.tolerance,
         )
         Q = np.concatenate(found.solutions)
         if len(Q) == 0:
@@ -86,14 +95,16 @@ class PoseGoal:
                 f"of {self.seeds + 1} is {1e3 * shift:.3g} mm and {turn:.3g} rad away"
                 + (f" from pose {nearest}" if len(poses) > 1 else "")
             )
-        order = np.linalg.norm(Q - start, axis=1).argsort(kind="stable")
+        free = np.concatenate([np.arange(len(x)) < n for x, n in zip(found.solutions, found.free, strict=True)])
+        order = np.lexsort((np.linalg.norm(Q - start, axis=1), ~free))
         return np.asarray(Q[order[:MOST_GOALS]])
 
 
-def goals_of(goal: Any, robot: Robot, start: Floats, joints: str | Iterable[str] | None) -> Any:
+def goals_of(goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None) -> Any:
     """Return the configurations of a goal that is given by poses, and any other goal as it is."""
+    robot = checker.robot
     if isinstance(goal, PoseGoal):
-        return goal.configurations(robot, start, joints)
+        return goal.configurations(checker, start, joints)
     if np.shape(goal)[-2:] == (4, 4) and robot.dof != 4:
         raise InputError(
             f"goal: expected configurations, shape ({robot.dof},) or (goals, {robot.dof}), or for poses of a link "

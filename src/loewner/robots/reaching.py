@@ -18,14 +18,14 @@ from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
 from loewner.errors import InputError
 
-# A pose starts from the answer for the one before it, unless it is the first of so many; fewer with more seeds, so that
-# an interrupt need not wait for long.
+# A pose starts from the answer for the one before it, unless it is the first of a chain. Chains are shorter with more
+# seeds, so that an interrupt need not wait for long.
 CHAINED, SEEDS_OF_A_CHAIN = 64, 2**14
 
 # Limit on the seeds, and on the size of a table of seeds that is kept.
 MOST_SEEDS, KEPT = 2**16, 1024
 
-# If the first solution is not free, a free one is sought among so many; then all seeds are tried.
+# If the first solution is not free, a free one is sought among this many; then all seeds are tried.
 FEW = 4
 
 IDENTITY = np.eye(3)
@@ -55,7 +55,7 @@ class Reached:
     reached : bool or ndarray, shape (...)
         Whether it is a solution, which with a checker must be free.
     residual : ndarray, shape (..., 2)
-        What the configuration misses the tolerance by: a distance [m] and an angle [rad]. If it is at most 1e-9 where
+        Distance [m] and angle [rad] beyond the tolerance. If it is at most 1e-9 where
         `reached` is False, then the pose can be reached, but the solutions found collide.
     solutions : ndarray, shape (k, dof), or tuple of such arrays, or None
         With ``all=True``: all distinct solutions found, free ones first, then those near the start first. For many
@@ -96,7 +96,7 @@ class Chain(NamedTuple):
     usual : ndarray, shape (2, K)
         Finite limits within which seeds are drawn.
     kept : dict
-        What was derived from it: tables of seeds by their number, and for lines "turns".
+        Values derived from the chain: tables of seeds by their number, and for lines "turns".
     """
 
     links: Ints
@@ -155,7 +155,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
 
 
 def wrapping(tree: Tree, dof: int) -> Bools:
-    """Mark angles after a whole turn of which every link is where it was."""
+    """Mark angles that return every link to its place after a whole turn."""
     wraps = np.zeros(dof, dtype=bool)
     single = (tree.kind == columns.REVOLUTE) | (tree.kind == columns.PRISMATIC)
     turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
@@ -229,7 +229,7 @@ def targets_of(T: Floats) -> Floats:
 
 
 class Answers(NamedTuple):
-    """What the kernel found for each pose: distinct solutions, their number, and the first or nearest of all."""
+    """The kernel's results for each pose: distinct solutions, their number, and the first or nearest of all."""
 
     solutions: Floats
     counts: Ints

@@ -606,7 +606,7 @@ class Robot:
         all : bool
             Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
         tolerance : array_like, shape (6,), optional
-            What the pose may deviate by, in the frame of the target, to either side; ``inf`` leaves a direction free.
+            Largest deviations, in the frame of the target, to either side; ``inf`` leaves a direction free.
             Three lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about
             its z axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis.
             Default: zeros.
