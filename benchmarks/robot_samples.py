@@ -27,13 +27,18 @@ class Sample:
     urdf: Path
 
 
-def example(urdf: str, srdf: str) -> Sample:
-    """A robot of example-robot-data; paths relative to its folder of robots."""
+def robots_folder() -> Path:
+    """The folder of the robots of example-robot-data."""
     try:
         files = distribution("example-robot-data")
     except PackageNotFoundError:
         raise Missing("package example-robot-data is not installed") from None
-    folder = Path(str(files.locate_file("cmeel.prefix/share/example-robot-data/robots")))
+    return Path(str(files.locate_file("cmeel.prefix/share/example-robot-data/robots")))
+
+
+def example(urdf: str, srdf: str) -> Sample:
+    """A robot of example-robot-data; paths relative to its folder of robots."""
+    folder = robots_folder()
     robot = Robot.from_urdf(folder / urdf, srdf=folder / srdf, package_dirs=[folder.parents[1]])
     return Sample(robot, folder / urdf)
 

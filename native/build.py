@@ -47,10 +47,10 @@ CPU_OF = {"arm64": "generic"}
 # share little: by the time that it reaches the robots, the other has compiled the searches for them.
 FIRST = (
     "fit_range", "center_in", "fit_halfspaces", "to_unit_size", "finish_hull", "fit_outer", "enclose", "outer_gap",
-    "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond", "piece_trees", "triangle_tree", "cut_up",
-    "equal_vertices", "part_vertices", "body_boxes", "curve_order", "box_tree", "meeting_boxes",
+    "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond", "piece_trees", "triangle_tree",
+    "cut_up", "equal_vertices", "part_vertices", "body_boxes", "curve_order", "box_tree", "meeting_boxes",
     "first_fault", "contact_of_pairs", "near_points_of_pairs", "link_poses", "link_jacobians", "check_configurations",
-    "check_motion", "memory_size", "certify_motions", "motion_memory", "connect_trees", "shorten_path",
+    "check_motion", "memory_size", "certify_motions", "motion_memory", "connect_trees", "shorten_path", "polish_path",
     "memory_of_clearances", "clearances", "pair_gradients", "measure_moving", "place_static",
 )  # fmt: skip
 

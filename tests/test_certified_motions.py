@@ -537,6 +537,32 @@ def test_sliding_joints_taken_for_still_are_noticed(tmp_path, monkeypatch):
     assert false_free(*closing(tmp_path)) > 0
 
 
+@pytest.mark.parametrize(("rows", "margin"), [(slice(3, 6), 0.0), (slice(6, 7), 0.2)])
+def test_boxes_without_widths_or_margins_are_noticed(arms, rows, margin):
+    """The tests of arms would fail if what is compared with whole blocks of a motion were too small."""
+    arm = arms("panda")
+    checker, start, end = long_sweeps(arm)
+    scene = ring(np.random.default_rng(3), 45, 0.35, 0.9, 0.04)
+    scene.set_margin(margin)
+    checker, start, end = CollisionChecker(arm, scene), start[:1000], end[:1000]
+    assert false_free(checker, start, end) == 0
+    checker._ready().motions.tables.groups.reshape(-1, 8, 8)[:, rows] = 0.0
+    assert false_free(checker, start, end) > 0
+
+
+def test_groups_hold_every_pair(arms, rng):
+    """Each pair with a static body is in a group of its moving body, with its box, its margin and its size."""
+    ready = CollisionChecker(arms("panda"), ring(rng, 13, 0.3, 1.2, 0.3))._ready()
+    tables, moving = ready.motions.tables, len(ready.link)
+    numbers, rows = tables.group_pairs.reshape(-1, 8), tables.groups.reshape(-1, 8, 8)
+    assert set(numbers.ravel()) == set(np.flatnonzero(ready.pairs[:, 1] >= moving))
+    assert (ready.pairs[numbers, 0] == np.repeat(np.arange(moving), np.diff(tables.group_start))[:, None]).all()
+    still = ready.pairs[numbers, 1] - moving
+    assert (rows[:, :6].swapaxes(1, 2) == ready.standing.bounds[still][..., [0, 1, 2, 4, 5, 6]]).all()
+    assert (rows[:, 6] == ready.margins[numbers]).all()
+    assert (rows[:, 7] == tables.sizes[still]).all()
+
+
 def test_ways_taken_for_straight_are_noticed(arms):
     """The tests of arms would fail if the curvature of ways were left out."""
     checker, start, end = long_sweeps(arms("panda"))

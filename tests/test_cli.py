@@ -731,6 +731,27 @@ def test_plan_prints_a_table(with_end, capsys):
     assert nearest == min(float(part) for _, _, part in rows)
 
 
+def test_plan_improves_the_path(with_end, capsys):
+    """More seconds never cost more, and the cost is not below its bound; weights and times that are bad are refused."""
+    plain = json.loads(run(capsys, *AROUND, "--json")[1])
+    status, out, _ = run(capsys, *AROUND, "--json", "--improve-for", "0.03", "--weights", "1 1 0.5")
+    better = json.loads(out)
+    assert status == 0
+    assert plain["cost"] == pytest.approx(plain["length"])
+    assert plain["improvements"] == 0
+    assert plain["cost_bound"] == pytest.approx(1.0)
+    assert better["cost_bound"] <= better["cost"] <= plain["cost"]
+    for options, message in (
+        (["--weights", "1 1 1"], "--weights: expected --improve-for"),
+        (["--improve-for", "1", "--weights", "1 1"], r"weights: expected shape (3,)"),
+        (["--improve-for", "1", "--weights", "one"], "--weights: expected numbers, found 'one'"),
+        (["--improve-for", "-1"], "improve_for: expected a finite number >= 0"),
+    ):
+        status, out, err = run(capsys, *AROUND, *options)
+        assert (status, out) == (2, "")
+        assert message in err
+
+
 @pytest.mark.parametrize("name", ["path.csv", "path.json"])
 def test_plan_writes_what_can_be_read(with_end, capsys, name):
     """To the last bit, with the columns' names, under no other name; other commands read the file."""

@@ -113,7 +113,18 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
     told = kind.version if version is None else version
     content: dict[str, Any] = {"format": kind.name, "version": told, "digest": digest(arrays), **arrays}
     with replacing(target) as temporary, open(temporary, "xb") as stream:
+        _save(stream, content)
+
+
+def _save(stream: IO[bytes], content: dict[str, Any]) -> None:
+    """Write arrays as an archive; an interrupt is raised as such, not as zipfile's error about the unfinished entry."""
+    try:
         np.savez_compressed(stream, **content)
+    except ValueError as error:
+        cause = error.__context__
+        if cause is None or isinstance(cause, Exception):
+            raise
+        raise cause from None
 
 
 def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, Any]], T]) -> T:

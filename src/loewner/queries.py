@@ -510,8 +510,9 @@ def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
     """Decide whether bodies collide, exactly or by the estimate."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
-    unsettled = out == Verdict.AMBIGUOUS
-    colliding = (out == Verdict.COLLIDING) | unsettled
+    # With the numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
+    unsettled = out == codes.AMBIGUOUS
+    colliding = (out == codes.COLLIDING) | unsettled
     found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
     return _refused(unsettled, "collide", found) if unsettled.any() else found
 

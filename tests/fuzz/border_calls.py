@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import sys
+import typing
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -1037,6 +1038,10 @@ CALLS: dict[str, Call] = {
             "timeout": arg(5.0, NUMBERS),
             "simplify": flag(False),
             "seed": count(1, "0"),
+            "full": flag(),
+            "improve_for": arg(0.0, NUMBERS, NONE, ZERO),
+            "improve_iterations": count(0, "0", NONE),
+            "weights": array([1.0, 0.5, 1.0], NONE),
         },
         varies=True,
     ),
@@ -1479,7 +1484,7 @@ RECORDS = {
     "CertifiedMotions", "CertifiedTrajectory",
     "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
-    "planners.Trajectory",
+    "planners.Plan", "planners.Trajectory",
     "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
@@ -1537,4 +1542,11 @@ def _of_class(name: str, cls: type) -> Iterator[tuple[str, list[str]]]:
 
 
 def _parameters(member: Any) -> list[str]:
-    return [p.name for p in inspect.signature(member).parameters.values() if p.kind is not p.VAR_KEYWORD]
+    named, more = [], []
+    for p in inspect.signature(member).parameters.values():
+        if p.kind is not p.VAR_KEYWORD:
+            named.append(p.name)
+        elif str(p.annotation).startswith("Unpack"):  # options that a TypedDict names
+            options = typing.get_type_hints(inspect.unwrap(member))[p.name]
+            more = sorted(typing.get_args(options)[0].__optional_keys__)
+    return named + more

@@ -7,6 +7,7 @@ import os
 import pickle
 import random
 import signal
+import sys
 import threading
 import time
 from collections import Counter
@@ -183,6 +184,59 @@ def test_some_interrupts(folder: Path):
     """A KeyboardInterrupt each, and right answers afterwards."""
     outcomes, _ = campaign(folder, 40, seed=1)
     assert not driver.faults(outcomes)
+
+
+def interrupted_at(call: Callable[[], Any], line: int) -> int:
+    """Raise a KeyboardInterrupt before a line of Python that a call executes, ours or not; return the lines so far."""
+    lines = 0
+
+    def trace(frame: Any, event: str, _: Any) -> Any:
+        nonlocal lines
+        lines += event == "line"
+        if event == "line" and lines == line:
+            sys.settrace(None)
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        call()
+    finally:
+        sys.settrace(before)
+    return lines
+
+
+@pytest.mark.parametrize("name", ["collide", "checker.collide", "certify_edges"])
+def test_an_interrupt_at_any_line(name: str, folder: Path):
+    """NumPy drops errors in some Python code that it calls; an interrupt is not among them."""
+    rng = np.random.default_rng(0)
+    rocks, robot = Bodies.from_points(rng.normal(size=(2, 8, 3))), Robot.from_urdf(gantry(folder)[0])
+    checker, Q, T = CollisionChecker(robot), robot.random_configurations(2, seed=1), random_poses(rng, 3)
+    call = {
+        "collide": lambda: loewner.collide(rocks[0], None, rocks[1], T),
+        "checker.collide": lambda: checker.collide(Q),
+        "certify_edges": lambda: checker.certify_edges(Q[:1], Q[1:]),
+    }[name]
+    call()
+    lines = interrupted_at(call, 0)
+    for line in range(1, lines + 1, 1 + lines // 400):
+        with pytest.raises(KeyboardInterrupt):
+            interrupted_at(call, line)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of zipfile, about what is unfinished
+def test_an_interrupt_while_a_file_is_written(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """As an entry of the archive is closed: zipfile raises an error about it, which does not replace the interrupt."""
+    rocks = Bodies.from_points(np.random.default_rng(0).normal(size=(2, 8, 3)))
+
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("zipfile._ZipWriteFile.close", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        rocks.save(folder / "interrupted.npz")
+    assert not (folder / "interrupted.npz").exists()
 
 
 @pytest.mark.fuzz

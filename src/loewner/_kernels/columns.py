@@ -68,3 +68,12 @@ MOTIONS = 5  # configurations that were checked
 RANDOM = 6  # state of the random numbers
 POSES, SEARCHES = 7, 8  # work of proofs
 STATE = 9
+
+# -- inverse kinematics, described in `robots.reach` ------------------------------------------------
+
+# Columns of a joint's int64 row, where KIND_OF_LINK and COLUMN_OF_LINK are as above, and of its row of constants.
+MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
+AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3
+
+LEAST, MOST, HOW, RANGE = 0, 1, 2, 3  # rows of the ranges of values
+PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # how a value moves

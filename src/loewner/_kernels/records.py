@@ -114,6 +114,12 @@ class MotionTables(NamedTuple):
         Sums of the lengths from which positions of their points are computed.
     order : ndarray of int64, shape (pairs,)
         In which pairs are taken.
+    group_start : ndarray of int64, shape (moving bodies + 1,)
+    group_pairs : ndarray of int64, shape (8 groups,)
+    groups : ndarray, shape (64 groups,)
+        Static bodies that moving body b is checked against, in groups of eight: groups group_start[b] ..
+        group_start[b + 1], filled up with repeats. The numbers of the pairs; and for each group eight vectors: the
+        centers and half widths of boxes, margins and sizes.
     chain : ndarray, shape (3,)
         For the longest chain of joints, their number plus one, and the sum of its lengths with sliding joints at 0;
         then a bound on the departure of all links' rotations together from orthonormality.
@@ -125,4 +131,7 @@ class MotionTables(NamedTuple):
     standing_rows: Any
     sizes: Any
     order: Any
+    group_start: Any
+    group_pairs: Any
+    groups: Any
     chain: Any

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, planners
+from loewner import Verdict, _archives, _tables, planners
+from loewner._files import read_regular
+from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
@@ -24,11 +26,15 @@ MEASURED = 33
 EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal goals.csv -o path.csv
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
+  loewner plan panda.urdf --srdf panda.srdf --start ready --goal-pose panda_hand "0.4 0.2 0.5 0 1 0 0"
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
   numbers themselves. A file may contain several goals, and reaching any one is enough. A named goal keeps the
   start's values for joints that its state does not name; in a named start these are 0.
+
+poses: "x y z qw qx qy qz" in metres, with a unit quaternion; "x y z" for the position alone; or a .npy file with
+  T_world_link, shape (4, 4) or (poses, 4, 4).
 
 Every motion of the path is proven free at every one of its configurations. With --sampled, motions are sampled
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
@@ -53,7 +59,11 @@ def add(commands: Any) -> None:
             help=f"two bodies or links that may be in contact at the {where} only; repeatable",
         )
     plan.add_argument("--start", required=True, metavar="Q", help="start: a state, a file, or numbers")
-    plan.add_argument("--goal", required=True, metavar="Q", help="goal, likewise")
+    ends = plan.add_mutually_exclusive_group(required=True)
+    ends.add_argument("--goal", metavar="Q", help="goal, likewise")
+    ends.add_argument(
+        "--goal-pose", nargs=2, metavar=("LINK", "POSE"), help="or a pose of a link as the goal: numbers, or a file"
+    )
     plan.add_argument(
         "--joints",
         metavar="NAME",
@@ -68,6 +78,14 @@ def add(commands: Any) -> None:
     plan.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
     plan.add_argument(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
+    )
+    plan.add_argument(
+        "--improve-for", type=float, default=0.0, metavar="S", help="improve the path until S seconds have passed (0)"
+    )
+    plan.add_argument(
+        "--weights",
+        metavar="W",
+        help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
     )
     plan.add_argument("--sampled", action="store_true", help="sample motions in steps instead of proving them")
     plan.add_argument(
@@ -93,21 +111,44 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     start = robot.checked_one(configurations.given(options.start, "--start", options, robot, None), "--start")
-    goal = configurations.given(options.goal, "--goal", options, robot, start)
+    goal: Floats | planners.PoseGoal
+    if options.goal_pose is None:
+        goal = configurations.given(options.goal, "--goal", options, robot, start)
+    else:
+        goal = _pose_goal(*options.goal_pose)
     inputs.refuse_no_pairs(checker, options.urdf)
     try:
-        path, seconds = _found(checker, start, goal, options)
+        found = _found(checker, start, goal, options)
     except PlanningError as error:
         print(f"loewner: no path: {error}", file=sys.stderr)
         return NO_PATH
     if options.out is not None:
-        configurations.write(options.out, robot, path)
-    answer = _answer(checker, path, seconds, options)
+        configurations.write(options.out, robot, found.path)
+    answer = _answer(checker, found, options)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
         _print_answer(answer)
     return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+
+
+def _pose_goal(link: str, text: str) -> planners.PoseGoal:
+    """Read the goal that a pose of a link gives."""
+    if Path(text).suffix.lower() == ".npy":
+        data = read_regular(Path(text), "poses", configurations.MOST_BYTES)
+        return planners.PoseGoal(link, _archives.numbers(data, text, "an array of numbers"))
+    try:
+        numbers = _tables.row(text)
+    except ValueError as error:
+        raise InputError(f"--goal-pose: expected numbers or a .npy file, found {text!r} ({error})") from None
+    if len(numbers) not in (3, 7):
+        raise InputError(f"--goal-pose: expected x y z qw qx qy qz, or x y z, found {len(numbers)} numbers")
+    T = np.eye(4)
+    T[:3, 3] = numbers[:3]
+    if len(numbers) == 3:
+        return planners.PoseGoal(link, T, tolerance=[0, 0, 0, np.inf, np.inf, np.inf])
+    T[:3, :3] = from_quaternion(numbers[3:], "--goal-pose")
+    return planners.PoseGoal(link, T)
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
@@ -116,6 +157,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
+    if options.weights is not None and not options.improve_for:
+        raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
@@ -123,15 +166,14 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 
 
 def _found(
-    checker: loewner.CollisionChecker, start: Floats, goal: Floats, options: argparse.Namespace
-) -> tuple[Floats, float]:
-    """Return the path, and the seconds that it took to find."""
+    checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
+) -> planners.Plan:
+    """Return the path, its cost, and the seconds that it took to find."""
     given = {"max_iterations": options.max_iterations, "resolution": options.resolution}
-    joints = options.joints
+    joints, weights = options.joints, options.weights
     with progress_bar() as progress:
         progress.add_task("searching", total=None)
-        started = time.perf_counter()
-        path = planners.plan(
+        return planners.plan(
             checker,
             start,
             goal,
@@ -142,15 +184,24 @@ def _found(
             timeout=options.timeout,
             simplify=not options.no_simplify,
             seed=options.seed,
+            full=True,
+            improve_for=options.improve_for,
+            weights=None if weights is None else _weights(weights),
             **{name: value for name, value in given.items() if value is not None},
         )
-        return path, time.perf_counter() - started
 
 
-def _answer(
-    checker: loewner.CollisionChecker, path: Floats, seconds: float, options: argparse.Namespace
-) -> dict[str, Any]:
+def _weights(text: str) -> list[float]:
+    """Read the numbers of an option."""
+    try:
+        return _tables.row(text)
+    except ValueError as error:
+        raise InputError(f"--weights: expected numbers, found {text!r} ({error})") from None
+
+
+def _answer(checker: loewner.CollisionChecker, plan: planners.Plan, options: argparse.Namespace) -> dict[str, Any]:
     """Make the full report on a path."""
+    path = plan.path
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
     found = checker.certify_edges(a, b, joint_error=options.joint_error)
@@ -184,9 +235,12 @@ def _answer(
         "configurations": path.tolist(),
         "motions": motions,
         "length": float(lengths.sum()),
+        "cost": plan.cost,
+        "cost_bound": plan.bound,
+        "improvements": plan.iterations,
         "measured": MEASURED,
         "checked_pairs": len(checker.checked_pairs),
-        "seconds": seconds,
+        "seconds": plan.seconds,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
     }
@@ -213,6 +267,10 @@ def _print_answer(answer: dict[str, Any]) -> None:
         )
     work = [sum(motion[kind] for motion in motions) for kind in ("poses", "searches")]
     print(f"length    {answer['length']:.6g}, in the units of the joints")
+    print(
+        f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
+        f"{answer['cost_bound']:.6g}; {answer['improvements']} rounds of improvement"
+    )
     print(
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
     )

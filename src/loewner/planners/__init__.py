@@ -1,20 +1,26 @@
 """Plan paths whose motions are proven free from start to goal, and make trajectories from the paths."""
 
 from loewner.planners.controller_points import ControllerPoints
+from loewner.planners.improving import Plan
 from loewner.planners.joint_limits import JointLimits
+from loewner.planners.lines import straight
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.roadmaps import Roadmap, roadmap
 from loewner.planners.trajectories import Trajectory, trajectory
 
 __all__ = [
     "ControllerPoints",
     "JointLimits",
+    "Plan",
+    "PoseGoal",
     "Roadmap",
     "Trajectory",
     "plan",
     "roadmap",
     "shorten",
     "space_information",
+    "straight",
     "trajectory",
 ]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from functools import cache
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
+from loewner._low_discrepancy import irrationals
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
@@ -79,6 +80,78 @@ class Trees(NamedTuple):
         return values
 
 
+@dataclass(eq=False)
+class Growth:
+    """Two trees, and the arrays from which the kernel lets them grow.
+
+    Attributes
+    ----------
+    space : Space
+    judge : Judge
+    start : ndarray, shape (dof,)
+    goals : ndarray, shape (goals, dof)
+    numbers, limits, reach
+        `joints`, `limits` and `reach` of `connect_trees`.
+    trees : Trees
+    state, gap : ndarray
+        See `connect_trees`.
+    """
+
+    space: Space
+    judge: Judge
+    start: Floats
+    goals: Floats
+    numbers: Ints
+    limits: Floats
+    reach: Floats
+    trees: Trees
+    state: Ints
+    gap: Floats
+
+    @classmethod
+    def of(cls, space: Space, judge: Judge, start: Floats, goals: Floats, weights: Floats | None = None) -> Growth:
+        """Allocate memory for the trees; `weights` are factors for differences of the joints that move."""
+        joints, root = len(space.columns), start[space.columns]
+        numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((5, joints))
+        numbers[0], numbers[1] = space.columns, space.turning
+        limits[0], limits[1] = space.lower, space.upper
+        limits[0, space.turning] = root[space.turning] - np.pi
+        limits[1, space.turning] = root[space.turning] + np.pi
+        limits[4] = 1.0 if weights is None else weights
+        low, high = limits[4] * limits[:2]
+        longest = math.dist(low.tolist(), high.tolist()) * SHARE
+        judge = judge.up_to(math.dist(limits[0].tolist(), limits[1].tolist()) * (SHARE if weights is None else 1.0))
+        trees = Trees.of(joints, max(CAPACITY, 2 * len(goals)))
+        state, gap = np.zeros(STATE, dtype=np.int64), np.array([np.inf])
+        return cls(space, judge, start, goals, numbers, limits, np.array([longest, np.inf]), trees, state, gap)
+
+    def rooted(self, seed: int) -> Growth:
+        """Begin anew from the start and the goals."""
+        at = self.space.columns
+        self.trees.rooted(self.start[at], self.goals[:, at])
+        self.limits[2], self.limits[3] = _sequence(len(at), seed)
+        self.state[:], self.gap[0] = 0, np.inf
+        self.state[STARTS], self.state[GOALS], self.state[RANDOM] = 1, len(self.goals), seed
+        return self
+
+    def on(self, most: int) -> int:
+        """Let the trees grow until they meet, for at most this number of iterations in all; return the outcome."""
+        outcome = codes.FULL
+        while outcome == codes.FULL:
+            points, ends = np.empty((4, len(self.space.columns))), np.array([self.start, self.start])
+            outcome = entries.connect_trees(
+                most, self.reach, *self.judge.asked(), self.numbers, self.limits, *self.trees, self.state, self.gap,
+                ends, points, np.empty(self.trees.capacity),
+            )  # fmt: skip
+            if outcome == codes.FULL:
+                self.trees = self.trees.grown()
+        return int(outcome)
+
+    def path(self) -> Floats:
+        """Return the path through both trees."""
+        return _path(self.space, self.judge, self.trees, self.state)
+
+
 def connect(
     space: Space,
     judge: Judge,
@@ -96,20 +169,8 @@ def connect(
     PlanningError
         If no path was found within the iterations or in time.
     """
-    joints, many, root = len(space.columns), len(goals), start[space.columns]
-    numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((4, joints))
-    numbers[0], numbers[1] = space.columns, space.turning
-    limits[0], limits[1] = space.lower, space.upper
-    limits[0, space.turning] = root[space.turning] - np.pi
-    limits[1, space.turning] = root[space.turning] + np.pi
-    limits[2], limits[3] = _sequence(joints, seed)
-    longest = math.dist(limits[0].tolist(), limits[1].tolist()) * SHARE
-    judge = judge.up_to(longest)
-    asked = judge.asked()
-    trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(root, goals[:, space.columns])
-    state = np.zeros(STATE, dtype=np.int64)
-    state[STARTS], state[GOALS] = 1, many
-    gap, points, ends = np.array([np.inf]), np.empty((3, joints)), np.array([start, start])
+    growth = Growth.of(space, judge, start, goals).rooted(seed)
+    state, gap = growth.state, growth.gap
     began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)
     while outcome != codes.MET:
@@ -118,36 +179,18 @@ def connect(
             raise PlanningError(_how_far(judge, state, gap, f"within {max_iterations} iterations", "max_iterations"))
         if began is not None and time.monotonic() - began > timeout:
             raise PlanningError(_how_far(judge, state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
-        if outcome == codes.FULL:
-            trees = trees.grown()
         called = time.monotonic()
-        outcome = entries.connect_trees(
-            min(done + portion, max_iterations), longest, *asked, numbers, limits, *trees, state, gap, ends,
-            points, np.empty(trees.capacity),
-        )  # fmt: skip
+        outcome = growth.on(min(done + portion, max_iterations))
         now = time.monotonic()
         portion = min(2 * portion, AT_A_TIME) if now - called < A_WHILE else max(portion // 2, 1)
         began = began or now
-    return _path(space, judge, trees, state)
+    return growth.path()
 
 
 def _sequence(joints: int, seed: int) -> tuple[Floats, Floats]:
     """Return strides and shifts of a low-discrepancy sequence; its k-th entry is the fraction of shift + k strides."""
-    strides, shifts = _irrationals(joints)
+    strides, shifts = irrationals(joints)
     return strides, np.modf(0.5 + seed * shifts)[0]
-
-
-@cache
-def _irrationals(joints: int) -> tuple[Floats, Floats]:
-    """Compute powers of the root of x^(d + 1) = x + 1 (the golden ratio for d = 1), and numbers independent of them.
-
-    Roberts: The unreasonable effectiveness of quasirandom sequences, 2018.
-    """
-    root = 2.0
-    for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (joints + 1))
-    order = np.arange(1.0, joints + 1.0)
-    return root**-order, np.modf(np.pi * np.sqrt(order + 1.0))[0]
 
 
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loewner._kernels import codes
 from loewner._validate import Floats
 from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
-from loewner.queries import Verdict
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.verdicts import contacts
@@ -95,7 +95,7 @@ def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[
         if space.outside(near) or not space.free(near):
             continue
         first, last = (q, near) if at_start else (near, q)
-        if prove_by_rules(ready, first[None], last[None], TOLERANCE).verdicts[0] == Verdict.FREE:
+        if prove_by_rules(ready, first[None], last[None], TOLERANCE).verdicts[0] == codes.FREE:
             return near, ""
     a, b = touching[0].name_a, touching[0].name_b
     return q, (

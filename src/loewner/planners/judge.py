@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner._kernels import columns
+from loewner._kernels import codes, columns
 from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import InputError, PlanningError
@@ -126,11 +126,11 @@ class Judge:
             courses = straight(self.ready.robot, Q0, Q1)
             return self.proven(courses, deviations(courses, self.joint_error))
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
-        return np.asarray(found == Verdict.FREE)
+        return np.asarray(found == codes.FREE)
 
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
         """Return which courses of a batch are proven free, including all deviations of up to `off`."""
-        return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
+        return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == codes.FREE)
 
 
 def free_now(judge: Judge, a: Floats, b: Floats) -> bool:
@@ -159,7 +159,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     if not free.all() and len(judge.ready.ruled) and judge.joint_error is None:
         touching = np.flatnonzero(~free)  # in the order of the path, on which the rules depend
         receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
-        free[touching] = receding.verdicts == Verdict.FREE
+        free[touching] = receding.verdicts == codes.FREE
         rows = np.setdiff1d(np.append(touching, touching + 1), [0, len(path) - 1])
         if free.all() and (deeper := deeper_than_ends(judge.ready, path, rows, TOLERANCE)) is not None:
             row, pair = deeper

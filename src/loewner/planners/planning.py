@@ -3,26 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Literal, Unpack, overload
 
 from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
-from loewner.planners import compiled, ompl_planners
+from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge, refuse_unfree
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.edges import checked_path
 
 
+class Options(improving.Options, total=False):
+    """All options of `plan` except `full`."""
+
+    joints: str | Iterable[str] | None
+    planner: str | Callable[[Any], Any] | None
+    certified: bool
+    joint_error: ArrayLike
+    resolution: float
+    max_iterations: int
+    timeout: float
+    simplify: bool
+    seed: int
+
+
+@overload
+def plan(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike | PoseGoal,
+    *,
+    full: Literal[False] = ...,
+    **options: Unpack[Options],
+) -> Floats: ...
+@overload
+def plan(
+    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, *, full: Literal[True],
+    **options: Unpack[Options],
+) -> improving.Plan: ...  # fmt: skip
 @guarded
 def plan(
     checker: CollisionChecker,
     start: ArrayLike,
-    goal: ArrayLike,
+    goal: ArrayLike | PoseGoal,
     *,
     joints: str | Iterable[str] | None = None,
     planner: str | Callable[[Any], Any] | None = None,
@@ -33,7 +62,9 @@ def plan(
     timeout: float = 10.0,
     simplify: bool = True,
     seed: int = 0,
-) -> Floats:
+    full: bool = False,
+    **improvement: Unpack[improving.Options],
+) -> Floats | improving.Plan:
     """Find a path from start to goal that is proven free of collisions everywhere.
 
     Parameters
@@ -41,9 +72,9 @@ def plan(
     checker : CollisionChecker
         Bodies attached in its scene move with the robot.
     start : array_like, shape (dof,)
-    goal : array_like, shape (dof,) or (goals, dof)
-        One goal or several; reaching any of them is enough. Goals that are obviously unreachable (outside the limits,
-        or colliding) are ignored, as long as one remains.
+    goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
+        One goal or several, or poses of a link; reaching any of them is enough. Goals that are obviously unreachable
+        (outside the limits, or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all.
     planner : str or callable, optional
@@ -67,10 +98,22 @@ def plan(
     seed : int
         Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this sets OMPL's seed,
         which applies to the whole process.
+    full : bool
+        Return a `Plan`, which contains the path, its cost and a lower bound on the cost.
+    improve_for : float, optional
+        Improve the path until this number of seconds has passed since the call began; the first path is returned in any
+        case. Default: do not improve it, unless `improve_iterations` is given.
+    improve_iterations : int, optional
+        Limit on the number of rounds of improvement; equal numbers and seeds give equal paths, unless the time is over
+        before. Without `improve_for`, the time is `timeout`.
+    weights : array_like, shape (dof,), optional
+        Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
+        the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
+        Default: one for each value.
 
     Returns
     -------
-    ndarray, shape (k, dof)
+    ndarray, shape (k, dof), or Plan
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
         joint that turns without limits takes the shorter way around, so it ends at the goal's value or whole turns from
         it (with OMPL's planners, always at the goal's value).
@@ -78,7 +121,8 @@ def plan(
     Raises
     ------
     PlanningError
-        If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths), or
+        If a pose cannot be reached (the message states how near the link came); if the start or all goals are outside
+        the limits or collide (the message names joints, or pairs and depths), or
         are not proven free within the joint error (the message states the largest error that is proven); if no short
         motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
         found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
@@ -104,6 +148,9 @@ def plan(
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
     Yershova et al. (ICRA 2005). A motion of a tree is at most as long as a twelfth of the diagonal of the limits.
 
+    Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
+    2014), and polishes the new path and the best one: corners are cut or moved, and single joints are straightened.
+
     Examples
     --------
     >>> from loewner import CollisionChecker, Robot
@@ -118,14 +165,22 @@ def plan(
     seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
-    q, goals = checked_ends(checker, start, goal)
+    full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
+    better = improving.Improvement.of(robot, improvement, full, make is None, timeout)
+    q, goals = checked_ends(checker, start, goal, joints)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
     ends = Departures.of(space, judge, q, goals)
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge)
+    rounds = 0
     if make is not None:
-        return ends.joined(ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed))
-    found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
-    return ends.joined(compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed) if simplify else found)
+        found = ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed)
+    else:
+        found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
+        if simplify:
+            found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
+        found, rounds = improving.improved(space, judge, found, goals, better, seed)
+    path = ends.joined(found)
+    return better.plan(path, ends, goals, rounds) if full else path
 
 
 @guarded

@@ -25,6 +25,7 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
@@ -279,15 +280,17 @@ class Roadmap:
         sizes = np.bincount(self._now().labels)
         return np.sort(sizes[sizes > 1])[::-1]
 
-    def path(self, start: ArrayLike, goal: ArrayLike, *, joint_error: ArrayLike = 0.0, simplify: bool = True) -> Floats:
+    def path(
+        self, start: ArrayLike, goal: ArrayLike | PoseGoal, *, joint_error: ArrayLike = 0.0, simplify: bool = True
+    ) -> Floats:
         """Find a path from start to goal that is proven free of collisions everywhere.
 
         Parameters
         ----------
         start : array_like, shape (dof,)
-        goal : array_like, shape (dof,) or (goals, dof)
-            One goal or several; with several goals, the path leads to the goal that is nearest along the roadmap. Goals
-            that are outside the limits or collide are ignored, as long as one remains.
+        goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
+            One goal or several, or poses of a link; with several goals, the path leads to the goal that is nearest
+            along the roadmap. Goals that are outside the limits or collide are ignored, as long as one remains.
         joint_error : float or array_like, shape (dof,)
             As for `plan`. Motions of the roadmap are proven within it when a path needs them.
         simplify : bool
@@ -321,7 +324,7 @@ class Roadmap:
                [2., 0.]])
         """
         simplify = _validate.flag(simplify, "simplify")
-        q, goals = checked_ends(self.checker, start, goal)
+        q, goals = checked_ends(self.checker, start, goal, self.joint_names)
         # Where a joint has no limits, they follow from start and goals.
         space = Space.of(self.checker, self.joint_names, q, goals)
         if not space.outside(q):  # faults of limits are reported first

@@ -17,9 +17,11 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.pose_goals import PoseGoal, goals_of
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
+from loewner.robots.robot import named_joints
 
 # A smaller deviation, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
@@ -205,14 +207,20 @@ class Space:
         )
 
 
-def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
+def checked_ends(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike | PoseGoal,
+    joints: str | Iterable[str] | None = None,
+) -> tuple[Floats, Floats]:
     """Check a user's start and goals; return them with shapes (dof,) and (goals, dof)."""
     robot = checked_checker(checker).robot
-    q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
+    q = robot.checked_one(start, "start")
+    given = goals_of(goal, robot, q, joints)
+    goals = np.atleast_2d(robot.checked(given, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
-        raise InputError(
-            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(np.shape(goal))}"
-        )
+        found = _validate.shape_text(np.shape(given))
+        raise InputError(f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {found}")
     return q, goals
 
 
@@ -258,19 +266,8 @@ def _refuse_start(fault: str) -> None:
 
 def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
     """Return the columns of a group, of the given joints or of all joints, in ascending order."""
-    if isinstance(joints, str):
-        if joints not in robot.groups and joints not in robot.joint_names:
-            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
-        names = list(robot.groups.get(joints, (joints,)))
-    else:
-        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
-    if not names:
-        raise InputError(
-            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
-        )
+    names = named_joints(robot, joints)
     for name in names:
-        if not isinstance(name, str) or name not in robot.joint_names:
-            raise _validate.unknown_name("joints", name, robot.joint_names)
         if name not in robot.configuration_names:
             raise InputError(
                 f"joints: expected joints of one value each, found {name!r}, which is planar or floating, or a ball "

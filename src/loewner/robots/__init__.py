@@ -10,6 +10,7 @@ from loewner.robots.checker import CollisionChecker
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
+from loewner.robots.reaching import Reached
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
 from loewner.robots.verdicts import Settled
@@ -20,6 +21,7 @@ __all__ = [
     "CollisionChecker",
     "PairDistances",
     "Part",
+    "Reached",
     "Robot",
     "Settled",
     "StateDistance",

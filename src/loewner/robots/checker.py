@@ -282,9 +282,9 @@ class CollisionChecker:
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
         found, fractions = verdicts.sampled(ready, a, b, step)
-        for k in np.flatnonzero(found == Verdict.AMBIGUOUS)[:1]:
+        for k in np.flatnonzero(found == codes.AMBIGUOUS)[:1]:
             verdicts.expect_settled(ready, self.robot.between(a[k], b[k], fractions[k])[None], found[k : k + 1])
-        valid = np.asarray(found == Verdict.FREE)
+        valid = np.asarray(found == codes.FREE)
         return valid.reshape(shape) if shape else bool(valid[0])
 
     def certify_edges(

@@ -11,12 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from loewner import queries
-from loewner._kernels import columns
+from loewner._kernels import codes, columns
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, bodies_of, packed_of
 from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
-from loewner.queries import Verdict
 from loewner.robots import motions
 from loewner.robots.problem import Problem
 
@@ -75,9 +74,9 @@ def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) ->
             fractions = [low + (high - low) * share for share in doubtful]
             distances = [_distance(ready, pair, ready.robot.between(a, b, fraction)) for fraction in fractions]
             worst = int(np.argmin(distances))
-            verdict = Verdict.COLLIDING if distances[worst] <= least else Verdict.AMBIGUOUS
+            verdict = codes.COLLIDING if distances[worst] <= least else codes.AMBIGUOUS
             return int(verdict), fractions[worst]
-    return int(Verdict.FREE), np.nan
+    return codes.FREE, np.nan
 
 
 def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
@@ -109,7 +108,7 @@ def _leaves(
     alone = ready.only(np.array([pair]))
     margin, at_start = float(ready.margins[pair]), _distance(ready, pair, a)
     found = motions.settle(alone, np.stack([a, b])[None], FOR_PROOF * tolerance, off)
-    if found.verdicts[0] == Verdict.FREE:
+    if found.verdicts[0] == codes.FREE:
         return [], margin
     if at_start > margin + tolerance:  # no contact to end
         return [float(found.fractions[0])], margin
@@ -120,14 +119,14 @@ def _leaves(
     for share in STRETCHES.tolist():
         middle = b if share == 1.0 else ready.robot.between(a, b, share)
         found = motions.settle(beside, np.stack([a, middle])[None], for_proof, off)
-        if found.verdicts[0] == Verdict.FREE:
+        if found.verdicts[0] == codes.FREE:
             break
         doubtful.append(share * float(found.fractions[0]))
     else:
         return doubtful, least
     if share < 1.0:
         found = motions.settle(alone, np.stack([middle, b])[None], FOR_PROOF * tolerance, off)
-    if found.verdicts[0] == Verdict.FREE:
+    if found.verdicts[0] == codes.FREE:
         return [], margin
     return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], least
 

@@ -152,7 +152,7 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
         The segments in which these times lie.
     Q : ndarray, shape (n, dof)
     """
-    unproven = np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    unproven = np.flatnonzero(found.segments.verdict != codes.FREE)
     ticks, lengths = np.linspace(curve.times[0], curve.times[-1], MEASURED), np.diff(curve.times)
     numbers = np.clip(np.searchsorted(curve.times, ticks, side="right") - 1, 0, len(lengths) - 1)
     shares = np.clip((ticks - curve.times[numbers]) / lengths[numbers], 0.0, 1.0)
@@ -323,10 +323,12 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 
 def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
     """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
+    if isinstance(given, float) and 0.0 <= given < np.inf:
+        return np.full(robot.dof, given)  # the checks take as long as the proof of a motion
     array = _validate.finite_array(given, name, ("...",))
     wanted = f"{name}: expected one number >= 0 or {robot.dof} of them, found"
     if array.shape not in ((), (robot.dof,)):
         raise InputError(f"{wanted} {_validate.shape_text(array.shape)}")
     for k in np.flatnonzero(array < 0)[:1]:
         raise InputError(f"{wanted} {array.flat[k]:g}{f' for {robot.configuration_names[k]}' if array.ndim else ''}")
-    return np.broadcast_to(array, robot.dof).copy()
+    return np.full(robot.dof, array)

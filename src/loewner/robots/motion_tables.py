@@ -19,6 +19,9 @@ from loewner.robots.robot import Robot
 # An allowance for rounding, and for the stretching by poses of a base or a body that are accepted as rigid.
 STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
 
+# Pairs in a group.
+LANES = 8
+
 # Angles at which a joint's rotation is compared with an orthonormal one. The difference is a sum of waves of up to
 # twice the angle, and its maximum is less than twice the largest of eight samples.
 ANGLES = np.arange(8) * (np.pi / 4)
@@ -64,6 +67,18 @@ def chains_of(robot: Robot) -> Chains:
     if known is None:
         known = _known[robot] = Chains(*_paths(robot.tree), _lengths(robot.tree), _bend(robot.tree))
     return known
+
+
+def pairs_in_groups(moving: int, pairs: Ints) -> tuple[Ints, Ints]:
+    """Put the pairs with static bodies in groups of eight: `group_start`, `group_pairs` of `records.MotionTables`."""
+    at = np.flatnonzero(pairs[:, 1] >= moving)
+    at = at[np.argsort(pairs[at, 0], kind="stable")]
+    counts = np.bincount(pairs[at, 0], minlength=moving)
+    ends, groups = np.cumsum(counts), -(-counts // LANES)
+    start = np.cumsum([0, *groups])
+    body = np.repeat(np.arange(moving), LANES * groups)
+    number = np.arange(LANES * start[-1]) - LANES * start[body] + (ends - counts)[body]
+    return start, at[np.minimum(number, ends[body] - 1)]
 
 
 def _paths(tree: Tree) -> tuple[Ints, Ints]:

@@ -105,11 +105,10 @@ class Found(NamedTuple):
             names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
             poses, searches = self.work[0].tolist()
             return CertifiedMotions(Verdict(int(self.verdicts[0])), float(self.fractions[0]), names, poses, searches)
-        pairs = np.append(ready.pairs, [[-1, -1]], axis=0)[self.pairs]
         poses, searches = self.work.T.reshape(2, *shape)
         return CertifiedMotions(
             self.verdicts.reshape(shape), self.fractions.reshape(shape),
-            np.array([*ready.names, ""])[pairs].reshape(*shape, 2), poses, searches,
+            ready.names_of_pairs[self.pairs].reshape(*shape, 2), poses, searches,
         )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_parts
-from loewner.robots.motion_tables import chains_of
+from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
 
 # Configurations a thread takes at a time, at least: about half a millisecond of work.
@@ -38,7 +38,7 @@ POSES_AT_ONCE = 2**20 * 3 // 4
 
 # Rows of the table of arrays: where the arrays of `records.MotionTables` begin, the order of the pairs, and the arrays
 # that kernels write.
-_MOTIONS, _ORDER, _WRITTEN = 14, 10, [11, 12, 13, 16, 17, 18]
+_MOTIONS, _ORDER, _WRITTEN = 14, 10, [11, 12, 13, 16, 17, 18, 22]
 
 
 class PreparedMotions(NamedTuple):
@@ -66,8 +66,8 @@ class Standing(NamedTuple):
     ----------
     memory : ndarray
         The block.
-    reach, exact_rows, sizes : ndarray
-        `reach`, `standing_rows` and `sizes` of `records.MotionTables`.
+    reach, exact_rows, sizes, groups : ndarray
+        `reach`, `standing_rows`, `sizes` and `groups` of `records.MotionTables`.
     bounds, rows, poses : ndarray
         `standing`, `standing_rows` and `standing_poses` of `records.Problem`.
     """
@@ -76,17 +76,19 @@ class Standing(NamedTuple):
     reach: Floats
     exact_rows: Floats
     sizes: Floats
+    groups: Floats
     bounds: NDArray[np.float32]
     rows: NDArray[np.float32]
     poses: Floats
 
     @classmethod
-    def of(cls, packed: Packed, moving: int, links: int) -> Standing:
+    def of(cls, packed: Packed, moving: int, links: int, groups: int) -> Standing:
         """Allocate memory; the poses differ from all others."""
         bodies, pieces = len(packed.piece_start) - 1, int(packed.piece_start[-1] - packed.piece_start[moving])
         static, f = bodies - moving, np.float32
         shapes = (
-            ((bodies, links), float), ((pieces, columns.HOT), float), ((static,), float), ((static, columns.BOUNDS), f),
+            ((bodies, links), float), ((pieces, columns.HOT), float), ((static,), float), ((groups,), float),
+            ((static, columns.BOUNDS), f),
             ((pieces, columns.HOT), f), ((static, 16), float),
         )  # fmt: skip
         sizes = [math.prod(shape) * np.dtype(kind).itemsize // 8 for shape, kind in shapes]
@@ -132,8 +134,8 @@ class Problem:
     hits : ndarray of int64, shape (pairs,)
         Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
         these affect only the order of the pairs.
-    motion_order, chain : ndarray
-        `order` and `chain` of `records.MotionTables`.
+    motion_order, group_start, group_pairs, chain : ndarray
+        `order`, `group_start`, `group_pairs` and `chain` of `records.MotionTables`.
     table : ndarray of int64
         Addresses of the arrays of `records.Problem`, and then of `records.MotionTables`.
     """
@@ -155,6 +157,8 @@ class Problem:
     standing: Standing
     hits: Ints
     motion_order: Ints
+    group_start: Ints
+    group_pairs: Ints
     chain: Floats
     table: Ints
 
@@ -180,18 +184,20 @@ class Problem:
         moving = join(packs[: len(link)]) if moving is None else moving
         packed = join([moving, *packs[len(link) :]]) if packed is None else packed
         chains, balls = chains_of(robot), np.empty((len(link), 5))
-        standing = Standing.of(packed, len(link), len(robot.tree.parent))
+        group_start, group_pairs = pairs_in_groups(len(link), pairs)
+        standing = Standing.of(packed, len(link), len(robot.tree.parent), LANES * len(group_pairs))
         order, chain = np.arange(len(pairs)), chains.chain(packed, link)
         # Bodies far out on the robot move most, and collide most often.
         motion_order = np.argsort(-chains.depth(link)[pairs[:, 0]], kind="stable")
         arrays = (
             *robot.tree, link, balls, pairs, margins, order, standing.bounds, standing.rows, standing.poses,
             chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, motion_order,
-            chain,
+            group_start, group_pairs, standing.groups, chain,
         )  # fmt: skip
         made = cls(
             robot, *versions, names, tuple(packs), moving, packed, link, balls, pairs, margins, leaving, reaching,
-            order, standing, np.zeros(len(pairs), dtype=np.int64), motion_order, chain, records.table_of(arrays),
+            order, standing, np.zeros(len(pairs), dtype=np.int64), motion_order, group_start, group_pairs, chain,
+            records.table_of(arrays),
         )  # fmt: skip
         entries.measure_moving(packed.handle, made.handle, made.handle_of_motions)
         return made
@@ -258,6 +264,11 @@ class Problem:
         return self.handle + 8 * records.ENTRIES * _MOTIONS
 
     @kept
+    def names_of_pairs(self) -> NDArray[np.str_]:
+        """Names of all pairs, shape (pairs + 1, 2); the last row is empty."""
+        return np.asarray(np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)])
+
+    @kept
     def memory(self) -> int:
         """Scratch memory for verdicts."""
         return int(entries.memory_size(self.packed.handle, self.handle, self.robot.dof))
@@ -297,7 +308,7 @@ class Problem:
         chains, standing = chains_of(self.robot), self.standing
         tables = MotionTables(
             chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, self.motion_order,
-            self.chain,
+            self.group_start, self.group_pairs, standing.groups, self.chain,
         )  # fmt: skip
         return PreparedMotions(tables, self.table, self.handle_of_motions, self.memory_of_motions)
 

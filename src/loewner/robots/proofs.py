@@ -6,7 +6,6 @@ import numpy as np
 
 from loewner._kernels import codes
 from loewner._validate import Floats
-from loewner.queries import Verdict
 from loewner.robots import contacts, motions, verdicts
 from loewner.robots.courses import configurations, straight
 from loewner.robots.motions import Found
@@ -45,19 +44,19 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
     courses = straight(ready.robot, a, b)
     off = deviations(courses, joint_error)
     found = prove(ready, courses, tolerance, off)
-    at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) and off is None else ready.ruled[:0]
+    at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) and off is None else ready.ruled[:0]
     if len(at) == 0:
         return found
     rest = prove(ready.unruled, courses[at], tolerance)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
     found.work[at] += rest.work
-    for k in at[rest.verdicts == Verdict.FREE]:
+    for k in at[rest.verdicts == codes.FREE]:
         for pair in ready.ruled.tolist():
             verdict, fraction = contacts.settle(ready, pair, a[k], courses[k, 1], tolerance)
-            if verdict != Verdict.FREE:
+            if verdict != codes.FREE:
                 found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, fraction, pair
-                if verdict == Verdict.COLLIDING:
+                if verdict == codes.COLLIDING:
                     break
     return found
 
@@ -83,20 +82,20 @@ def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
     """
     doubtful = found.verdicts == codes.BY_CARE
     if not (ready.robot.runs_straight and courses.shape[1] == 2):
-        doubtful |= found.verdicts == Verdict.COLLIDING
+        doubtful |= found.verdicts == codes.COLLIDING
     at = doubtful.nonzero()[0]
     if len(at):
         Q = configurations(ready.robot, courses[at], found.fractions[at])
-        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == Verdict.COLLIDING
-        found.verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
+        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING
+        found.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
 
 
 def _refuse_starts(ready: Problem, a: Floats, found: Found) -> None:
     """Keep FREE only for motions whose starts are free, if the result of `motions.settle` presupposes that."""
-    free = np.flatnonzero(found.verdicts == Verdict.FREE) if ready.starts_matter else ready.ruled[:0]
+    free = np.flatnonzero(found.verdicts == codes.FREE) if ready.starts_matter else ready.ruled[:0]
     if len(free) == 0:
         return
     for k in free[~verdicts.free(ready, a[free])]:
         of_pairs = verdicts.verdicts_at(ready, a[k])
-        verdict = Verdict.COLLIDING if (of_pairs == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
+        verdict = codes.COLLIDING if (of_pairs == codes.COLLIDING).any() else codes.AMBIGUOUS
         found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, 0.0, (of_pairs == verdict).argmax()

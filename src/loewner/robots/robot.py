@@ -24,7 +24,7 @@ from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
 from loewner.mjcf_models import read_mjcf
-from loewner.robots import assembly
+from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
@@ -573,6 +573,126 @@ class Robot:
         )
         return J.reshape(*batch, 6, self.dof)
 
+    @guarded
+    def reach(
+        self,
+        link: str,
+        T: ArrayLike,
+        *,
+        joints: str | Iterable[str] | None = None,
+        start: ArrayLike | None = None,
+        seeds: int = 64,
+        checker: reaching.Collides | None = None,
+        all: bool = False,
+        tolerance: ArrayLike | None = None,
+    ) -> reaching.Reached:
+        """Find configurations at which a link has given poses (inverse kinematics).
+
+        Parameters
+        ----------
+        link : str
+        T : array_like, shape (..., 4, 4)
+            The poses T_world_link, with translation in metres.
+        joints : str or iterable of str, optional
+            A group, or names of joints. Only these joints move. Default: all that move the link.
+        start : array_like, shape (..., dof), optional
+            Broadcast with the poses. All other joints keep these values, which are also the first seed. The second seed
+            is the answer for the previous pose, so the poses of a line are best given in order. Default:
+            `configuration()`, moved into the limits.
+        seeds : int
+            Number of further configurations from which to search, spread evenly within the limits; at least 1.
+        checker : CollisionChecker, optional
+            Look for a solution that is free, as decided by `CollisionChecker.collide`.
+        all : bool
+            Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
+        tolerance : array_like, shape (6,), optional
+            What the pose may deviate by, in the frame of the target, to either side; ``inf`` leaves a direction free.
+            Three lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about
+            its z axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis.
+            Default: zeros.
+
+        Returns
+        -------
+        Reached
+            One solution for each pose, and where there is none, how near the best attempt came.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such link, joint or group.
+        PoseError
+            If `T` is not made of rigid motions.
+        InputError
+            If none of the joints moves the link, or an argument has the wrong shape or value.
+
+        Notes
+        -----
+        Solutions are within the limits, and reach the tolerance to 1e-10 m and rad, or ten digits of the distance from
+        the world's origin if that is more. A joint that turns by more than a whole turn is returned at the angle that
+        is nearest to the start. Which solution comes first does not depend on the number of threads.
+
+        Each seed is improved by damped Newton steps, eight seeds at a time, and given up where these gain too little. A
+        redundant arm has infinitely many solutions, one for each seed or so.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> pose = robot.forward_kinematics([0.5, 1.0])[2]
+        >>> robot.reach("forearm", pose).configuration
+        array([0.5, 1. ])
+        >>> pose[0, 3] += 3.0  # the rail is too short
+        >>> found = robot.reach("forearm", pose)
+        >>> found.reached, found.residual.round(3)
+        (False, array([1.5, 0. ]))
+        """
+        poses, seeds = _validate.poses(T, "T"), _validate.whole_number(seeds, "seeds", 1, reaching.MOST_SEEDS)
+        limits = np.zeros(6) if tolerance is None else reaching.checked_tolerance(tolerance)
+        if checker is not None and getattr(checker, "robot", None) is not self:
+            raise InputError(
+                f"checker: expected a loewner.CollisionChecker of this robot, found {_validate.short(checker)}"
+            )
+        every, chain = _validate.flag(all, "all"), self.chain_to(link, joints)
+        begin = self.configuration().clip(self.lower, self.upper) if start is None else self.checked(start, "start")
+        return reaching.reach(chain, poses, begin, seeds=seeds, checker=checker, every=every, tolerance=limits)
+
+    def chain_to(self, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
+        """Return the joints that place a link, in the form that `reach` takes.
+
+        Parameters
+        ----------
+        link : str
+        joints : str or iterable of str, optional
+            As for `reach`.
+
+        Returns
+        -------
+        Chain
+
+        Raises
+        ------
+        UnknownNameError, InputError
+            As for `reach`.
+        """
+        if not isinstance(link, str) or link not in self.link_names:
+            raise _validate.unknown_name("link", link, self.link_names)
+        moving = named_joints(self, joints)
+        key = link, tuple(moving)
+        if key not in self._chains:
+            moves = np.zeros(self.dof, dtype=bool)
+            for joint in moving:
+                moves[self._columns[joint]] = True
+            limits, usual = np.stack([self.lower, self.upper]), np.stack(self.usual_range(np.pi))
+            made = reaching.chain(self.tree, self.link_names.index(link), moves, limits, usual)
+            if not made.moving.any():
+                raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
+            self._chains[key] = made
+        return self._chains[key]
+
+    @kept
+    def _chains(self) -> dict[tuple[str, tuple[str, ...]], reaching.Chain]:
+        """Chains that have been made, by link and joints."""
+        return {}
+
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
         """Check configurations and return them in the form that kernels take: C-order float64.
 
@@ -840,6 +960,24 @@ class Robot:
         return {
             joint: slice(at.stop - 4, at.stop) for joint, at in self._columns.items() if at.stop - at.start in widths
         }
+
+
+def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
+    """Return the names of the joints of a group, of given joints or of all joints, at least one."""
+    if isinstance(joints, str):
+        if joints not in robot.groups and joints not in robot.joint_names:
+            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
+        names = list(robot.groups.get(joints, (joints,)))
+    else:
+        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
+    if not names:
+        raise InputError(
+            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
+        )
+    for name in names:
+        if not isinstance(name, str) or name not in robot.joint_names:
+            raise _validate.unknown_name("joints", name, robot.joint_names)
+    return names
 
 
 def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:

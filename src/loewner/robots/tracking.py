@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
+from loewner._kernels import codes
 from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.queries import Verdict
@@ -32,7 +33,7 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
     """
     low, high, e = 0.0, math.inf, min(FIRST, most)
     while low < most and high > NEAR * low:
-        unproven = prove_by_rules(ready, a, b, tolerance, e * weights).verdicts != Verdict.FREE
+        unproven = prove_by_rules(ready, a, b, tolerance, e * weights).verdicts != codes.FREE
         if unproven.any():
             a, b, high = a[unproven], b[unproven], e  # the others are proven for all smaller errors, too
             if low == 0.0:
@@ -94,7 +95,7 @@ def joint_error(
     a, b = rows[:-1].copy(), rows[1:].copy()
     found = prove_by_rules(ready, a, b, tolerance)
     found.expect_short(a, b)
-    for k in np.flatnonzero(found.verdicts != Verdict.FREE)[:1]:
+    for k in np.flatnonzero(found.verdicts != codes.FREE)[:1]:
         one, other = (ready.names[n] for n in ready.pairs[found.pairs[k]])
         where = f" at the fraction {found.fractions[k]:.6g} of the motion from row {k} to row {k + 1}"
         raise InputError(

@@ -16,7 +16,6 @@ from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError
-from loewner.queries import Verdict
 from loewner.robots import edges
 from loewner.robots.problem import LEAST_SHARE, Problem
 from loewner.robots.robot import interpolated
@@ -126,7 +125,7 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
 
 def free(ready: Problem, Q: Floats) -> Bools:
     """Return which configurations, shape (N, dof), are proven free; an unsettled one is not."""
-    return np.asarray(classified(ready, codes.EXACT, Q).verdicts == Verdict.FREE)
+    return np.asarray(classified(ready, codes.EXACT, Q).verdicts == codes.FREE)
 
 
 def is_free(ready: Problem, q: Floats) -> bool:
@@ -139,7 +138,7 @@ def is_sampled_free(ready: Problem, a: Floats, b: Floats, step: float) -> bool:
     """Return whether one motion is proven free at samples at most `step` apart; an unsettled motion is not."""
     settled = ready.single.motion(a, b, step, edges.coarse_first)
     if settled is None:
-        return bool(sampled(ready, a[None], b[None], step)[0][0] == Verdict.FREE)
+        return bool(sampled(ready, a[None], b[None], step)[0][0] == codes.FREE)
     return bool(settled > 0)
 
 
@@ -171,14 +170,14 @@ def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[
         If a motion is divided into more than `edges.MOST_STEPS` steps.
     """
     parts = edges.steps(lengths(ready, a, b, step), step)
-    verdicts, fractions = np.full(len(a), Verdict.FREE, dtype=np.int8), np.full(len(a), np.nan)
+    verdicts, fractions = np.full(len(a), codes.FREE, dtype=np.int8), np.full(len(a), np.nan)
     free = np.ones(len(a), dtype=bool)
     for edge, at in edges.rounds(parts, free):
         out = classified(ready, codes.EXACT, interpolated(ready.robot, a[edge], b[edge], at[:, None])).verdicts
-        for verdict in (Verdict.AMBIGUOUS, Verdict.COLLIDING):  # what collides counts more
+        for verdict in (codes.AMBIGUOUS, codes.COLLIDING):  # what collides counts more
             found = np.flatnonzero(out == verdict)
             verdicts[edge[found]], fractions[edge[found]] = verdict, at[found]
-        free[:] = verdicts == Verdict.FREE
+        free[:] = verdicts == codes.FREE
     return verdicts, fractions
 
 
@@ -206,7 +205,7 @@ def collisions_by_pair(ready: Problem, Q: Floats) -> Bools:
         for at, T in enumerate(poses, first):
             found = pair_verdicts(ready, T)
             expect_pairs_settled(ready, Q[at], found)
-            out[at] = found == Verdict.COLLIDING
+            out[at] = found == codes.COLLIDING
     return out
 
 
@@ -235,7 +234,7 @@ def contacts(ready: Problem, q: Floats) -> tuple[tuple[Contact, ...], str]:
     """Return the pairs that collide at a configuration, and a message if any pair could not be settled."""
     T = ready.poses(q[None])[0]
     verdicts = pair_verdicts(ready, T)
-    a, b = ready.pairs[verdicts == Verdict.COLLIDING].T
+    a, b = ready.pairs[verdicts == codes.COLLIDING].T
     found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
     names = ((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True))
     doubt = "".join(unsettled(ready, int(pair), q) for pair in _ambiguous(verdicts)[:1])
@@ -255,10 +254,10 @@ def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
 
 def _worst(verdicts: NDArray[np.int8]) -> int:
     """Combine the verdicts of all pairs into the verdict of the configuration."""
-    for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
+    for verdict in (codes.COLLIDING, codes.AMBIGUOUS):
         if (verdicts == verdict).any():
             return int(verdict)
-    return int(Verdict.FREE)
+    return codes.FREE
 
 
 def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
@@ -273,4 +272,4 @@ _NOWHERE = np.empty(0, dtype=np.int64)
 
 def collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
     """Convert verdicts of configurations to whether each collides."""
-    return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])
+    return bool(out[0]) if Q.ndim == 1 else (out == codes.COLLIDING).reshape(Q.shape[:-1])

@@ -16,7 +16,7 @@ from numba.core import types
 from numba.core.typing.templates import signature
 from numba.extending import intrinsic
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import DEPTH_FOUND, UNSETTLED
 from loewner._kernels.columns import POINTS_FROM, POINTS_TO
 from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled
@@ -396,7 +396,7 @@ def overlap_depth(A, B, n, W, K, result):
     return _placed_depth(vectors_a, vectors_b, error, n, W, K, result)
 
 
-@njit()
+@apart
 def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
     """`overlap_depth` of placed corners, given by their numbers of vectors of eight, which are 0 for too many."""
     if vectors_a == 0:

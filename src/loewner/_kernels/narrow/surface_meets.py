@@ -8,6 +8,8 @@ within the other.
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from loewner._kernels._jit import apart, inline
 from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, OVERLAPPING, TOUCHING, UNSETTLED
 from loewner._kernels.linalg3 import apply, cross, minus, plus
@@ -58,7 +60,8 @@ def surface_pair(A, B, near, far, memory, listed_at, room):
         AMBIGUOUS if pairs are open, or if it is open whether something lies within a solid.
     open_pairs : int
     """
-    asked = Asked(near, far, memory, listed_at, room)
+    # Addresses of NumPy's arrays have another type, for which all of this would be compiled again.
+    asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
     return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
 
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import (
     AMBIGUOUS,
     BY_INNER,
@@ -223,7 +223,7 @@ def _search(query, held):
             tiers[s] = tier
 
 
-@inline
+@apart
 def _settle_waiting(query, held):
     """Settle all waiting pairs."""
     if query.mode == EXACT:

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels._jit import apart, borrowed, inline, njit
 from loewner._kernels.columns import (
     ACROSS,
     ALONG,
@@ -67,16 +67,15 @@ workspace_size = inline(link_entries)
 
 
 @inline
-def direction_of(constants, link, k):
+def triple_of(constants, link, k):
     """Three constants of a link, from column k on."""
     return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
 
 
 @inline
-def _nine(constants, link, k):
-    return (
-        direction_of(constants, link, k) + direction_of(constants, link, k + 3) + direction_of(constants, link, k + 6)
-    )
+def nine(constants, link, k):
+    """Nine constants of a link, from column k on."""
+    return triple_of(constants, link, k) + triple_of(constants, link, k + 3) + triple_of(constants, link, k + 6)
 
 
 @inline
@@ -95,15 +94,15 @@ def axis_of(constants, link):
 
 
 @inline
-def _turned(constants, link, angle):
+def turned_by(constants, link, angle):
     """Rotation of eight turning joints."""
     s, c = sine_cosine(angle)
-    rest = _nine(constants, link, ROTATION)
-    return turned(rest, s, _nine(constants, link, SINE), c, _nine(constants, link, COSINE))
+    rest = nine(constants, link, ROTATION)
+    return turned(rest, s, nine(constants, link, SINE), c, nine(constants, link, COSINE))
 
 
 @inline
-def _by_quaternion(w, x, y, z):
+def by_quaternion(w, x, y, z):
     """Rotations of eight quaternions, of any length except 0."""
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = scale * x, scale * y, scale * z
@@ -152,7 +151,7 @@ def translation_of_link(W, link):
     return load(W, at), load(W, at + LANES), load(W, at + 2 * LANES)
 
 
-@inline
+@apart
 def place_links(tree, Q, rows, at, W):
     """Write the world poses of all links of eight configurations to W, in the layout of this module.
 
@@ -178,22 +177,22 @@ def place_links(tree, Q, rows, at, W):
     for link in range(links):
         what = kind[link]
         q = behind + column[link] * LANES
-        R = _nine(constants, link, ROTATION)
-        t = direction_of(constants, link, TRANSLATION)
+        R = nine(constants, link, ROTATION)
+        t = triple_of(constants, link, TRANSLATION)
         if what == REVOLUTE:
-            R = _turned(constants, link, load(W, q) * multiplier[link] + offset[link])
+            R = turned_by(constants, link, load(W, q) * multiplier[link] + offset[link])
         elif what == PRISMATIC:
-            t = along(t, load(W, q) * multiplier[link] + offset[link], direction_of(constants, link, ACROSS))
+            t = along(t, load(W, q) * multiplier[link] + offset[link], triple_of(constants, link, ACROSS))
         elif what == PLANAR:
-            R = _turned(constants, link, load(W, q + 2 * LANES))
-            t = along(t, load(W, q), direction_of(constants, link, ACROSS))
-            t = along(t, load(W, q + LANES), direction_of(constants, link, ALONG))
+            R = turned_by(constants, link, load(W, q + 2 * LANES))
+            t = along(t, load(W, q), triple_of(constants, link, ACROSS))
+            t = along(t, load(W, q + LANES), triple_of(constants, link, ALONG))
         elif what in (FLOATING, BALL):
             if what == FLOATING:
                 t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
                 q += 3 * LANES
             w, x, y, z = load(W, q), load(W, q + LANES), load(W, q + 2 * LANES), load(W, q + 3 * LANES)
-            R = product(R, _by_quaternion(w, x, y, z))
+            R = product(R, by_quaternion(w, x, y, z))
         above = parent[link]
         if above >= 0:
             A = rotation_of_link(W, above)

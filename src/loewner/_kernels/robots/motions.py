@@ -5,7 +5,8 @@ one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in 
 body beyond it at both ends by more than the margin and A w² / 8, proves the pair for the whole interval.
 
 cull
-    balls and boxes about swept bodies, and planes between their ellipsoids, seven intervals at a time (`sweeps`).
+    boxes about bodies in a whole block, then balls and boxes about swept bodies, and planes between their ellipsoids,
+    seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are tested at once.
 search
     a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair; a plane that proves one
     interval is tried on the others (`planes`).
@@ -48,19 +49,24 @@ from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.sweeps import (
     BODY,
+    EVERY,
     INTERVALS,
     PIECE,
+    PLACED,
+    PLACED_PIECES,
     Swept,
+    near_group,
     near_in_world,
     near_moving,
     near_piece,
     near_standing,
+    place_body,
     place_pieces,
     see_piece,
     sweep,
 )
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
-from loewner._kernels.simd.vectors import LANES, highest_bit, load, movemask
+from loewner._kernels.simd.vectors import LANES, highest_bit, load, lowest_bit, movemask
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # How far points may be from their chords [m] in the first intervals; a choice.
@@ -80,6 +86,18 @@ SETTLED_STRAY = 0.125
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
 
+# Capacity for piece pairs of a block that wait to be searched; and numbers of such a pair: some scalars come first.
+LISTED = 128
+LISTED_WAYS = 6 * LANES
+_NORMALS = LANES
+
+# Pairs that are tested before bounds about whole blocks are compared; planners put often colliding pairs there.
+FIRST_PAIRS = 4
+
+# Pieces whose ellipsoids are nearer to each other than this, as a share of the distance at which they touch, are tested
+# at once where they are nearest: most of them collide.
+DEEP = 0.7
+
 PARTS = 8  # parts into which an interval is cut at a time
 # A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
 # ends.
@@ -94,19 +112,20 @@ class Motion(NamedTuple):
 
     Attributes
     ----------
-    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables` tolerance : m confirmed :
-    whether collisions are confirmed at the poses of `collide`; if not, only FREE matters rounding : errors of computed
-    poses, and rounding of the positions of the robot's points [m] skew : relative error of turned lengths, which is
-    also added for a pair's margin strays : whether values may deviate from the course; pairs then keep a larger
-    distance points : control points of the course counts : numbers of bodies, pieces, pairs and links work : address of
-    `MEMORY`
+    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
+    tolerance : m
+    rounding : errors of computed poses, and rounding of the positions of the robot's points [m]
+    skew : relative error of turned lengths, which is also added for a pair's margin
+    strays : whether values may deviate from the course; pairs then keep a larger distance
+    points : control points of the course
+    counts : numbers of bodies, pieces, pairs and links
+    work : address of `MEMORY`
     """
 
     pack: Any
     problem: Any
     tables: Any
     tolerance: Any
-    confirmed: Any
     rounding: Any
     skew: Any
     strays: Any
@@ -126,6 +145,8 @@ class Near(NamedTuple):
     margin : m that they must keep
     slack : bound on rounding [m], and on what joints may stray from the course
     stray : share of the latter
+    lever, wave, rest : `longest_lever`, and the errors of strays along a normal: less than wave w² + rest. 0 if joints
+        do not stray, and until they are first needed.
     """
 
     pair: Any
@@ -136,6 +157,9 @@ class Near(NamedTuple):
     margin: Any
     slack: Any
     stray: Any
+    lever: Any
+    wave: Any
+    rest: Any
 
 
 # -- memory -----------------------------------------------------------------------------------
@@ -149,13 +173,15 @@ MEMORY = Arena(
     rows=integers(LANES),  # of the configurations
     times=floats(LANES),  # of the block
     scratch=floats(PIECE),  # a piece relative to another body
-    normals=floats(3 * LANES),  # directions from `sweeps.near_piece`
+    near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
+    listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
+    listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
     relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
-    waiting=integers(WAITING, 4),  # piece pairs to be halved: pair, i, j, the interval's number
-    waiting_ways=floats(WAITING, 8),  # their normals, `Ways`, margin and slack
+    waiting=integers(WAITING, 3),  # intervals to be halved: row in the list of piece pairs, number, whether undecided
+    waiting_normals=floats(WAITING, 3),
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
     cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
-    alone=floats(2, 4, 4),  # poses of two bodies where a collision is confirmed
+    ends=floats(4, 4, 4),  # poses at both ends of an interval that is halved: of the first body, then of the other one
     stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
@@ -171,7 +197,7 @@ MEMORY = Arena(
     planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
     rates=_RATES,
-    ways=floats(MOVING, 2),  # `Ways` of moving bodies, relative to the world
+    ways=floats(MOVING, 3),  # bend, speed and V(δ) of moving bodies, relative to the world
     swept=Arena(
         Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
         done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
@@ -180,11 +206,11 @@ MEMORY = Arena(
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
 )  # fmt: skip
-_rows_of, _times_of, _scratch_of, _normals_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
-    "rows times scratch normals relative waiting waiting_ways"
+_rows_of, _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
+    "rows times scratch relative waiting waiting_normals"
 )
-_cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
-    "cut_times cut_poses alone stack stack_normals gjk exact"
+_cut_times_of, _cut_poses_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
+    "cut_times cut_poses stack stack_normals gjk exact"
 )
 _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
     "vectors simplex course part scratch_points configurations"
@@ -192,7 +218,9 @@ _vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurati
 _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
     "cut_links rates ways swept order off strays"
 )
-_gaps_of, _planes_of, _part_times_of = MEMORY.accessors("gaps planes part_times")
+_gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
+    "gaps planes part_times ends near_pairs listed listed_ways"
+)
 _size = MEMORY.sizing()
 
 
@@ -301,15 +329,22 @@ def _enough(motion, near):
 
 
 @inline
-def _least(near):
-    """Distance that pieces must keep [m] where points stay on their side of a plane."""
-    return near.margin + (near.slack - near.stray)
-
-
-@inline
 def _off(near, width):
     """Largest distance of points from their chords in an interval."""
     return near.bend * width * width / 8.0
+
+
+@inline
+def _needed(near, width):
+    """Gap along a normal, less strays along it, that proves an interval [m]."""
+    return near.margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
+
+
+@inline
+def _kept(near, width):
+    """Gap without strays along its normal that proves an interval, and the least that is of use in seven parts [m]."""
+    keep = near.margin + near.slack + _off(near, width)
+    return keep, min(_needed(near, width / INTERVALS), keep)
 
 
 @inline
@@ -319,83 +354,68 @@ def _moved(near, width):
 
 
 @inline
-def _write_gaps(motion, near, W, n, count):
-    """Write the gaps of a pair along n at the eight configurations of W, as `planes.write_gaps`."""
-    pieces, problem = pieces_of(motion.pack), problem_of(motion.problem)
+def _write_gaps(motion, near, W, n, directed):
+    """Write gaps along n at the eight configurations of W, less strays along n if `directed`."""
+    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     one, other, moving = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1], motion.counts.moving
     still, link, fixed, row = _standing_poses(problem), problem.link[one], -1, other - moving
     if other < moving:
         fixed, row = problem.link[other], 0
-    strays, gaps = _planes_of(motion), _gaps_of(motion)
+    strays, gaps, count = _planes_of(motion), _gaps_of(motion), -1
+    if directed:
+        off = _strays_of(motion)
+        count = write_strays_along(
+            problem.tree, tables, pieces.hot, W, off, near.lever, link, fixed, near.i, n, strays
+        )  # fmt: skip
     write_gaps(pieces, W, link, fixed, still, row, near.i, near.j, n, strays, count, gaps)
 
 
 @apart
-def _beyond(motion, near, swept, n, live):
-    """Leave out of the intervals `live` those for which a plane with this normal proves a pair as well."""
-    times, gaps, widest = _times_of(motion), _gaps_of(motion), 0.0
+def _open_parts(motion, near, W, times, n, directed):
+    """The intervals between eight configurations, as bits, that a plane with the normal n does not prove.
+
+    The normal is in the frame of j's body; `directed` is explained at `_write_gaps`.
+    """
+    gaps, widest = _gaps_of(motion), 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
-    _write_gaps(motion, near, swept.links, n, -1)
-    clear = movemask(load(gaps, 0) > near.margin + near.slack + _off(near, widest))
-    return live & ~(clear & (clear >> 1))
-
-
-@apart
-def _clear_between(motion, near, low, high, n):
-    """Whether a plane with the normal n, in the frame of j's body, proves an interval that is cut into seven parts."""
-    problem, tables, pieces = problem_of(motion.problem), motion_tables_of(motion.tables), pieces_of(motion.pack)
-    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
-    W, Q = _cut_links_of(motion), _configurations_of(motion)
-    course, rates, gaps, times = _course_of(motion), _rates_of(motion), _gaps_of(motion), _part_times_of(motion)
-    link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
-    widest = 0.0
-    for k in range(LANES):
-        times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(problem.tree, course, times[k], Q, k)
-        if k > 0:
-            widest = max(widest, times[k] - times[k - 1])
-    _place_at(motion, W)
-    least, count = _least(near) + _off(near, widest), -1  # no strays
-    if near.stray > 0.0:
-        ways, strays = ways_between(tables, rates, one, link, fixed), _strays_of(motion)
-        astray = ways_between(tables, strays, one, link, fixed)
-        lever = longest_lever(tables, ways, astray)
-        count = write_strays_along(
-            problem.tree, tables, pieces.hot, W, strays, lever, link, fixed, near.i, n, _planes_of(motion)
-        )  # fmt: skip
-        least += error_of_strays(ways, astray, lever + pieces.hot[near.i, OUTER_RADIUS], widest) + astray.bend
-    _write_gaps(motion, near, W, n, count)
-    return movemask(load(gaps, 0) > least) == (1 << LANES) - 1
+    _write_gaps(motion, near, W, n, directed)
+    clear = movemask(load(gaps, 0) > _needed(near, widest) + (0.0 if directed else near.stray))
+    return EVERY & ~(clear & (clear >> 1))
 
 
 @njit()
-def _place_at(motion, W):
-    """Place the links at the configurations that have been written."""
-    place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), 0, W)
+def _open_between(motion, near, low, high, n):
+    """The parts of an interval cut into seven, as bits, that a plane with the normal n does not prove."""
+    W, times = _cut_links_of(motion), _part_times_of(motion)
+    _place_between(motion, low, high, times, W)
+    return _open_parts(motion, near, W, times, n, near.stray > 0.0)
 
 
 @apart
-def _confirmed(motion, near, t, n):
-    """The result of `CollisionChecker.collide` for two pieces at this fraction, placed as it does, one at a time.
-
-    COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
-    """
-    if not motion.confirmed:
-        return COLLIDING
-    problem = problem_of(motion.problem)
-    Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _alone_of(motion)
-    for lane in range(LANES):
-        configuration_at(problem.tree, _course_of(motion), t, Q, lane)
+def _place_between(motion, low, high, times, W):
+    """Place the links at eight times from `low` to `high`, and write these; return the longest interval."""
+    tree, course, Q, widest = problem_of(motion.problem).tree, _course_of(motion), _configurations_of(motion), 0.0
+    for k in range(LANES):
+        times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
+        configuration_at(tree, course, times[k], Q, k)
+        if k > 0:
+            widest = max(widest, times[k] - times[k - 1])
     _place_at(motion, W)
-    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], 0, poses, 0)
-    other = problem.pairs[near.pair, 1]
-    if other < motion.counts.moving:
-        _copy_pose(W, problem.link[other], 0, poses, 1)
-    else:
-        _copy_standing(problem, other - motion.counts.moving, poses, 1)
-    verdict = _collides(motion, near.i, poses, 0, near.j, poses, 1, near.margin, n)
-    return AMBIGUOUS if verdict == FREE else verdict
+    return widest
+
+
+@apart
+def _ways(motion, astray, body, link, fixed):
+    """`Ways` of a body relative to a link on the course; or on the way to deviations from it, if `astray`."""
+    tables = motion_tables_of(motion.tables)
+    return ways_between(tables, _strays_of(motion) if astray else _rates_of(motion), body, link, fixed)
+
+
+@apart
+def _place_at(motion, W):
+    """Place the links at the configurations that have been written."""
+    place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), 0, W)
 
 
 @inline
@@ -408,10 +428,35 @@ def _copy_pose(W, link, lane, poses, row):
         poses[row, r, 3] = W[at + (9 + r) * LANES]
 
 
-@inline
-def _copy_standing(problem, k, poses, row):
-    for entry in range(12):
-        poses[row, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+@njit()
+def _copy_pair(motion, near, W, lane, poses, row, other_row):
+    """Write the poses of a pair's bodies in one lane to two rows."""
+    problem = problem_of(motion.problem)
+    other = problem.pairs[near.pair, 1]
+    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], lane, poses, row)
+    if other < motion.counts.moving:
+        _copy_pose(W, problem.link[other], lane, poses, other_row)
+    else:
+        for entry in range(12):
+            poses[other_row, entry // 4, entry % 4] = problem.standing_poses[other - motion.counts.moving, entry]
+
+
+@apart
+def _sweep(motion, body):
+    """Bound a moving body in a block."""
+    sweep(problem_of(motion.problem), pieces_of(motion.pack), body, _swept_of(motion))
+
+
+@apart
+def _place_pieces(motion, body):
+    """Place the pieces of a moving body in a block."""
+    place_pieces(problem_of(motion.problem), pieces_of(motion.pack), body, _swept_of(motion))
+
+
+@apart
+def _place_body(motion, body):
+    """Write the poses of a moving body in a block."""
+    place_body(problem_of(motion.problem), body, _swept_of(motion))
 
 
 # -- halving ------------------------------------------------------------------------------------
@@ -423,7 +468,6 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
     problem = problem_of(motion.problem)
     times, to, W = _cut_times_of(motion), _cut_poses_of(motion), _cut_links_of(motion)
     course, Q = _course_of(motion), _configurations_of(motion)
-    link, other = problem.link[problem.pairs[near.pair, 0]], problem.pairs[near.pair, 1]
     times[depth, 0], times[depth, PARTS] = low, high
     for k in range(1, PARTS):
         times[depth, k] = low + (high - low) * (k / PARTS)
@@ -437,16 +481,19 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
             to[at, r, c], to[at + PARTS, r, c] = poses[row_low, r, c], poses[row_high, r, c]
             to[both, r, c], to[both + PARTS, r, c] = others[other_low, r, c], others[other_high, r, c]
     for k in range(1, PARTS):
-        _copy_pose(W, link, k - 1, to, at + k)
-        if other < motion.counts.moving:
-            _copy_pose(W, problem.link[other], k - 1, to, both + k)
-        else:
-            _copy_standing(problem, other - motion.counts.moving, to, both + k)
+        _copy_pair(motion, near, W, k - 1, to, at + k, both + k)
 
 
 @njit()
-def _halve(motion, near, swept, back, low, high, k, n, tally):
-    """Settle the interval k of the block, from `low` to `high`, which no plane between its ends proves.
+def _write_ends(motion, near, W, first, last):
+    """Copy the poses of a pair's bodies in two lanes of W, for `_halve`."""
+    _copy_pair(motion, near, W, first, _ends_of(motion), 0, 2)
+    _copy_pair(motion, near, W, last, _ends_of(motion), 1, 3)
+
+
+@njit()
+def _halve(motion, near, back, low, high, n, tally):
+    """Settle an interval, whose poses at both ends have been written, which no plane between its ends proves.
 
     Parameters
     ----------
@@ -465,17 +512,12 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         Fraction at which it is COLLIDING or AMBIGUOUS.
     """
     problem = problem_of(motion.problem)
-    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
-    stands = other >= motion.counts.moving
-    still = _standing_poses(problem)
-    times, poses = _cut_times_of(motion), _cut_poses_of(motion)
+    stands = problem.pairs[near.pair, 1] >= motion.counts.moving
+    times, poses, part, ends = (
+        _cut_times_of(motion), _cut_poses_of(motion), _part_times_of(motion), _ends_of(motion),
+    )  # fmt: skip
     stack, normals = _stack_of(motion), _stack_normals_of(motion)
-    if stands:
-        s = other - motion.counts.moving
-        _cut(motion, near, 0, low, high, swept.poses, one * LANES + k, one * LANES + k + 1, still, s, s)
-    else:
-        o = other * LANES + k
-        _cut(motion, near, 0, low, high, swept.poses, one * LANES + k, one * LANES + k + 1, swept.poses, o, o + 1)
+    _cut(motion, near, 0, low, high, ends, 0, 1, ends, 2, 3)
     tally[0] += LANES
     enough = _enough(motion, near)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, PARTS
@@ -500,8 +542,9 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
         tally[1] += 1
-        if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward) != FREE:
-            return _confirmed(motion, near, t, toward), t
+        hit = _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward)
+        if hit != FREE:
+            return hit, t
         if _off(near, width) <= motion.tolerance:
             wide = near.margin + motion.tolerance
             tally[1] += 1
@@ -510,7 +553,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
-            least, keep = _least(near), near.margin + near.slack + _off(near, w)
+            keep, least = _kept(near, w)
             tally[1] += 1
             if stands:
                 proven, m, undecided = _proven_standing(
@@ -520,10 +563,11 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
                 proven, m, undecided = _proven_moving(
                     motion, near.i, near.j, poses, both + a, at + a, both + b, at + b, least, keep, n
                 )  # fmt: skip
+            left = EVERY
             if not proven and undecided:
                 tally[0] += LANES
-                proven = _clear_between(motion, near, times[depth, a], times[depth, b], m)
-            if proven:
+                left = _open_between(motion, near, times[depth, a], times[depth, b], m)
+            if proven or left == 0:
                 continue
             # A plane that turns with the other body.
             keep = near.margin + near.slack + back.bend * w * w / 8.0
@@ -537,6 +581,11 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
                 continue
             if _moved(near, w) <= enough:
                 return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b])
+            if left != EVERY:
+                while a + 1 < b and times[depth, a + 1] <= part[lowest_bit(left)]:
+                    a += 1
+                while a < b - 1 and times[depth, b - 1] >= part[highest_bit(left) + 1]:
+                    b -= 1
             stack[top, 0], stack[top, 1], stack[top, 2] = depth, a, b
             normals[top, 0], normals[top, 1], normals[top, 2] = m
             top += 1
@@ -571,29 +620,39 @@ def _hit(found):
 @njit()
 def _halve_waiting(motion, count, found, tally):
     """Settle all waiting intervals, until a collision is found."""
-    problem, tables, swept = problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion)
-    waiting, ways, times, rates = (
-        _waiting_of(motion), _waiting_ways_of(motion), _times_of(motion), _rates_of(motion),
+    problem, swept = problem_of(motion.problem), _swept_of(motion)
+    waiting, normals, times, part = (
+        _waiting_of(motion), _waiting_normals_of(motion), _times_of(motion), _part_times_of(motion),
     )  # fmt: skip
     for e in range(count):
-        pair, k = waiting[e, 0], waiting[e, 3]
-        near = Near(pair, waiting[e, 1], waiting[e, 2], ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6], ways[e, 7])
+        near, k = _with_errors(motion, waiting[e, 0]), waiting[e, 1]
+        pair = near.pair
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
-        back = ways_between(tables, rates, other, link, problem.link[one])
-        n = ways[e, 0], ways[e, 1], ways[e, 2]
-        least, keep = _least(near), near.margin + near.slack + _off(near, times[k + 1] - times[k])
-        tally[1] += 1
-        proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
+        back = _ways(motion, False, other, link, problem.link[one])
+        n = normals[e, 0], normals[e, 1], normals[e, 2]
+        keep, least = _kept(near, times[k + 1] - times[k])
+        proven, undecided = False, waiting[e, 2] != 0
+        if near.stray == 0.0:  # otherwise the best plane has been found
+            tally[1] += 1
+            proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
+        left = EVERY
         if not proven and undecided:
             tally[0] += LANES
-            proven = _clear_between(motion, near, times[k], times[k + 1], n)
-        if proven:
+            left = _open_between(motion, near, times[k], times[k + 1], n)
+        if proven or left == 0:
             continue
         if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
             continue
-        verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
+        low, high = times[k], times[k + 1]
+        if left == EVERY:
+            _write_ends(motion, near, swept.links, k, k + 1)
+        else:
+            first, last = lowest_bit(left), highest_bit(left) + 1
+            low, high = part[first], part[last]
+            _write_ends(motion, near, _cut_links_of(motion), first, last)
+        verdict, t = _halve(motion, near, back, low, high, n, tally)
         found = _worse(found, verdict, t, pair)
         if _hit(found):
             break
@@ -641,85 +700,162 @@ def _test(motion, near, swept, k, n, found, tested, tally):
     if (tested >> k) & 1 == 0:
         tested |= 1 << k
         tally[1] += 1
-        if _collides_in_block(motion, near, swept, k, n) != FREE:
-            times, other = _times_of(motion), problem_of(motion.problem).pairs[near.pair, 1]
-            toward = n
-            if other < motion.counts.moving:
-                toward = _to_world(swept.poses, other * LANES + k, n)
-            found = _worse(found, _confirmed(motion, near, times[k], negated(toward)), times[k], near.pair)
+        found = _worse(found, _collides_in_block(motion, near, swept, k, n), _times_of(motion)[k], near.pair)
     return found, tested
 
 
 @njit()
-def _search(motion, near, live, found, waiting_count, tally):
-    """Prove the intervals `live` of a piece pair by planes; the remaining ones wait.
+def _search(motion, e, found, waiting_count, tally):
+    """Prove the intervals of a listed piece pair by planes; the remaining ones wait.
 
     Returns
     -------
     found : Found
     waiting_count : int
     """
-    swept, times, N = _swept_of(motion), _times_of(motion), _normals_of(motion)
-    waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
-    tested = 0
+    swept, times, waiting, normals = (
+        _swept_of(motion), _times_of(motion), _waiting_of(motion), _waiting_normals_of(motion),
+    )  # fmt: skip
+    near, N, at, gaps = (
+        _listed_pair(motion, e), _listed_ways_of(motion), e * LISTED_WAYS + _NORMALS, _gaps_of(motion),
+    )  # fmt: skip
+    live, tested = _listed_of(motion)[e, 3], _listed_of(motion)[e, 4]
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
         live &= ~(1 << k)
-        n = N[k], N[LANES + k], N[2 * LANES + k]
-        w = times[k + 1] - times[k]
-        keep = near.margin + near.slack + _off(near, w)
+        n = N[at + k], N[at + LANES + k], N[at + 2 * LANES + k]
+        keep, least = _kept(near, times[k + 1] - times[k])
         tally[1] += 1
-        proven, n, _ = _proven(motion, near, swept, k, k + 1, keep, keep, n)
+        proven, n, undecided = _proven(motion, near, swept, k, k + 1, least if near.stray > 0.0 else keep, keep, n)
         if proven:
             if live != 0:
-                live = _beyond(motion, near, swept, n, live)
+                live &= _open_parts(motion, near, swept.links, times, n, False)
             continue
+        if near.stray > 0.0 and undecided:
+            near = _with_errors(motion, e)
+            left = _open_parts(motion, near, swept.links, times, n, True)
+            live &= left
+            if (left >> k) & 1 == 0:
+                continue
+            for end in range(k, k + 2):
+                if gaps[end] > near.margin + (near.slack - near.stray):
+                    tested |= 1 << end
         for end in range(k + 1, k - 1, -1):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
-        waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
-        waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
-        e = waiting_count
-        ways[e, 0], ways[e, 1], ways[e, 2] = n
-        ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6] = near.bend, near.speed, near.margin, near.slack
-        ways[e, 7] = near.stray
+        waiting[waiting_count, 0], waiting[waiting_count, 1], waiting[waiting_count, 2] = e, k, undecided
+        normals[waiting_count, 0], normals[waiting_count, 1], normals[waiting_count, 2] = n
         waiting_count += 1
     return found, waiting_count
 
 
+@inline
+def _listed_pair(motion, e):
+    """The piece pair in row e of the list."""
+    listed, ways, at = _listed_of(motion), _listed_ways_of(motion), e * LISTED_WAYS
+    pair = listed[e, 0]
+    return Near(
+        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], problem_of(motion.problem).margins[pair],
+        ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
+    )  # fmt: skip
+
+
+@inline
+def _with_errors(motion, e):
+    """A listed pair with its `lever`, `wave` and `rest`, which are computed when first needed."""
+    if motion.strays and _listed_ways_of(motion)[e * LISTED_WAYS + 4] == 0.0:
+        _write_errors(motion, e)
+    return _listed_pair(motion, e)
+
+
 @njit()
-def _settle_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
-    """Settle the intervals `live` of a pair of bodies, piece by piece."""
+def _settle_listed(motion, count, found, tally):
+    """Settle the piece pairs of the list."""
+    waiting = 0
+    for e in range(count):
+        found, waiting = _search(motion, e, found, waiting, tally)
+        if _hit(found):
+            return found
+        if waiting > WAITING - LANES:
+            found, waiting = _halve_waiting(motion, waiting, found, tally), 0
+            if _hit(found):
+                return found
+    return _halve_waiting(motion, waiting, found, tally)
+
+
+@apart
+def _write_errors(motion, e):
+    """Write a listed pair's `lever`, `wave` and `rest`."""
+    problem, tables, listed = problem_of(motion.problem), motion_tables_of(motion.tables), _listed_of(motion)
+    ways, at = _listed_ways_of(motion), e * LISTED_WAYS + 4
+    one, other = problem.pairs[listed[e, 0], 0], problem.pairs[listed[e, 0], 1]
+    link, fixed = problem.link[one], problem.link[other] if other < motion.counts.moving else -1
+    seen, astray = _ways(motion, False, one, link, fixed), _ways(motion, True, one, link, fixed)
+    lever = longest_lever(tables, seen, astray)
+    far = lever + pieces_of(motion.pack).hot[listed[e, 1], OUTER_RADIUS]
+    ways[at] = lever
+    ways[at + 1] = error_of_strays(seen, astray, far, 1.0)
+    ways[at + 2] = error_of_strays(seen, astray, far, 0.0) + astray.bend
+
+
+@njit()
+def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
+    """List the pieces of two bodies that may be near each other in the intervals `live`.
+
+    Returns
+    -------
+    found : Found
+    count : int
+        Number of listed piece pairs; a full list has been settled.
+    """
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
-    swept, scratch, normals, times = _swept_of(motion), _scratch_of(motion), _normals_of(motion), _times_of(motion)
+    swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)
+    listed, ways = _listed_of(motion), _listed_ways_of(motion)
     one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
-    first_standing = start[moving]
-    place_pieces(problem, pieces, one, swept)
+    width = times[1] - times[0]
+    keep = margin + slack + bend * width * width / 8.0
+    if swept.done[one] & PLACED_PIECES == 0:
+        _place_pieces(motion, one)
     for i in range(start[one], start[one + 1]):
-        rows, at = swept.pieces, i * PIECE
+        rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
-            rows, at = scratch, 0
+            rows, first = scratch, 0
         for j in range(start[other], start[other + 1]):
-            near = Near(pair, i, j, bend, speed, margin, slack, stray)
-            keep = margin + slack + _off(near, times[1] - times[0])
-            if other < moving:
-                left = near_piece(rows, at, hot[i, OUTER_RADIUS], hot, j, keep, live, normals)
-            else:
-                table = tables.standing_rows
-                left = near_piece(rows, at, hot[i, OUTER_RADIUS], table, j - first_standing, keep, live, normals)
-            if left != 0:
-                found, count = _search(motion, near, left, found, count, tally)
+            at = count * LISTED_WAYS
+            to = at + _NORMALS
+            table, row = (hot, j) if other < moving else (tables.standing_rows, j - start[moving])
+            left = near_piece(rows, first, hot[i, OUTER_RADIUS], table, row, keep, live, ways, to)
+            if left == 0:
+                continue
+            listed[count, 0], listed[count, 1], listed[count, 2], listed[count, 3] = pair, i, j, left
+            listed[count, 4] = 0
+            if swept.done[one] & PLACED == 0:
+                _place_body(motion, one)
+            if other < moving and swept.done[other] & PLACED == 0:
+                _place_body(motion, other)
+            ways[at], ways[at + 1], ways[at + 2], ways[at + 3] = bend, speed, slack, stray
+            ways[at + 4] = ways[at + 5] = ways[at + 6] = 0.0
+            nearest, deepest, end = DEEP, -1, 0
+            for k in range(INTERVALS):
+                for last in range(2):
+                    share = ways[to + (3 + last) * LANES + k]
+                    if (left >> k) & 1 != 0 and share < nearest:
+                        nearest, deepest, end = share, k, last
+            if deepest >= 0:
+                n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
+                near = _listed_pair(motion, count)
+                found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
                 if _hit(found):
                     return found, count
-                if count > WAITING - LANES:
-                    found = _halve_waiting(motion, count, found, tally)
-                    count = 0
-                    if _hit(found):
-                        return found, count
+            count += 1
+            if count == LISTED:
+                found, count = _settle_listed(motion, count, found, tally), 0
+                if _hit(found):
+                    return found, count
     return found, count
 
 
@@ -734,64 +870,87 @@ def _measure(motion, course, width):
     travel, angles, places
         As for `rates_of`.
     """
-    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
-    rates, ways, most = _rates_of(motion), _ways_of(motion), 0.0
-    travel, angles, places = rates_of(problem.tree, course, width, rates)
+    problem, ways, most = problem_of(motion.problem), _ways_of(motion), 0.0
+    travel, angles, places = rates_of(problem.tree, course, width, _rates_of(motion))
     for body in range(motion.counts.moving):
-        seen = ways_between(tables, rates, body, problem.link[body], -1)
+        seen = _ways(motion, False, body, problem.link[body], -1)
         ways[body, 0], ways[body, 1] = seen.bend, seen.speed
         most = max(most, seen.bend)
     return most, travel, angles, places
 
 
 @njit()
+def _find_near_pairs(motion, widest):
+    """Find out which pairs with static bodies may be near each other in a block; bound all bodies."""
+    tables, swept, ways, near_pairs = (
+        motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
+    )  # fmt: skip
+    for body in range(motion.counts.moving):
+        if swept.done[body] == 0:
+            _sweep(motion, body)
+        keep = motion.rounding + ways[body, 2] + ways[body, 0] * widest * widest / 8.0
+        for g in range(tables.group_start[body], tables.group_start[body + 1]):
+            live = near_group(tables.groups, g, body, keep, motion.skew, CLEAR_ROUNDINGS, swept)
+            for lane in range(LANES):
+                near_pairs[tables.group_pairs[g * LANES + lane]] = (live >> lane) & 1
+
+
+@inline
+def _stray(motion, body, link, fixed):
+    """How far a body's points may stray relative to a link: V(δ), with the error of turned lengths."""
+    return (1.0 + motion.skew) * _ways(motion, True, body, link, fixed).speed
+
+
+@njit()
 def _settle_block(motion, low, high, found, tally):
     """Settle the seven intervals between two times."""
-    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
-    swept, times, Q, course = _swept_of(motion), _times_of(motion), _configurations_of(motion), _course_of(motion)
-    ways, rates, scratch = _ways_of(motion), _rates_of(motion), _scratch_of(motion)
-    moving = motion.counts.moving
-    for k in range(LANES):
-        times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(problem.tree, course, times[k], Q, k)
+    problem, tables, swept, moving = (
+        problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion), motion.counts.moving,
+    )  # fmt: skip
+    ways, scratch, near_pairs, order = _ways_of(motion), _scratch_of(motion), _near_pairs_of(motion), _order_of(motion)
+    widest = _place_between(motion, low, high, _times_of(motion), swept.links)
     tally[0] += LANES
-    _place_at(motion, swept.links)
-    sweep(problem, pieces, swept)
-    widest = 0.0
-    for k in range(INTERVALS):
-        widest = max(widest, times[k + 1] - times[k])
+    for body in range(moving):
+        swept.done[body] = 0
     count = 0
-    order = _order_of(motion)
     for number in range(len(order)):
         pair = order[number]
+        if number < FIRST_PAIRS:
+            for end in range(2):
+                body = problem.pairs[pair, end]
+                if body < moving and swept.done[body] == 0:
+                    _sweep(motion, body)
+        elif number == FIRST_PAIRS:
+            _find_near_pairs(motion, widest)
+        if number >= FIRST_PAIRS and near_pairs[pair] == 0:
+            continue
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
-        slack, stray = motion.rounding + motion.skew * margin, 0.0
-        if motion.strays:
-            fixed = problem.link[other] if other < moving else -1
-            astray = ways_between(tables, _strays_of(motion), one, problem.link[one], fixed).speed
-            stray = (1.0 + motion.skew) * astray
-            slack += stray
+        slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
+            slack += stray
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
             # First relative to the world, each body on its own path, which is cheap and leaves few pairs.
-            bend = ways[one, 0] + ways[other, 0]
-            live = near_in_world(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept)
+            bend, stray = ways[one, 0] + ways[other, 0], stray + ways[other, 2]
+            live = near_in_world(problem, one, other, margin + slack + stray + bend * widest * widest / 8.0, swept)
             if live == 0:
                 continue
-            seen = ways_between(tables, rates, one, problem.link[one], problem.link[other])
+            if motion.strays:
+                stray = _stray(motion, one, problem.link[one], problem.link[other])
+                slack += stray
+            seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0:
             live &= 1  # the pair is the same everywhere
         if live != 0:
-            found, count = _settle_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
+            found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
                 return found
-    return _halve_waiting(motion, count, found, tally)
+    return _settle_listed(motion, count, found, tally)
 
 
 @njit()
@@ -806,11 +965,14 @@ def _certify(motion, tally):
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, motion.confirmed, rounding, skew, motion.strays,
-        motion.points, motion.counts, motion.work,
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.strays, motion.points,
+        motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
         return Found(TOO_LONG, np.nan, -1)  # an orientation that may turn arbitrarily fast
+    for body in range(motion.counts.moving):
+        link = problem.link[body]
+        _ways_of(motion)[body, 2] = _stray(motion, body, link, -1) if motion.strays else 0.0
     blocks = 1
     while not most / (8.0 * (INTERVALS * blocks) ** 2) <= FIRST_OFF:
         blocks *= 2
@@ -835,25 +997,28 @@ def _certify(motion, tally):
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, points, dof, memory):
+def _motion(pack, problem_handle, tables_handle, tolerance, strays, points, dof, memory):
     """A motion in prepared memory, whose course has yet to be written."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, points, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, points, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write the data shared by all motions to the memory."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, False, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
-    rows, same, poses, alone = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion), _alone_of(motion)
+    rows, same, poses, ends = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion), _ends_of(motion)
+    near_pairs = _near_pairs_of(motion)
+    for pair in range(len(near_pairs)):
+        near_pairs[pair] = 1
     for lane in range(LANES):
         rows[lane] = lane
     same[:] = 0.0
     poses[:] = 0.0
-    alone[:] = 0.0
+    ends[:] = 0.0
     for c in range(4):
         same[0, c, c] = 1.0
 
@@ -890,7 +1055,7 @@ def certify_motions(
     """
     _, points, dof = courses.shape
     make_ready(pack, problem_handle, tables_handle, dof, memory)
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, True, len(off) > 0, points, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, points, dof, memory)
     course, strays = _course_of(motion), _off_of(motion)
     for k in range(start, stop):
         for c in range(dof):
@@ -911,7 +1076,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
     found not to be free is moved forward, so that pairs that collide most often come first.
     """
     dof = ends.shape[1]
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, error != 0, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 2, dof, memory)
     course = _course_of(motion)
     for c in range(dof):
         course[0, c], course[1, c] = ends[0, c], ends[1, c]

@@ -13,9 +13,12 @@ It differs from the papers in the following:
 4. Before anything is drawn, the start is led to the nearest goal. The goals are roots of one tree.
 5. The radius of a dynamic domain changes a little with every failure and success.
 6. Whole turns are left out of the differences of joints without limits.
+7. If a path must cost less than a bound, configurations are drawn from the ellipsoids of all paths that do [3], one for
+   each goal.
 
 [1] Kuffner, LaValle: RRT-Connect: An efficient approach to single-query path planning. ICRA 2000.
 [2] Yershova, Jaillet, Siméon, LaValle: Dynamic-domain RRTs. ICRA 2005.
+[3] Gammell, Srinivasa, Barfoot: Informed RRT*. IROS 2014.
 """
 
 from typing import Any, NamedTuple
@@ -25,7 +28,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FULL, MET, SPENT
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_START, POSES, STARTS
-from loewner._kernels.robots.free_motions import is_free, judge_of, sample_memory
+from loewner._kernels.robots.free_motions import is_free, judge_of, random, sample_memory
 from loewner._kernels.simd.memory import held
 
 # Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
@@ -66,19 +69,25 @@ class Space(NamedTuple):
     lower, upper : ndarray, shape (joints,)
     turning : ndarray of int64, shape (joints,)
         1 where whole turns change nothing, and there are no limits.
-    range : float
-        How long a motion of a tree may be.
     stride, shift : ndarray, shape (joints,)
         Of the sequence that configurations are drawn from, see `loewner.planners.compiled`.
+    weights : ndarray, shape (joints,)
+        Factors of their differences in distances.
+    range : float
+        How long a motion of a tree may be.
+    bound : float
+        Upper bound on the cost of a path; infinite for any path.
     """
 
     columns: Any
     lower: Any
     upper: Any
     turning: Any
-    range: Any
     stride: Any
     shift: Any
+    weights: Any
+    range: Any
+    bound: Any
 
 
 class Search(NamedTuple):
@@ -95,7 +104,7 @@ class Search(NamedTuple):
         How near to each other the trees came.
     ends : ndarray, shape (2, dof)
         A motion to test, in which joints that do not move keep their values.
-    points : ndarray, shape (3, joints)
+    points : ndarray, shape (4, joints)
         Memory.
     squares : ndarray, shape (capacity,)
         Memory.
@@ -123,15 +132,15 @@ def _nearest(space, nodes, count, q, squares):
     for k in range(count):
         squares[k] = 0.0
     for c in range(nodes.shape[0]):
-        row, value = nodes[c], q[c]
+        row, value, weight = nodes[c], q[c], space.weights[c]
         if space.turning[c] != 0:
             for k in range(count):
                 way = value - row[k]
-                way -= TURN * np.rint(way / TURN)
+                way = weight * (way - TURN * np.rint(way / TURN))
                 squares[k] += way * way
         else:
             for k in range(count):
-                way = value - row[k]
+                way = weight * (value - row[k])
                 squares[k] += way * way
     best = 0
     for k in range(1, count):
@@ -160,8 +169,58 @@ def _add(trees, tree, count, q, parent):
     trees.domains[tree, count] = np.inf
 
 
+@inline
+def _way(search, goal, q, axis):
+    """Length of the straight way from the start to a goal, written to `axis`, and of the way by q."""
+    space, nodes = search.space, search.trees.nodes
+    straight = before = after = 0.0
+    for c in range(len(q)):
+        weight, way = space.weights[c], nodes[1, c, goal] - nodes[0, c, 0]
+        axis[c] = weight * (way - TURN * _turns(space, c, way))
+        first = weight * (q[c] - nodes[0, c, 0])
+        straight += axis[c] * axis[c]
+        before += first * first
+        after += (axis[c] - first) * (axis[c] - first)
+    return np.sqrt(straight), np.sqrt(before) + np.sqrt(after)
+
+
 @njit()
-def _iterate(search):
+def _draw_within(search, roots, drawn, axis):
+    """Draw from the ellipsoid about the start and a goal, unless q lies in one: all ways that cost less than a bound.
+
+    A direction has sums of four uniform numbers for coordinates, nearly normal; a radius is the largest of as many
+    uniform numbers as there are joints, which is distributed as in a ball.
+    """
+    space, state, start, bound = search.space, search.state, search.trees.nodes[0], search.space.bound
+    for goal in range(roots):
+        if _way(search, goal, drawn, axis)[1] < bound:
+            return
+    first, straight = np.int64(random(state) * roots), np.inf
+    for k in range(roots):
+        straight, _ = _way(search, (first + k) % roots, drawn, axis)
+        if straight < bound:
+            break
+    if not 0.0 < straight < bound:
+        return
+    square, along, radius = 0.0, 0.0, 0.0
+    for c in range(len(drawn)):
+        drawn[c] = random(state) + random(state) + random(state) + random(state) - 2.0
+        square += drawn[c] * drawn[c]
+        along += drawn[c] * axis[c]
+        radius = max(radius, random(state))
+    if square == 0.0:
+        return
+    thick, scale = 0.5 * np.sqrt((bound - straight) * (bound + straight)), radius / np.sqrt(square)
+    along *= scale / straight
+    for c in range(len(drawn)):
+        place = (0.5 + (0.5 * bound - thick) * along / straight) * axis[c] + thick * scale * drawn[c]
+        drawn[c] = start[c, 0] + place / space.weights[c]
+        if space.turning[c] == 0:
+            drawn[c] = min(max(drawn[c], space.lower[c]), space.upper[c])
+
+
+@njit()
+def _iterate(search, roots):
     """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
     space, trees, state, points = search.space, search.trees, search.state, search.points
     joints = len(space.columns)
@@ -171,6 +230,8 @@ def _iterate(search):
     for c in range(joints):
         share = space.shift[c] + state[ITERATION] * space.stride[c]
         drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * (share - np.floor(share))
+    if space.bound < np.inf:
+        _draw_within(search, roots, drawn, points[3])
     near, distance = _nearest(space, nodes, count, drawn, search.squares)
     if distance == 0.0 or distance > trees.domains[tree, near]:
         return SPENT
@@ -226,7 +287,7 @@ def _lead(search, tree, last):
     left = 0.0
     for c in range(joints):
         way = trees.nodes[other, c, aim] - here[c]
-        way -= TURN * _turns(space, c, way)
+        way = space.weights[c] * (way - TURN * _turns(space, c, way))
         left += way * way
     gap[0] = min(gap[0], np.sqrt(left))
     return SPENT
@@ -234,7 +295,7 @@ def _lead(search, tree, last):
 
 @njit()
 def connect_trees(
-    most, longest, handles, lengths, joints, limits, nodes, parents, domains, state, gap, ends, points, squares
+    most, reach, handles, lengths, joints, limits, nodes, parents, domains, state, gap, ends, points, squares
 ):  # fmt: skip
     """Let the trees grow, for at most so many iterations.
 
@@ -242,14 +303,14 @@ def connect_trees(
     ----------
     most : int
         Iterations in all, those of earlier calls included.
-    longest : float
-        As `Space.range`.
+    reach : ndarray, shape (2,)
+        `Space.range` and `Space.bound`.
     handles, lengths
         See `free_motions.judge_of`.
     joints : ndarray of int64, shape (2, joints)
         Columns and which turn, see `Space`.
-    limits : ndarray, shape (4, joints)
-        The rest of it: lower, upper, stride, shift.
+    limits : ndarray, shape (5, joints)
+        The rest of it: lower, upper, stride, shift, weights.
     nodes, parents, domains
         See `Trees`: roots are in their places.
     state, gap, ends, points, squares
@@ -260,7 +321,7 @@ def connect_trees(
     int
         MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
     """
-    space = Space(joints[0], limits[0], limits[1], joints[1], longest, limits[2], limits[3])
+    space = Space(joints[0], limits[0], limits[1], joints[1], limits[2], limits[3], limits[4], reach[0], reach[1])
     samples = sample_memory(handles)
     judge = judge_of(handles, lengths, ends.shape[1], samples.ctypes.data)
     outcome = _grow(Search(judge, space, Trees(nodes, parents, domains), state, gap, ends, points, squares), most)
@@ -271,13 +332,15 @@ def connect_trees(
 @njit()
 def _grow(search, most):
     """Let the trees grow as `connect_trees` does."""
-    state, capacity = search.state, search.trees.nodes.shape[2]
+    state, capacity, roots = search.state, search.trees.nodes.shape[2], 0
+    while roots < state[GOALS] and search.trees.parents[1, roots] < 0:
+        roots += 1
     while state[ITERATION] < most:
         if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > capacity:
             return FULL
         state[ITERATION] += 1
         # Straight to the nearest goal, before anything is drawn.
-        outcome = _lead(search, 0, 0) if state[ITERATION] == 1 else _iterate(search)
+        outcome = _lead(search, 0, 0) if state[ITERATION] == 1 else _iterate(search, roots)
         if outcome == MET:
             return MET
     return SPENT

@@ -14,7 +14,7 @@ from loewner._kernels.simd.memory import held
 
 
 @inline
-def _free(judge, ends, a, b, state):
+def motion_is_free(judge, ends, a, b, state):
     """Whether the motion between two configurations is free."""
     for c in range(len(a)):
         ends[0, c], ends[1, c] = a[c], b[c]
@@ -36,13 +36,13 @@ def _move(path, first, count, by):
 
 
 @njit()
-def _skip_corners(judge, path, count, ends, state):
+def skip_corners(judge, path, count, ends, state):
     """Skip the rows between two configurations of a path; the farthest are tried first, then ones half as far."""
     k = 0
     while k < count - 2:
         ahead = count - 1 - k
         while ahead >= 2:
-            if _free(judge, ends, path[k], path[k + ahead], state):
+            if motion_is_free(judge, ends, path[k], path[k + ahead], state):
                 _move(path, k + ahead, count, 1 - ahead)
                 count -= ahead - 1
                 break
@@ -82,7 +82,7 @@ def _point(judge, path, k, t, ends, points, row):
 
 
 @njit()
-def _cut(judge, path, count, ends, points, state):
+def cut(judge, path, count, ends, points, state):
     """Cut from one random point of a path to another, if the straight motion and the rest of both motions are free.
 
     The rest is checked anew, since rounded points are not exactly on their motions.
@@ -97,9 +97,9 @@ def _cut(judge, path, count, ends, points, state):
         return count
     _point(judge, path, i, s, ends, points, 0)
     _point(judge, path, j, t, ends, points, 1)
-    free = _free(judge, ends, points[0], points[1], state)
-    free = free and _free(judge, ends, path[i], points[0], state)
-    free = free and _free(judge, ends, points[1], path[j + 1], state)
+    free = motion_is_free(judge, ends, points[0], points[1], state)
+    free = free and motion_is_free(judge, ends, path[i], points[0], state)
+    free = free and motion_is_free(judge, ends, points[1], path[j + 1], state)
     if not free:
         return count
     _move(path, j + 1, count, i + 2 - j)
@@ -136,10 +136,10 @@ def shorten_path(count, most, handles, lengths, path, state, ends, points):
     """
     samples = sample_memory(handles)
     judge = judge_of(handles, lengths, path.shape[1], samples.ctypes.data)
-    count = _skip_corners(judge, path, count, ends, state)
+    count = skip_corners(judge, path, count, ends, state)
     while state[ITERATION] < most and count > 2:
         state[ITERATION] += 1
-        count = _cut(judge, path, count, ends, points, state)
-    count = _skip_corners(judge, path, count, ends, state)
+        count = cut(judge, path, count, ends, points, state)
+    count = skip_corners(judge, path, count, ends, state)
     held(samples)
     return count

@@ -38,7 +38,7 @@ from loewner._kernels.columns import (
 )
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, image, minus, one_norm, plus, rotated_shape, scaled
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, problem_of
-from loewner._kernels.simd.vectors import broadcast, highest, load, lowest, maximum, minimum
+from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
 # An allowance for rounding, and for lengths that a pose accepted as rigid may stretch. Reaches are also stretched by
@@ -224,7 +224,7 @@ def place_static(pack, problem_handle, tables_handle, poses):
     """
     pieces, problem, tables = pieces_of(pack), problem_of(problem_handle), motion_tables_of(tables_handle)
     balls = np.empty((len(problem.tree.parent) + 1, 4))
-    moving = len(problem.link)
+    moving, anything = len(problem.link), False
     for k in range(len(poses)):
         moved = False
         for entry in range(16):
@@ -233,6 +233,9 @@ def place_static(pack, problem_handle, tables_handle, poses):
             for entry in range(16):
                 problem.standing_poses[k, entry] = poses[k, entry]
             _place(pieces, problem, tables, moving, k, balls)
+        anything |= moved
+    if anything:
+        _write_groups(problem, tables, moving)
 
 
 @njit()
@@ -281,3 +284,17 @@ def _place(pieces, problem, tables, moving, k, balls):
     tables.sizes[k] = size + away
     if first < last:
         _write_reaches(problem.tree, -1, center, wide, tables.reach, moving + k, balls)
+
+
+@njit()
+def _write_groups(problem, tables, moving):
+    """Write the vectors of the groups of static bodies."""
+    for n in range(len(tables.group_pairs)):
+        pair = tables.group_pairs[n]
+        k = problem.pairs[pair, 1] - moving
+        at = n // LANES * LANES * LANES + n % LANES
+        for column in range(3):
+            tables.groups[at + LANES * column] = problem.standing[k, column]
+            tables.groups[at + LANES * (column + 3)] = problem.standing[k, column + 4]
+        tables.groups[at + LANES * 6] = problem.margins[pair]
+        tables.groups[at + LANES * 7] = tables.sizes[k]

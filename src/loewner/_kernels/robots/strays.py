@@ -9,7 +9,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import ACROSS, PLANAR, PRISMATIC, REVOLUTE
 from loewner._kernels.ellipsoids.contact import outward_width
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, scaled
-from loewner._kernels.robots.kinematics import axis_of, direction_of, rotation_of_link, translation_of_link
+from loewner._kernels.robots.kinematics import axis_of, rotation_of_link, translation_of_link, triple_of
 from loewner._kernels.robots.motion_bounds import shared_joints
 from loewner._kernels.robots.planes import seen_by
 from loewner._kernels.robots.sweeps import outer_center, outer_shape
@@ -77,7 +77,7 @@ def write_strays_along(tree, tables, hot, W, strays, lever, link, fixed, piece, 
             joint = tables.path_link[k]
             kind, turn, slide = tree.kind[joint], strays.turn[joint], strays.slide[joint]
             if kind == PRISMATIC:
-                d, above = direction_of(tree.constants, joint, ACROSS), tree.parent[joint]
+                d, above = triple_of(tree.constants, joint, ACROSS), tree.parent[joint]
                 if above >= 0:
                     d = apply(rotation_of_link(W, above), d)
                 rest = rest + absolute(dot(n, d)) * slide

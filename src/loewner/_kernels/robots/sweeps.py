@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import inline
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE
-from loewner._kernels.ellipsoids.contact import normal_at, outward_width
+from loewner._kernels.ellipsoids.contact import normal_at, outward_width, position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, plus, rotated_shape, trace
 from loewner._kernels.robots.kinematics import rotation_of_link, translation_of_link
 from loewner._kernels.robots.placement import HALF_X, HALF_Y, HALF_Z, WIDE, X, Y, Z
@@ -21,7 +21,9 @@ from loewner._kernels.simd.vectors import (
     LANES,
     absolute,
     broadcast,
+    highest,
     load,
+    lowest,
     maximum,
     minimum,
     movemask,
@@ -30,7 +32,7 @@ from loewner._kernels.simd.vectors import (
     sqrt,
     store,
 )
-from loewner._kernels.tolerances import SHAPE_ROUNDINGS
+from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 
 INTERVALS = LANES - 1
 EVERY = (1 << INTERVALS) - 1
@@ -38,11 +40,19 @@ EVERY = (1 << INTERVALS) - 1
 STRIDE = 2 * LANES
 
 # Numbers of a body: its center and half widths at the configurations; over the intervals the middle and half the length
-# of the center's chord, and the middle and half widths of a box.
+# of the center's chord, and the middle and half widths of a box; then the same of a box about all of them.
 _MIDDLE = 6 * STRIDE
 _HALF_CHORD = _MIDDLE + 3 * LANES
 _BOX = _HALF_CHORD + LANES
-BODY = _BOX + 6 * LANES
+_WHOLE = _BOX + 6 * LANES
+BODY = _WHOLE + LANES
+
+SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # parts of a body: bounds, pieces, poses
+
+# Numbers of a group of static bodies, see `records.MotionTables`.
+_MARGIN = 6 * LANES
+_SIZE = 7 * LANES
+GROUP = 8 * LANES
 
 # Numbers of a piece: the center and the shape matrix of its outer ellipsoid.
 _SHAPE = 3 * STRIDE
@@ -56,13 +66,15 @@ TINY = 1e-300
 
 
 class Swept(NamedTuple):
-    """Flat arrays that `sweep` writes.
+    """Flat arrays that `sweep`, `place_body` and `place_pieces` write.
 
     Attributes
     ----------
-    poses : ndarray, shape (LANES * moving bodies, 4, 4) bodies : ndarray, BODY numbers per body pieces : ndarray, PIECE
-    numbers per piece done : ndarray of int64, an entry per body
-        Whether the pieces of a body with many pieces have been written.
+    poses : ndarray, shape (LANES * moving bodies, 4, 4)
+    bodies : ndarray, BODY numbers per body
+    pieces : ndarray, PIECE numbers per piece
+    done : ndarray of int64, an entry per body
+        The parts that have been written, as bits; to be set to 0 for each block.
     links : ndarray
         Output of the kinematics.
     numbers : ndarray of int64, shape (LANES,)
@@ -122,55 +134,81 @@ def _place_piece(hot, p, R, t, rows):
     return center, Q
 
 
-@njit()
+@inline
 def place_pieces(problem, pieces, body, to):
-    """Write centers and shapes of all pieces of a body, unless this has been done."""
-    if to.done[body] != 0:
-        return
-    to.done[body] = 1
+    """Write centers and shapes of all pieces of a body."""
+    to.done[body] |= PLACED_PIECES
     link = problem.link[body]
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
     for p in range(pieces.piece_start[body], pieces.piece_start[body + 1]):
         _place_piece(pieces.hot, p, R, t, to.pieces)
 
 
-@njit()
-def sweep(problem, pieces, to):
-    """Write poses of all moving bodies, and bounds over the intervals, from the placed links."""
-    zero, one, nought = broadcast(0.0), broadcast(1.0), 0
-    for body in range(problem.link.size):
-        link = problem.link[body]
-        R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
-        for lane in range(LANES):
-            to.numbers[lane] = body * LANES + lane
-        upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
-        scatter_transpose(to.poses, 16, to.numbers, nought, nought, upper)
-        lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
-        scatter_transpose(to.poses, 16, to.numbers, nought, 8, lower)
-        p = pieces.piece_start[body]
-        simple = pieces.piece_start[body + 1] - p == 1
-        to.done[body] = np.int64(simple)
-        ball, at = problem.ball, body * BODY
-        if simple:
-            center, Q = _place_piece(pieces.hot, p, R, t, to.pieces)
-            slack = SHAPE_ROUNDINGS * trace(Q)
-            half = sqrt(Q[0] + slack), sqrt(Q[3] + slack), sqrt(Q[5] + slack)
-        else:
-            center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
-            wide = broadcast(ball[body, 3])
-            half = wide, wide, wide
-        _store_three(to.bodies, at, center)
-        _store_three(to.bodies, at + 3 * STRIDE, half)
-        later = _load_three(to.bodies, at + 1)
-        way = minus(later, center)
-        store(to.bodies, at + _HALF_CHORD, 0.5 * sqrt(dot(way, way)))
-        for c in range(3):
-            store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (load(to.bodies, at + c * STRIDE) + later[c]))
-            first, last = load(to.bodies, at + c * STRIDE), load(to.bodies, at + c * STRIDE + 1)
-            wide, end = load(to.bodies, at + (3 + c) * STRIDE), load(to.bodies, at + (3 + c) * STRIDE + 1)
-            low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
-            store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
-            store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
+@inline
+def place_body(problem, body, to):
+    """Write the poses of a moving body."""
+    to.done[body] |= PLACED
+    link, zero, one, nought = problem.link[body], broadcast(0.0), broadcast(1.0), 0
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    for lane in range(LANES):
+        to.numbers[lane] = body * LANES + lane
+    upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
+    scatter_transpose(to.poses, 16, to.numbers, nought, nought, upper)
+    lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
+    scatter_transpose(to.poses, 16, to.numbers, nought, 8, lower)
+
+
+@inline
+def sweep(problem, pieces, body, to):
+    """Write bounds of a moving body over the intervals, from the placed links."""
+    link = problem.link[body]
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    p = pieces.piece_start[body]
+    simple = pieces.piece_start[body + 1] - p == 1
+    to.done[body] = SWEPT | PLACED_PIECES if simple else SWEPT
+    ball, at = problem.ball, body * BODY
+    if simple:
+        center, Q = _place_piece(pieces.hot, p, R, t, to.pieces)
+        slack = SHAPE_ROUNDINGS * trace(Q)
+        half = sqrt(Q[0] + slack), sqrt(Q[3] + slack), sqrt(Q[5] + slack)
+    else:
+        center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
+        wide = broadcast(ball[body, 3])
+        half = wide, wide, wide
+    _store_three(to.bodies, at, center)
+    _store_three(to.bodies, at + 3 * STRIDE, half)
+    later = _load_three(to.bodies, at + 1)
+    way = minus(later, center)
+    store(to.bodies, at + _HALF_CHORD, 0.5 * sqrt(dot(way, way)))
+    for c in range(3):
+        store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (load(to.bodies, at + c * STRIDE) + later[c]))
+        first, last = load(to.bodies, at + c * STRIDE), load(to.bodies, at + c * STRIDE + 1)
+        wide, end = load(to.bodies, at + (3 + c) * STRIDE), load(to.bodies, at + (3 + c) * STRIDE + 1)
+        low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
+        store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
+        store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
+        least, most = lowest(first - wide), highest(first + wide)
+        to.bodies[at + _WHOLE + c] = 0.5 * (least + most)
+        to.bodies[at + _WHOLE + 3 + c] = 0.5 * (most - least)
+
+
+@inline
+def near_group(groups, g, body, keep, skew, clear, to):
+    """The static bodies of a group, as bits, that a moving one may come near in any interval.
+
+    They are to be farther apart than `keep`, their margins times 1 + skew, and an error of positions times `clear`.
+    """
+    k, at = g * GROUP, body * BODY + _WHOLE
+    keep = (1.0 + skew) * load(groups, k + _MARGIN) + keep
+    keep = keep + clear * position_error(load(groups, k + _SIZE), UNIT_ROUNDOFF)
+    x = absolute(load(groups, k) - to.bodies[at])
+    y = absolute(load(groups, k + LANES) - to.bodies[at + 1])
+    z = absolute(load(groups, k + 2 * LANES) - to.bodies[at + 2])
+    k += 3 * LANES
+    far = x > (load(groups, k) + (keep + to.bodies[at + 3])) * WIDER
+    far = far | (y > (load(groups, k + LANES) + (keep + to.bodies[at + 4])) * WIDER)
+    far = far | (z > (load(groups, k + 2 * LANES) + (keep + to.bodies[at + 5])) * WIDER)
+    return ~movemask(far)
 
 
 @inline
@@ -205,6 +243,10 @@ def _middle(to, at):
 def near_in_world(problem, body, other, keep, to):
     """Intervals, as bits, in which two moving bodies may come within `keep` of each other, relative to the world."""
     a, b = body * BODY, other * BODY
+    for k in range(_WHOLE, _WHOLE + 3):
+        wide = to.bodies[a + k + 3] + to.bodies[b + k + 3]
+        if abs(to.bodies[a + k] - to.bodies[b + k]) > (wide + keep) * WIDER:
+            return 0
     r = minus(_middle(to, a), _middle(to, b))
     far = load(to.bodies, a + _HALF_CHORD) + load(to.bodies, b + _HALF_CHORD)
     far = (far + (problem.ball[body, 3] + problem.ball[other, 3] + keep)) * WIDER
@@ -243,7 +285,7 @@ def see_piece(problem, p, other, to, scratch):
 
 
 @inline
-def near_piece(rows, at, radius, table, q, keep, live, normals):
+def near_piece(rows, at, radius, table, q, keep, live, out, to):
     """The intervals among `live` in which two ellipsoids may come within `keep` of each other.
 
     Parameters
@@ -257,8 +299,9 @@ def near_piece(rows, at, radius, table, q, keep, live, normals):
     keep : float
     live : int
         As bits.
-    normals : ndarray, shape (3 * LANES,)
-        Receives directions from the static piece to the moving one.
+    out, to :
+        Receives, from entry `to` on, directions from the static piece to the moving one; and how far apart the
+        ellipsoids are along them at both ends, as shares of the distance at which they touch.
     """
     center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)
@@ -277,9 +320,13 @@ def near_piece(rows, at, radius, table, q, keep, live, normals):
         width, _ = outward_width(Q, n, squared)
         first, _ = outward_width(P0, n, squared)
         last, _ = outward_width(P1, n, squared)
-        gap = minimum(dot(n, c0) - first, dot(n, c1) - last) - width
+        along_first, along_last = dot(n, c0), dot(n, c1)
+        gap = minimum(along_first - first, along_last - last) - width
         live &= ~movemask(gap > sqrt(squared) * (keep * WIDER))
-        store(normals, 0, n[0])
-        store(normals, LANES, n[1])
-        store(normals, 2 * LANES, n[2])
+        if live != 0:
+            store(out, to, n[0])
+            store(out, to + LANES, n[1])
+            store(out, to + 2 * LANES, n[2])
+            store(out, to + 3 * LANES, along_first / (first + width))
+            store(out, to + 4 * LANES, along_last / (last + width))
     return live

@@ -29,10 +29,10 @@ from loewner._kernels.records import Tree
 from loewner._kernels.robots.kinematics import (
     POSE,
     axis_of,
-    direction_of,
     place_links,
     rotation_of_link,
     translation_of_link,
+    triple_of,
     workspace_size,
 )
 from loewner._kernels.simd.vectors import LANES, broadcast, load, store
@@ -100,16 +100,16 @@ def powers(tree, W, wrenches, dof, slopes):
                 axis = apply(rotation_of_link(W, link), axis_of(constants, link))
                 _add(slopes, q, multiplier[link] * dot(axis, torque))
             elif what == PRISMATIC:
-                _add(slopes, q, multiplier[link] * dot(direction_of(constants, link, ACROSS), seen))
+                _add(slopes, q, multiplier[link] * dot(triple_of(constants, link, ACROSS), seen))
             elif what == PLANAR:
-                _add(slopes, q, dot(direction_of(constants, link, ACROSS), seen))
-                _add(slopes, q + LANES, dot(direction_of(constants, link, ALONG), seen))
+                _add(slopes, q, dot(triple_of(constants, link, ACROSS), seen))
+                _add(slopes, q + LANES, dot(triple_of(constants, link, ALONG), seen))
                 axis = apply(rotation_of_link(W, link), axis_of(constants, link))
                 _add(slopes, q + 2 * LANES, dot(axis, torque))
             elif what in (FLOATING, BALL):
                 frame = (
-                    direction_of(constants, link, ROTATION) + direction_of(constants, link, ROTATION + 3)
-                    + direction_of(constants, link, ROTATION + 6)
+                    triple_of(constants, link, ROTATION) + triple_of(constants, link, ROTATION + 3)
+                    + triple_of(constants, link, ROTATION + 6)
                 )  # fmt: skip
                 if above >= 0:
                     frame = product(rotation_of_link(W, above), frame)

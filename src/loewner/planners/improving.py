@@ -1,0 +1,345 @@
+"""Improve paths in rounds: another search within a bound on the cost, then polishing; the cheapest path is kept."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._kernels import codes
+from loewner._kernels.columns import ITERATION, RANDOM, STATE
+from loewner._native import entries
+from loewner._validate import Floats, Ints, fits_memory
+from loewner.errors import InputError, PlanningError
+from loewner.planners import compiled
+from loewner.planners.compiled import Growth
+from loewner.planners.departures import Departures
+from loewner.planners.judge import Judge
+from loewner.planners.space import Space
+from loewner.robots import Robot
+
+# Searches draw from the ellipsoid whose excess over the straight way is this multiple of the best path's excess: their
+# paths become shorter when they are polished.
+SLACK = 1.5
+
+# Iterations of a search, at first and at most; and the factors of this number after a failure and after a success.
+FIRST_SEARCH, MOST_SEARCH = 100, 512
+AFTER_FAILURE, AFTER_SUCCESS = 1.5, 0.7
+
+# The longest motion of a tree, as a share of the best cost.
+SHARE = 1 / 4
+
+# Steps of polishing: for a new path; for one that then costs less than this multiple of the best cost; and for the best
+# path in each round.
+QUICK_STEPS, MORE_STEPS, BEST_STEPS = 24, 60, 24
+PROMISING = 1.2
+
+# Rows that a path may gain.
+ROOM = 64
+
+# A path that costs at most this share more than the straight way is not improved.
+NOTHING_LEFT = 1e-9
+
+# Weights outside this range, or their inverses, would make squares of costs overflow in the worst case.
+LARGEST_WEIGHT = 1e9
+
+
+class Options(TypedDict, total=False):
+    """The options of `plan` that improve a path, all of them optional."""
+
+    improve_for: float | None
+    improve_iterations: int | None
+    weights: ArrayLike | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """A path with its cost and a lower bound on the cost of every such path: the result of `plan` with `full=True`.
+
+    The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values.
+
+    Attributes
+    ----------
+    path : ndarray, shape (k, dof)
+        As `plan` returns it.
+    cost : float
+        Cost of the path.
+    bound : float
+        No path from the start to one of the goals costs less: the least cost of a straight motion to a goal that is
+        free and within the limits, whether or not this motion is free.
+    iterations : int
+        Number of rounds that tried to improve the path.
+    seconds : float
+        Duration of the call.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> from loewner.planners import plan
+    >>> found = plan(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.0, 0.0], [2.0, 0.0], joints="rail", full=True)
+    >>> found.cost, found.gap < 1e-12
+    (2.0, True)
+    """
+
+    path: Floats
+    cost: float
+    bound: float
+    iterations: int
+    seconds: float
+
+    @property
+    def gap(self) -> float:
+        """Share by which the cost exceeds the bound; the best path may be cheaper by at most cost - bound."""
+        return 0.0 if self.cost == self.bound else float(np.divide(self.cost - self.bound, self.bound))
+
+    def __repr__(self) -> str:
+        return (
+            f"Plan({len(self.path)} configurations, cost {self.cost:.6g} >= {self.bound:.6g}, "
+            f"{self.iterations} iterations, {self.seconds:.3g} s)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """How a path is to be improved.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (dof,)
+    most : int
+        Number of rounds.
+    began, deadline : float
+        When the call began, and when to return, by the monotonic clock.
+    """
+
+    weights: Floats
+    most: int
+    began: float
+    deadline: float
+
+    @classmethod
+    def of(cls, robot: Robot, given: Options, full: bool, own_planner: bool, timeout: float) -> Improvement:
+        """Check a user's options; the call begins now."""
+        began = time.monotonic()
+        for name in given.keys() - Options.__optional_keys__:
+            raise TypeError(f"plan() got an unexpected keyword argument {name!r}")
+        seconds, most, weights = given.get("improve_for"), given.get("improve_iterations"), given.get("weights")
+        if seconds is not None:
+            seconds = _validate.positive_scalar(seconds, "improve_for", zero=True)
+        if most is not None:
+            most = _validate.whole_number(most, "improve_iterations", 0)
+        wanted = bool(seconds or most)
+        if wanted and not own_planner:
+            raise InputError(
+                "planner: expected none with improve_for or improve_iterations, which use the compiled planner"
+            )
+        if weights is not None and not (full or seconds is not None or most is not None):
+            raise InputError("weights: expected improve_for, improve_iterations or full=True with them")
+        if not wanted or seconds == 0:
+            most = 0
+        until = began + (timeout if seconds is None else seconds)
+        return cls(_checked_weights(robot, weights), 2**62 if most is None else most, began, until)
+
+    def plan(self, path: Floats, ends: Departures, goals: Floats, iterations: int) -> Plan:
+        """Make the full result for a path to one of the given free goals."""
+        kept = {goal.tobytes() for goal in goals}
+        targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
+        cost = cost_of(self.weights, path)
+        rounded = 1 - (len(self.weights) + 4) * np.finfo(float).eps
+        bound = least_cost(ends.space, self.weights, ends.start, targets) * rounded
+        path.flags.writeable = False
+        return Plan(path, cost, min(bound, cost), iterations, time.monotonic() - self.began)
+
+
+def _checked_weights(robot: Robot, given: ArrayLike | None) -> Floats:
+    """Check a user's weights."""
+    if given is None:
+        return np.ones(robot.dof)
+    weights = _validate.finite_array(given, "weights", (robot.dof,))
+    for k in np.flatnonzero((weights > LARGEST_WEIGHT) | (weights < 1 / LARGEST_WEIGHT))[:1]:
+        raise InputError(
+            f"weights: expected numbers from {1 / LARGEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, found {weights[k]:g} for "
+            f"{robot.configuration_names[k]}"
+        )
+    return weights
+
+
+def cost_of(weights: Floats, path: Floats) -> float:
+    """Compute the cost of a path."""
+    ways = weights * (path[1:] - path[:-1])
+    return float(np.sqrt((ways * ways).sum(axis=1)).sum())
+
+
+def least_cost(space: Space, weights: Floats, start: Floats, goals: Floats) -> float:
+    """Compute the cost of the straight way from the start to the nearest goal."""
+    ways = weights * (space.unwound(start, goals) - start)
+    return float(np.sqrt((ways * ways).sum(axis=1).min()))
+
+
+@dataclass(eq=False)
+class Polish:
+    """A path that is polished, as `polish_path` needs it."""
+
+    judge: Judge
+    box: Floats
+    rows: Floats
+    count: int
+    state: Ints
+    size: Floats
+    cost: float
+
+    @classmethod
+    def of(cls, judge: Judge, box: Floats, path: Floats, seed: int) -> Polish:
+        """Copy a path whose motions are all free."""
+        fits_memory(16 * (len(path) + ROOM) * path.shape[1], f"a path of {len(path)} configurations")
+        rows, state = np.empty((len(path) + ROOM, path.shape[1])), np.zeros(STATE, dtype=np.int64)
+        rows[: len(path)] = path
+        state[RANDOM] = seed
+        return cls(judge, box, rows, len(path), state, np.array([0.5]), cost_of(box[2], path))
+
+    def on(self, most: int) -> int:
+        """Polish in at most this number of steps in all; MET if only a straight motion is left."""
+        if self.count > 2:
+            ends, points = np.empty((2, self.rows.shape[1])), np.empty_like(self.rows)
+            self.count = entries.polish_path(
+                self.count, most, *self.judge.asked(), self.rows, self.box, self.state, self.size, ends, points
+            )
+            self.cost = cost_of(self.box[2], self.path)
+        return codes.MET if self.count == 2 else codes.SPENT
+
+    @property
+    def path(self) -> Floats:
+        """The path so far."""
+        return self.rows[: self.count]
+
+
+class _LateError(Exception):
+    """The time is over."""
+
+
+@dataclass(eq=False)
+class Rounds:
+    """Rounds of improvement, in the order that the seed determines.
+
+    Attributes
+    ----------
+    growth : Growth
+    best : Polish
+        The cheapest path so far.
+    box : ndarray, shape (3, dof)
+        See `_kernels.robots.polishing.Work`.
+    idle : ndarray of int64, shape (k,)
+        Numbers of joints with equal values at the start and at all goals, in order of falling weights; none if all
+        values are equal.
+    least : float
+        Cost of the straight way.
+    longest : float
+        The longest motion of a tree without a bound.
+    seed : int
+    deadline : float
+    searches : int
+        Iterations of the next search.
+    portion : int
+        Iterations between two checks of the clock and for an interrupt.
+    """
+
+    growth: Growth
+    best: Polish
+    box: Floats
+    idle: Ints
+    least: float
+    longest: float
+    seed: int
+    deadline: float
+    searches: int = FIRST_SEARCH
+    portion: int = compiled.FIRST
+
+    def run(self, number: int) -> None:
+        """Run one round."""
+        growth, box = self.growth, self.box.copy()
+        # Odd rounds do not move the idle joints, then the heavier half of them, and so on.
+        halvings = number // 2 % len(self.idle).bit_length() if len(self.idle) else 0
+        resting = self.idle[: len(self.idle) >> halvings] if number % 2 else self.idle[:0]
+        limits, turning = growth.limits.copy(), growth.numbers[1].copy()
+        growth.limits[:2, resting] = growth.start[growth.space.columns[resting]]
+        growth.numbers[1, resting], box[2, growth.space.columns[resting]] = 0, 0.0
+        self._search(number, box)
+        growth.limits[:], growth.numbers[1] = limits, turning
+        self._on(self.best, BEST_STEPS)
+        self.best = self._resting(self.best)
+
+    def _search(self, number: int, box: Floats) -> None:
+        """Search for another path, and keep it if it is cheaper when it is polished."""
+        growth, best, seed = self.growth.rooted(self.seed + number), self.best, self.seed + number
+        growth.reach[:] = min(self.longest, SHARE * best.cost), self.least + SLACK * (best.cost - self.least)
+        if self._on(growth, self.searches) != codes.MET:
+            self.searches = min(int(AFTER_FAILURE * self.searches), MOST_SEARCH)
+            return
+        self.searches = max(int(AFTER_SUCCESS * self.searches), FIRST_SEARCH)
+        try:
+            found = Polish.of(growth.judge, box, growth.path(), seed)
+        except PlanningError:  # not free as a whole
+            return
+        self._on(found, QUICK_STEPS)
+        if found.cost < PROMISING * best.cost:
+            self._on(found, MORE_STEPS)
+        if found.cost < best.cost:
+            self.best = found
+
+    def _resting(self, found: Polish) -> Polish:
+        """Let idle joints rest on the whole path wherever the path is still free."""
+        for k in self.growth.space.columns[self.idle]:
+            path, box = found.path.copy(), found.box.copy()
+            if (path[:, k] == path[0, k]).all():
+                continue
+            path[:, k], box[2, k] = path[0, k], 0.0
+            if found.judge.free(path[:-1], path[1:]).all():
+                found = Polish.of(found.judge, box, path, int(found.state[RANDOM]))
+        return found
+
+    def _on(self, work: Growth | Polish, steps: int) -> int:
+        """Let a kernel work, in portions that do not change the result; return its code."""
+        outcome, last = codes.SPENT, int(work.state[ITERATION]) + steps
+        while outcome != codes.MET and (done := int(work.state[ITERATION])) < last:
+            called = time.monotonic()
+            if called > self.deadline:
+                raise _LateError
+            outcome = work.on(min(done + self.portion, last))
+            quick = time.monotonic() - called < compiled.A_WHILE
+            self.portion = min(2 * self.portion, compiled.AT_A_TIME) if quick else max(self.portion // 2, 1)
+        return outcome
+
+
+def improved(
+    space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement, seed: int
+) -> tuple[Floats, int]:
+    """Improve a path to one of several free goals; return it with the number of rounds.
+
+    All motions of both paths are free for the judge.
+    """
+    least = least_cost(space, asked.weights, path[0], goals)
+    enough = least * (1 + NOTHING_LEFT)
+    if asked.most == 0 or cost_of(asked.weights, path) <= enough:
+        return path, 0
+    box, at = np.zeros((3, path.shape[1])), space.columns
+    box[0, at] = np.where(space.turning, -np.inf, space.lower)
+    box[1, at] = np.where(space.turning, np.inf, space.upper)
+    box[2, at] = asked.weights[at]
+    growth = Growth.of(space, judge, path[0], goals, box[2, at])
+    same = (goals[:, at] == path[0, at]).all(axis=0)
+    idle = np.flatnonzero(same & ~same.all())
+    idle = idle[np.argsort(-asked.weights[at[idle]], kind="stable")]
+    best = Polish.of(growth.judge, box, path, seed)
+    rounds = Rounds(growth, best, box, idle, least, float(growth.reach[0]), seed, asked.deadline)
+    done = 0
+    try:
+        while done < asked.most and rounds.best.cost > enough:
+            rounds.run(done + 1)
+            done += 1
+    except _LateError:
+        pass
+    return rounds.best.path.copy(), done

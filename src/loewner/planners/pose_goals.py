@@ -1,0 +1,102 @@
+"""Define `PoseGoal`, a pose of a link as the goal of a path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._validate import Floats
+from loewner.errors import InputError, PlanningError
+from loewner.robots import Robot
+
+# Configurations that are tried as goals at most, those nearest to the start first.
+MOST_GOALS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGoal:
+    """Poses of a link as the goal of `plan` or `Roadmap.path`: any configuration at which the link has one of them.
+
+    Parameters
+    ----------
+    link : str
+    T : array_like, shape (..., 4, 4)
+        One pose or several, such as candidates for a grasp; reaching any of them is enough. T_world_link, in metres.
+    tolerance : array_like, shape (6,), optional
+        What a pose may deviate by, as for `Robot.reach`.
+    seeds : int
+        As for `Robot.reach`: more find more of the configurations.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> pose = robot.forward_kinematics([1.0, 0.5])[2]
+    >>> plan(CollisionChecker(robot), [0.0, 0.0], PoseGoal("forearm", pose))
+    array([[0. , 0. ],
+           [1. , 0.5]])
+    """
+
+    link: str
+    T: ArrayLike
+    tolerance: ArrayLike | None = None
+    seeds: int = 64
+
+    def configurations(self, robot: Robot, start: Floats, joints: str | Iterable[str] | None = None) -> Floats:
+        """Find configurations that reach the goal, those nearest to the start first.
+
+        Parameters
+        ----------
+        robot : Robot
+        start : ndarray, shape (dof,)
+            Joints that do not move the link, or are not among `joints`, keep these values.
+        joints : str or iterable of str, optional
+            As for `plan`.
+
+        Returns
+        -------
+        ndarray, shape (goals, dof)
+            They may collide.
+
+        Raises
+        ------
+        PlanningError
+            If no pose is reached; the message states how near the link came.
+        InputError, UnknownNameError
+            As for `Robot.reach`.
+        """
+        poses = _validate.poses(self.T, "goal, T").reshape(-1, 4, 4)
+        if len(poses) == 0:
+            raise InputError("goal, T: expected one pose or more, found none")
+        found = robot.reach(
+            self.link, poses, joints=joints, start=start, seeds=self.seeds, all=True, tolerance=self.tolerance
+        )
+        Q = np.concatenate(found.solutions)
+        if len(Q) == 0:
+            nearest = int((found.residual**2).sum(axis=1).argmin())
+            shift, turn = found.residual[nearest].tolist()
+            which = "a pose" if len(poses) == 1 else f"one of {len(poses)} poses"
+            raise PlanningError(
+                f"goal: expected {which} that {self.link} can reach within the limits, found none; the nearest attempt "
+                f"of {self.seeds + 1} is {1e3 * shift:.3g} mm and {turn:.3g} rad away"
+                + (f" from pose {nearest}" if len(poses) > 1 else "")
+            )
+        order = np.linalg.norm(Q - start, axis=1).argsort(kind="stable")
+        return np.asarray(Q[order[:MOST_GOALS]])
+
+
+def goals_of(goal: Any, robot: Robot, start: Floats, joints: str | Iterable[str] | None) -> Any:
+    """Return the configurations of a goal that is given by poses, and any other goal as it is."""
+    if isinstance(goal, PoseGoal):
+        return goal.configurations(robot, start, joints)
+    if np.shape(goal)[-2:] == (4, 4) and robot.dof != 4:
+        raise InputError(
+            f"goal: expected configurations, shape ({robot.dof},) or (goals, {robot.dof}), or for poses of a link "
+            f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(np.shape(goal))}"
+        )
+    return goal

@@ -1,0 +1,263 @@
+"""Lines of a link: near enough at every instant, in bounds that mutants break; errors that say where a line ends."""
+
+import inspect
+import types
+
+import numpy as np
+import pytest
+
+from families import translation
+from gantry import LEFT, gantry, wall
+from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robot, UnknownNameError, planners
+from loewner.planners import line_bounds
+from loewner.robots.robot import source_of
+from test_reach import arm, joint, robot_of
+
+DENSE = np.linspace(0.0, 1.0, 401)
+
+# Single joints and pairs whose second derivatives attain the bound, then arms of every kind of joint.
+ROD = (
+    '<link name="tool"/><joint name="f" type="fixed"><parent link="{0}"/><child link="tool"/>'
+    '<origin xyz="0.7 0 0"/></joint>'
+)
+
+
+BALL = '<link name="base"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
+
+
+def with_bodies(robot):
+    """A checker of the robot, at whose base and tip there are small balls that never meet."""
+    text = source_of(robot)[1].replace('<link name="base"/>', BALL)
+    last = robot.link_names[-1]
+    text = text.replace(f'<link name="{last}"/>', BALL.replace("base", last))
+    return CollisionChecker(Robot.from_urdf(text=text))
+
+
+def bare(name, kind, parent, child, axis, inside='<limit lower="-3" upper="3"/>'):
+    """A joint at the origin of its parent."""
+    return (
+        f'<link name="{child}"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<axis xyz="{axis}"/>{inside}</joint>'
+    )
+
+
+TIGHT = {
+    "turn": robot_of(bare("a", "revolute", "base", "l", "0 0 1"), ROD.format("l")),
+    "two turns": robot_of(
+        bare("a", "revolute", "base", "l", "0 0 1"), bare("b", "revolute", "l", "m", "0 0 1"), ROD.format("m")
+    ),
+    "turn and slide": robot_of(
+        bare("a", "revolute", "base", "l", "0 0 1"), bare("b", "prismatic", "l", "m", "1 0 0"), ROD.format("m")
+    ),
+    "echo": robot_of(
+        bare("a", "revolute", "base", "l", "0 0 1"),
+        bare("b", "revolute", "l", "m", "0 0 1", '<limit lower="-9" upper="9"/><mimic joint="a" multiplier="2"/>'),
+        ROD.format("m"),
+    ),
+}
+ARMS = {
+    "turning": (arm(), "hand"),
+    "sliding": (arm(joint("slide", "prismatic", "base", "s"), "s"), "hand"),
+    "planar": (arm(joint("drive", "planar", "base", "s", '<axis xyz="0 0 1"/>'), "s"), "hand"),
+}
+
+
+def bounds_and_samples(module, robot, link, q0, q1, kept):
+    """Bounds of one motion beside samples: the largest deviations from the line of its ends, and what the largest
+    second difference would allow, which the bounds must cover, too."""
+    chain, number = robot.chain_to(link), robot.link_names.index(link)
+    Q = np.array([q0, q1])
+    T = robot.forward_kinematics(Q)[:, number]
+    line = module.Line.between(*T)
+    found = module.strays(robot, chain, module.Turns.of(chain, link), line, np.array([0.0, 1.0]), Q, number, kept)
+    poses = robot.forward_kinematics(q0 + DENSE[:, None] * (np.array(q1) - q0))[:, number]
+    targets = line.poses(DENSE)
+    off = poses[:, :3] - targets[:, :3]
+    cosines = poses[:, :3, :3] @ kept[0] @ kept[1]
+    bends = np.diff(off, 2, axis=0) * (len(DENSE) - 1) ** 2
+    positions = np.linalg.norm(off[..., 3], axis=1).max(), np.linalg.norm(bends[..., 3], axis=1).max() / 8
+    rotations = [np.linalg.norm(x[..., :3], axis=(1, 2)).max() for x in (off, bends / 8)]
+    falls = np.abs(np.diff(cosines, 2)).max() * (len(DENSE) - 1) ** 2 / 8
+    least = cosines.min(), min(cosines[0], cosines[-1]) - falls
+    return found, positions, rotations, least
+
+
+def cases(seed=0, count=30):
+    rng = np.random.default_rng(seed)
+    for robot in TIGHT.values():
+        for size in (0.01, 0.1, 0.4):
+            q = rng.uniform(0.5, 1.0, robot.dof)
+            yield robot, "tool", q, q + size
+    for robot, link in ARMS.values():
+        for _ in range(count):
+            q = rng.uniform(-1.5, 1.5, robot.dof)
+            yield robot, link, q, q + rng.choice([0.03, 0.2, 0.8]) * rng.uniform(-1, 1, robot.dof)
+
+
+def broken(module):
+    """How many motions stray farther than the module's bounds, of those above, and the least of bound over sample."""
+    count, tightest = 0, np.inf
+    rng = np.random.default_rng(1)
+    for robot, link, q0, q1 in cases():
+        kept = rng.normal(size=(2, 3))
+        kept /= np.linalg.norm(kept, axis=1, keepdims=True)
+        found, positions, rotations, least = bounds_and_samples(module, robot, link, q0, q1, kept=kept)
+        spare = 1 + 1e-4, 1e-8  # of differences
+        count += (
+            found.positions[0] < positions[0]
+            or found.rotations[0] < rotations[0]
+            or found.leasts[0] > least[0]
+            or found.positions[0] * spare[0] + spare[1] < positions[1]
+            or found.rotations[0] * spare[0] + spare[1] < rotations[1]
+            or found.leasts[0] - spare[1] > least[1]
+        )
+        if positions[0] > 1e-6:
+            tightest = min(tightest, found.positions[0] / positions[0])
+    return count, tightest
+
+
+def test_bounds_hold():
+    """No sample strays farther than the bound, by position, rotation or kept axis; the bound is attained within 1 %."""
+    count, tightest = broken(line_bounds)
+    assert count == 0
+    assert tightest < 1.01
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("MIDDLE = 0.125", "MIDDLE = 0.12"),
+        ("a = 2 * (np.cumsum(b, axis=1) - b) + b", "a = np.cumsum(b, axis=1)"),
+        ("bends[0] + twists[0]", "bends[0]"),
+        ("bends[1] + twists[1]", "bends[1]"),
+        ("np.abs(bent @ axis @ direction) + 0.5 * (1 + SPARE) * total**3", "np.abs(bent @ axis @ direction)"),
+        ("- MIDDLE * curved", "+ 0 * curved"),
+        ("[:, turns.columns] * turns.multipliers", "[:, turns.columns]"),
+        ("M = b.swapaxes(1, 2) @ a", "M = a.swapaxes(1, 2) @ b"),
+        ("np.where(turns.turning[:, None] > 0, _cross", "np.where(turns.turning[:, None] > 2, _cross"),
+    ],
+)
+def test_mutants_of_the_bounds_are_found(old, new):
+    """If a factor or a term of the bound is dropped, some motion strays farther."""
+    text = inspect.getsource(line_bounds)
+    assert text.count(old) == 1
+    mutant = types.ModuleType("mutant")
+    mutant.__dict__["__name__"] = line_bounds.__name__
+    exec(compile(text.replace(old, new), "mutant", "exec"), mutant.__dict__)
+    assert broken(mutant)[0] > 0
+
+
+def strayed(robot, link, path, T, samples=50):
+    """Largest metres and radians between the motions and the line, of samples, by the fraction of the line."""
+    number = robot.link_names.index(link)
+    line = line_bounds.Line.between(robot.forward_kinematics(path[0])[number], np.asarray(T))
+    # The fractions of rows: they are on the line, so the nearest pose of the line is theirs.
+    fine = np.linspace(0, 1, 20001)
+    targets = line.poses(fine)
+    rows = robot.forward_kinematics(path)[:, number]
+    gaps = np.linalg.norm(rows[:, None, :3] - targets[None, :, :3], axis=(2, 3))
+    u = fine[gaps.argmin(axis=1)]
+    s = np.linspace(0, 1, samples)
+    Q = path[:-1, None] + s[:, None] * (path[1:] - path[:-1])[:, None]
+    at = (u[:-1, None] + s * (u[1:] - u[:-1])[:, None]).ravel()
+    D = robot.forward_kinematics(Q.reshape(-1, robot.dof))[:, number]
+    wanted = line.poses(at)
+    E = wanted[:, :3, :3].swapaxes(1, 2) @ D[:, :3, :3]
+    chord = np.linalg.norm(E - np.eye(3), axis=(1, 2)) / np.sqrt(8)
+    return np.linalg.norm(D[:, :3, 3] - wanted[:, :3, 3], axis=1).max(), 2 * np.arcsin(chord).max()
+
+
+@pytest.mark.parametrize("kind", ARMS)
+def test_lines_are_followed(kind):
+    """A line ends at its target, and no sample of its motions strays farther than the tolerances."""
+    robot, link = ARMS[kind]
+    checker, solved = with_bodies(robot), 0
+    rng = np.random.default_rng(2)
+    for _ in range(12):
+        q = rng.uniform(-1.5, 1.5, robot.dof)
+        T = robot.forward_kinematics(q + rng.uniform(-0.3, 0.3, robot.dof))[robot.link_names.index(link)]
+        try:
+            path = planners.straight(checker, q, link, T, position=1e-3, rotation=1e-2)
+        except PlanningError:
+            continue
+        solved += 1
+        assert np.array_equal(path[0], q)
+        assert np.abs(robot.forward_kinematics(path[-1])[robot.link_names.index(link)] - T).max() < 1e-9
+        assert ((path >= robot.lower) & (path <= robot.upper)).all()
+        shift, turn = strayed(robot, link, path, T)
+        assert shift <= 1e-3 + 1e-4  # fractions of the rows are known to 1/20000 of the line
+        assert turn <= 1e-2 + 1e-4
+    assert solved >= 8
+
+
+def test_one_joint():
+    """A rail follows its line in one motion; a turning rod cannot follow a chord at all."""
+    rail = robot_of(bare("rail", "prismatic", "base", "tool", "1 0 0"))
+    checker = with_bodies(rail)
+    assert np.allclose(planners.straight(checker, [0.0], "tool", translation(x=2.0)), [[0], [2]])
+    assert np.array_equal(planners.straight(checker, [0.5], "tool", translation(x=0.5)), [[0.5], [0.5]])
+    with pytest.raises(PlanningError, match=r"beyond the fraction 0.75.*limits: rail = 3"):
+        planners.straight(checker, [0.0], "tool", translation(x=4.0))
+    rod = TIGHT["turn"]
+    T = rod.forward_kinematics([1.0])[rod.link_names.index("tool")]
+    with pytest.raises(PlanningError, match=r"beyond the fraction 0:.*fewer than six joints"):
+        planners.straight(with_bodies(rod), [0.0], "tool", T)
+
+
+def test_what_is_in_the_way(tmp_path):
+    """A collision is an error that states the fraction of the line and the bodies."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    ball = checker.robot.forward_kinematics(LEFT)[checker.robot.link_names.index("ball")]
+    ball[0, 3] += 1.0
+    with pytest.raises(PlanningError, match=r"line: expected a free line of ball, .* wall .* at the fraction 0\.[3-6]"):
+        planners.straight(checker, LEFT, "ball", ball)
+    ball[0, 3] -= 1.2
+    path = planners.straight(checker, LEFT, "ball", ball)
+    assert np.allclose(path[-1], [LEFT[0] - 0.2, *LEFT[1:]])
+
+
+def test_a_kept_axis():
+    """A cup stays upright along a line that keeps it upright, and one that tilts it is refused."""
+    robot, link = ARMS["turning"]
+    checker, number = with_bodies(robot), robot.link_names.index(link)
+    q = np.array([0.3, 0.6, 0.7, 0.2, 0.4, 0.1])
+    T = robot.forward_kinematics(q)[number]
+    up = T[:3, 2].copy()
+    T[:3, 3] += 0.05, -0.03, 0.02
+    path = planners.straight(checker, q, link, T, keep=("z", up, 0.01))
+    Q = robot.between(path[:-1, None], path[1:, None], np.linspace(0, 1, 50))
+    assert np.arccos(np.minimum(robot.forward_kinematics(Q)[..., number, :3, 2] @ up, 1.0)).max() <= 0.01
+    turned = robot.forward_kinematics(q + 0.1)[number]
+    with pytest.raises(PlanningError, match=r"line: expected .* to keep within 0.01 rad .* at the fraction 0\.\d+"):
+        planners.straight(checker, q, link, turned, keep=("z", up, 0.01))
+
+
+def test_bad_input():
+    """Each bad argument is refused with its name."""
+    robot, link = ARMS["turning"]
+    checker, q = with_bodies(robot), np.full(6, 0.5)
+    T = robot.forward_kinematics(q)[robot.link_names.index(link)]
+    with pytest.raises(UnknownNameError, match="link"):
+        planners.straight(checker, q, "hands", T)
+    with pytest.raises(PoseError, match="T: expected"):
+        planners.straight(checker, q, link, np.zeros((4, 4)))
+    for name in ("position", "rotation"):
+        with pytest.raises(InputError, match=f"{name}: expected"):
+            planners.straight(checker, q, link, T, **{name: 0.0})
+    for keep in (("z", [0, 0, 1]), ("w", [0, 0, 1], 0.1), ("z", [0, 0, 0], 0.1), ("z", [0, 0, 1], -1.0), 3):
+        with pytest.raises((InputError, UnknownNameError), match="keep"):
+            planners.straight(checker, q, link, T, keep=keep)
+    half = T.copy()
+    half[:3, :2] *= -1
+    with pytest.raises(InputError, match="half a turn"):
+        planners.straight(checker, q, link, half)
+    with pytest.raises(PlanningError, match="start: expected a configuration within the limits.*j0 = 4"):
+        planners.straight(checker, [4.0, *q[1:]], link, T)
+    flying = arm(joint("fly", "floating", "base", "s", ""), "s")
+    start = flying.configuration()
+    with pytest.raises(InputError, match="floating or ball joint"):
+        planners.straight(with_bodies(flying), start, "hand", T)
+    turning = [f"j{k}" for k in range(6)]
+    here = flying.forward_kinematics(start)[flying.link_names.index("hand")]
+    assert len(planners.straight(with_bodies(flying), start, "hand", here, joints=turning)) == 2

@@ -1,0 +1,272 @@
+"""Poses that are reached, by every kind of joint; within limits, tolerances and obstacles; and what is refused."""
+
+import numpy as np
+import pytest
+
+from loewner import Body, CollisionChecker, InputError, PoseError, Robot, Scene, UnknownNameError
+from loewner.robots import reaching
+from loewner.robots.urdf import read_urdf
+from robot_oracle import pinocchio_configuration, robots_folder
+
+FREE = np.inf
+
+
+def joint(name, kind, parent, child, inside='<axis xyz="0 0 1"/><limit lower="-2" upper="2"/>'):
+    return (
+        f'<link name="{child}"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.1 -0.2 0.3" rpy="0.4 0.5 -0.6"/>{inside}</joint>'
+    )
+
+
+def robot_of(*joints):
+    return Robot.from_urdf(text=f'<robot name="r"><link name="base"/>{"".join(joints)}</robot>')
+
+
+def arm(before="", base="base"):
+    """Six turning joints below whatever is before them, and a hand."""
+    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
+    names = (base, "a", "b", "c", "d", "e", "f")
+    turns = [
+        joint(f"j{k}", "revolute", names[k], names[k + 1], f'<axis xyz="{axis}"/><limit lower="-3" upper="3"/>')
+        for k, axis in enumerate(axes)
+    ]
+    return robot_of(before, *turns, joint("hand", "fixed", "f", "hand"))
+
+
+def example(name):
+    srdf = name.replace("urdf/", "srdf/").replace("_robot", "").replace(".urdf", ".srdf")
+    folder = robots_folder()
+    return Robot.from_urdf(folder / name, srdf=folder / srdf, package_dirs=[folder.parents[1]])
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return example("panda_description/urdf/panda.urdf")
+
+
+@pytest.fixture(scope="module")
+def ur5():
+    return example("ur_description/urdf/ur5_robot.urdf")
+
+
+def poses_of(robot, link, Q):
+    return np.ascontiguousarray(robot.forward_kinematics(Q)[..., robot.link_names.index(link), :, :])
+
+
+def misses(robot, link, found, T):
+    """Metres and radians, by NumPy alone."""
+    D = np.linalg.inv(T) @ poses_of(robot, link, found.configuration)
+    skew = D[..., :3, :3] - D[..., :3, :3].swapaxes(-1, -2)
+    sine = np.linalg.norm(np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1), axis=-1) / 2
+    cosine = (np.trace(D[..., :3, :3], axis1=-2, axis2=-1) - 1) / 2
+    return np.linalg.norm(D[..., :3, 3], axis=-1), np.arctan2(sine, cosine)
+
+
+def inside(robot, Q):
+    return bool(((robot.lower <= Q) & (robot.upper >= Q)).all())
+
+
+KINDS = {
+    "turning": arm(),
+    "sliding": arm(joint("slide", "prismatic", "base", "s"), "s"),
+    "continuous": arm(joint("round", "continuous", "base", "s", '<axis xyz="1 2 3"/>'), "s"),
+    "planar": arm(joint("drive", "planar", "base", "s", '<axis xyz="0 0 1"/>'), "s"),
+    "floating": arm(joint("fly", "floating", "base", "s", ""), "s"),
+    "mimicking": arm(
+        joint("slide", "prismatic", "base", "s")
+        + joint(
+            "echo",
+            "prismatic",
+            "s",
+            "t",
+            '<axis xyz="0 1 1"/><limit lower="-9" upper="9"/><mimic joint="slide" multiplier="-0.5" offset="1"/>',
+        ),
+        "t",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_poses_of_the_robot_are_reached(kind):
+    """A pose that forward kinematics gives is reached to 1e-9, within the limits, by every kind of joint."""
+    robot = KINDS[kind]
+    T = poses_of(robot, "hand", robot.random_configurations(100, 1))
+    found = robot.reach("hand", T)
+    assert found.reached.mean() >= 0.99
+    shift, turn = misses(robot, "hand", found, T)
+    assert ((shift < 1e-9) & (turn < 1e-9))[found.reached].all()
+    assert inside(robot, found.configuration)
+    assert (found.residual[found.reached] < 1e-9).all()
+
+
+def test_real_arms_and_pinocchio(panda, ur5):
+    """All of 100 poses by pinocchio's forward kinematics are reached, on a Panda and a UR5."""
+    pin = pytest.importorskip("pinocchio")
+    for robot, link in ((panda, "panda_hand"), (ur5, "tool0")):
+        model, joints = pin.buildModelFromUrdf(str(robot.urdf)), read_urdf(robot.urdf).joints
+        data, values = model.createData(), {name: k for k, name in enumerate(robot.configuration_names)}
+
+        def poses(Q, model=model, data=data, joints=joints, values=values, link=link):
+            T = []
+            for q in Q:
+                pin.framesForwardKinematics(model, data, pinocchio_configuration(pin, model, joints, values, q))
+                T.append(data.oMf[model.getFrameId(link)].homogeneous)
+            return np.array(T)
+
+        T = poses(robot.random_configurations(100, 2))
+        found = robot.reach(link, T)
+        assert found.reached.all()
+        assert inside(robot, found.configuration)
+        assert np.abs(poses(found.configuration) - T).max() < 1e-9
+
+
+def test_all_solutions(ur5):
+    """All solutions of a UR5 are found: an even number up to eight, each a solution, no two alike, nearest first."""
+    start = np.array([0.3, -1.2, 1.0, -0.7, 1.1, 0.4])
+    T = poses_of(ur5, "tool0", np.array([start, [0.5, -1.5, 1.4, -1.0, 1.2, 0.1], [2.0, -0.8, 0.9, 0.3, -0.9, 1.0]]))
+    found = ur5.reach("tool0", T, start=start, all=True, seeds=256)
+    assert found.free is None
+    for target, solutions in zip(T, found.solutions, strict=True):
+        assert len(solutions) == 8
+        assert max(np.abs(poses_of(ur5, "tool0", solutions) - target).max(axis=(1, 2))) < 1e-9
+        assert inside(ur5, solutions)
+        assert (np.abs(solutions - start) <= np.pi + 1e-9).all()  # whole turns are removed
+        apart = np.linalg.norm(solutions - start, axis=1)
+        assert (np.diff(apart) >= 0).all()
+        between = np.abs(solutions[:, None] - solutions).max(axis=2) + np.eye(len(solutions))
+        assert between.min() > 1e-4
+    assert np.abs(found.solutions[0][0] - start).max() < 1e-9
+    one = ur5.reach("tool0", T[0], start=start, all=True, seeds=256)
+    assert np.array_equal(one.solutions, found.solutions[0])
+
+
+def test_tolerances(panda):
+    """Free directions stay free, ranges are kept, and the rest is exact."""
+    T = poses_of(panda, "panda_hand", panda.random_configurations(50, 3))
+    found = panda.reach("panda_hand", T, tolerance=[0, 0, 0, FREE, FREE, FREE])
+    assert found.reached.all()
+    assert misses(panda, "panda_hand", found, T)[0].max() < 1e-9
+    T[:, :3, :3] = T[:, :3, [1, 2, 0]]
+    found = panda.reach("panda_hand", T, tolerance=[0, 0, 0, 0, 0, FREE])
+    D = np.linalg.inv(T) @ poses_of(panda, "panda_hand", found.configuration)
+    assert found.reached.mean() > 0.8
+    D = D[found.reached]
+    assert np.abs(D[:, :3, 3]).max() < 1e-9
+    assert np.abs(D[:, :2, 2]).max() < 1e-9
+    assert D[:, 2, 2].min() > 0
+    assert np.abs(D[:, 0, 1]).max() > 0.1  # it did spin
+    ranges = np.array([0.01, 0.02, 0.0, 0.1, 0.0, 0.5])
+    found = panda.reach("panda_hand", T, tolerance=ranges)
+    assert found.reached.mean() > 0.8
+    D = (np.linalg.inv(T) @ poses_of(panda, "panda_hand", found.configuration))[found.reached]
+    tilt = np.arccos(np.clip(D[:, 2, 2], -1, 1))
+    spin = np.arctan2(D[:, 1, 0] - D[:, 0, 1], D[:, 0, 0] + D[:, 1, 1])
+    assert (np.abs(D[:, :3, 3]) <= ranges[:3] + 1e-9).all()
+    assert (tilt <= 0.1 + 1e-9).all()  # no tilt about y
+    assert np.abs(D[:, 0, 2]).max() < 1e-9
+    assert (np.abs(spin) <= 0.5 + 1e-9).all()
+    assert np.abs(spin).max() > 0.49
+
+
+def test_other_joints_stay(panda):
+    """Joints that do not move the link, and joints that may not move, keep the start's values."""
+    start = panda.random_configurations(1, 4)[0]
+    T = poses_of(panda, "panda_link4", panda.random_configurations(20, 5))
+    found = panda.reach("panda_link4", T, start=start, tolerance=[0, 0, 0, FREE, FREE, FREE])
+    assert np.array_equal(found.configuration[:, 4:], np.tile(start[4:], (20, 1)))
+    some = ["panda_joint1", "panda_joint2", "panda_joint4"]
+    found = panda.reach("panda_hand", T, joints=some, start=start, tolerance=[0, 0, 0, FREE, FREE, FREE])
+    still = [k for k, name in enumerate(panda.configuration_names) if name not in some]
+    assert np.array_equal(found.configuration[:, still], np.tile(start[still], (20, 1)))
+    assert found.reached.any()
+
+
+def test_what_is_not_reached_is_as_near_as_can_be():
+    """On a rail of 2 m, a pose 1.5 m beyond its end is missed by 1.5 m, and one turned by 1 rad by that angle."""
+    robot = robot_of(
+        '<link name="tool"/><joint name="rail" type="prismatic"><parent link="base"/><child link="tool"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="2"/></joint>'
+    )
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, 0, 3] = 3.5, 1.0, 0.5
+    T[1, :3, :3] = [[np.cos(1), -np.sin(1), 0], [np.sin(1), np.cos(1), 0], [0, 0, 1]]
+    found = robot.reach("tool", T)
+    assert found.reached.tolist() == [False, False, True]
+    assert np.allclose(found.residual, [[1.5, 0], [0, 1], [0, 0]], atol=1e-6)
+    assert np.allclose(found.configuration[:, 0], [2, 1, 0.5], atol=1e-6)
+    assert robot.reach("tool", T[:2], all=True).solutions[0].shape == (0, 1)
+
+
+def test_free_solutions_come_first(panda):
+    """With a checker, a solution is free if any of all is; free ones come first."""
+    scene = Scene()
+    rng = np.random.default_rng(6)
+    for k in range(8):
+        at = np.eye(4)
+        at[:3, 3] = rng.uniform([-0.7, -0.7, 0.2], [0.7, 0.7, 0.9])
+        scene.add(f"ball {k}", Body.sphere(0.12), at)
+    checker = CollisionChecker(panda, scene)
+    Q = panda.random_configurations(300, 7)
+    T = poses_of(panda, "panda_hand", Q[~checker.collide(Q)][:40])
+    found = panda.reach("panda_hand", T, checker=checker)
+    assert found.reached.mean() > 0.9
+    assert not checker.collide(found.configuration[found.reached]).any()
+    every = panda.reach("panda_hand", T, checker=checker, all=True)
+    assert (every.reached >= found.reached).all()
+    for count, solutions in zip(every.free, every.solutions, strict=True):
+        collides = checker.collide(solutions)
+        assert not collides[:count].any()
+        assert collides[count:].all()
+    scene.add("everything", Body.sphere(9.0))
+    blocked = panda.reach("panda_hand", T[0], checker=checker)
+    assert not blocked.reached
+    assert blocked.residual.max() < 1e-9
+
+
+def test_answers_depend_neither_on_threads_nor_on_what_follows(panda):
+    """A batch gives the same answers in parts that begin where a chain of starts begins; a start is its own answer."""
+    Q = panda.random_configurations(3 * reaching.CHAINED, 8)
+    T = poses_of(panda, "panda_hand", Q)
+    found = panda.reach("panda_hand", T)
+    for first in range(0, len(T), reaching.CHAINED):
+        part = panda.reach("panda_hand", T[first : first + reaching.CHAINED])
+        assert np.array_equal(part.configuration, found.configuration[first : first + reaching.CHAINED])
+    same = panda.reach("panda_hand", T, start=Q)
+    assert np.abs(same.configuration - Q).max() < 1e-9
+    assert panda.reach("panda_hand", T.reshape(3, -1, 4, 4)).residual.shape == (3, reaching.CHAINED, 2)
+    assert panda.reach("panda_hand", T[:0]).configuration.shape == (0, panda.dof)
+
+
+def test_an_almost_rigid_pose_is_reached(panda):
+    """Rotations that are off by rounding to single precision are made orthonormal first."""
+    T = poses_of(panda, "panda_hand", panda.random_configurations(20, 9)).astype(np.float32).astype(np.float64)
+    assert panda.reach("panda_hand", T).reached.all()
+
+
+def test_bad_input(panda):
+    """Each bad argument is refused with its name."""
+    T, checker = np.eye(4), CollisionChecker(panda)
+    with pytest.raises(UnknownNameError, match="link"):
+        panda.reach("hand", T)
+    with pytest.raises(InputError, match="expected one that the joints move .*found 'panda_link0'"):
+        panda.reach("panda_link0", T)
+    with pytest.raises(InputError, match="expected one that the joints move .*found 'panda_link3'"):
+        panda.reach("panda_link3", T, joints=["panda_joint7"])
+    with pytest.raises(PoseError, match="T: expected a rotation"):
+        panda.reach("panda_hand", np.diag([2.0, 2, 2, 1]))
+    with pytest.raises(PoseError, match="T: expected shape"):
+        panda.reach("panda_hand", T[:3])
+    for tolerance in ([0, 0, 0], [-1, 0, 0, 0, 0, 0], [np.nan, 0, 0, 0, 0, 0], "much"):
+        with pytest.raises(InputError, match="tolerance: expected"):
+            panda.reach("panda_hand", T, tolerance=tolerance)
+    with pytest.raises(InputError, match="seeds"):
+        panda.reach("panda_hand", T, seeds=0)
+    with pytest.raises(InputError, match="checker: expected a loewner.CollisionChecker of this robot"):
+        panda.reach("panda_hand", T, checker=object())
+    with pytest.raises(InputError, match="start: expected shape"):
+        panda.reach("panda_hand", T, start=[0, 0])
+    with pytest.raises(InputError, match="expected T and start whose shapes|broadcast"):
+        panda.reach("panda_hand", np.tile(T, (3, 1, 1)), start=np.zeros((2, panda.dof)))
+    with pytest.raises(UnknownNameError, match="joints"):
+        panda.reach("panda_hand", T, joints=["elbow"])
+    assert panda.reach("panda_hand", T, checker=checker) is not None
