@@ -67,7 +67,7 @@ def test_speed_and_curvature(tmp_path, seed, degree):
                     x = np.einsum("tij,nj->tni", poses[:, ready.link[a]], x)
                 else:
                     x = np.broadcast_to(
-                        x @ ready.standing_poses[a - len(ready.link)].reshape(4, 4).T, (len(t), *x.shape)
+                        x @ ready.standing.poses[a - len(ready.link)].reshape(4, 4).T, (len(t), *x.shape)
                     )
                 seen = np.einsum("tij,tnj->tni", to, x)[..., :3]
                 ways = ways_between(tables, made, a, ready.link[a] if moves else -1, ready.link[b])

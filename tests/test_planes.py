@@ -190,7 +190,7 @@ def ways(case, view, given=None):
 def kernel_gaps(case, view, W, planes=None, count=-1, still=None, n=None):
     """What `write_gaps` writes."""
     out, planes = np.empty(32), np.empty(16) if planes is None else planes
-    still = case.ready.standing_poses.reshape(-1, 4, 4) if still is None else still
+    still = case.ready.standing.poses.reshape(-1, 4, 4) if still is None else still
     gaps_along(
         case.ready.packed.kernel, W, view.link, view.fixed, still, view.row, view.i, view.j, view.n if n is None else n,
         planes, count, out,
@@ -223,7 +223,7 @@ def extent(packed, piece, D):
 def real_gaps(case, view, poses):
     """The gap between both pieces along n, for poses of all links in extended precision, shape (N, links, 4, 4)."""
     packed, n = case.ready.packed, np.broadcast_to(np.asarray(view.n, dtype=Real), (len(poses), 3))
-    still = case.ready.standing_poses.reshape(-1, 4, 4)
+    still = case.ready.standing.poses.reshape(-1, 4, 4)
     if view.fixed >= 0:
         there, below = poses[:, view.fixed, :3, 3], extent(packed, view.j, n)
         n = (poses[:, view.fixed, :3, :3] @ n[..., None])[..., 0]
@@ -345,7 +345,7 @@ def test_no_gap_without_numbers(still_and_moving, bad):
                     assert not found[lane] > -np.inf
                     assert (np.delete(found, lane) == np.delete(good, lane)).all()
         if view.fixed < 0:
-            still = case.ready.standing_poses.reshape(-1, 4, 4).copy()
+            still = case.ready.standing.poses.reshape(-1, 4, 4).copy()
             still[view.row, 1, 3] = bad
             assert not (kernel_gaps(case, view, W, still=still) > -np.inf).any()
         if np.isnan(bad):
