@@ -219,7 +219,7 @@ def checked_ends(
     goals = np.atleast_2d(robot.checked(goals_of(goal, checker, q, joints), "goal"))
     if goals.ndim != 2 or len(goals) == 0:
         raise InputError(
-            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(np.shape(goal))}"
+            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
         )
     return q, goals
 
