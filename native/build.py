@@ -141,6 +141,7 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         If the compiler is missing, or something does not compile or link.
     """
     home.mkdir(parents=True, exist_ok=True)
+    before = source_hash()
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
         work = Path(folder)
         compile_extension(work / f"_call{EXTENSION_SUFFIXES[0]}")  # first: it fails at once where there is no compiler
@@ -156,6 +157,9 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         )
         for level in levels:
             link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
+        # Processes read the sources as they need them: code of two versions may not be called code of one.
+        if source_hash.__wrapped__() != before:
+            raise BuildError("the kernels' sources changed while they were compiled; build again")
         made = [*sorted(work.glob("*.so")), work / _ptx.NAME]
         files = {path.name: _sum(path) for path in made}
         listed = {

@@ -14,11 +14,12 @@ from loewner._kernels import columns
 from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
-from loewner.planners.judge import TOLERANCE, Judge, refuse_unfree
+from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.line_bounds import Line, Strays, Turns, strays
 from loewner.planners.space import checked_checker
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
+from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.reaching import Chain, near, targets_of
 from loewner.robots.robot import link_poses
@@ -279,18 +280,26 @@ def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> Plan
 
 
 def _refuse_collisions(judge: Judge, u: Floats, Q: Floats, link: str) -> None:
-    """Raise an error unless all motions are proven free."""
-    found = prove_by_rules(judge.ready, Q[:-1], Q[1:], TOLERANCE, judge.joint_error)
-    if (found.verdicts == Verdict.FREE).all():
-        if len(judge.ready.ruled):
-            refuse_unfree(judge, Q, "line")
+    """Raise an error unless all motions are proven free, by the scene's rules on contact at the ends where needed."""
+    left = np.flatnonzero(~judge.free(Q[:-1], Q[1:]))
+    if len(left) == 0:
         return
-    k = int((found.verdicts != Verdict.FREE).argmax())
-    found.expect_short(Q[:-1], Q[1:])
-    told = found.of_shape((len(Q) - 1,), judge.ready)
-    a, b = told.names[k]
-    how = "collide" if told.verdict[k] == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
+    found = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE)
+    if (found.verdicts == Verdict.FREE).all():
+        rows = np.setdiff1d(np.append(left, left + 1), [0, len(Q) - 1])
+        if (deeper := deeper_than_ends(judge.ready, Q, rows, TOLERANCE)) is not None:
+            row, pair = deeper
+            a, b = (judge.ready.names[k] for k in judge.ready.pairs[pair])
+            raise PlanningError(
+                f"line: expected contacts that get no deeper than at its ends, found {a} and {b} deeper "
+                f"at the fraction {u[row]:.4g}"
+            )
+        return
+    found.expect_short(Q[left], Q[left + 1])
+    worst, told = int((found.verdicts != Verdict.FREE).argmax()), found.of_shape((len(left),), judge.ready)
+    k, (a, b) = left[worst], told.names[worst]
+    how = "collide" if told.verdict[worst] == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
     raise PlanningError(
         f"line: expected a free line of {link}, found that {a} and {b} {how} at the fraction "
-        f"{u[k] + told.fraction[k] * (u[k + 1] - u[k]):.4g}{judge.how_surfaces_are_seen(told.names[k])}"
+        f"{u[k] + told.fraction[worst] * (u[k + 1] - u[k]):.4g}{judge.how_surfaces_are_seen(told.names[worst])}"
     )

@@ -216,11 +216,11 @@ def checked_ends(
     """Check a user's start and goals; return them with shapes (dof,) and (goals, dof)."""
     robot = checked_checker(checker).robot
     q = robot.checked_one(start, "start")
-    given = goals_of(goal, checker, q, joints)
-    goals = np.atleast_2d(robot.checked(given, "goal"))
+    goals = np.atleast_2d(robot.checked(goals_of(goal, checker, q, joints), "goal"))
     if goals.ndim != 2 or len(goals) == 0:
-        found = _validate.shape_text(np.shape(given))
-        raise InputError(f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {found}")
+        raise InputError(
+            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
+        )
     return q, goals
 
 
