@@ -13,12 +13,12 @@ ranges : ndarray, shape (3, K)
     after a whole turn; FAR, a length without limits, whose seeds are multiples of the distance from the start to the
     target; TURNS, the first entry of a quaternion, which REST follow; otherwise PLAIN.
 
-Everything is expressed in the frame of the target. Six coordinates say how far the link is from it: three of its
+Everything is expressed in the frame of the target. The link's deviation has six coordinates: three of its
 origin, then three of its rotation E = S Z, which is a turn Z about the z axis (spin) followed by the smallest turn S
 that takes the z axis to its image c (tilt). With the half angles these coordinates are algebraic: the tilt is
 (-c_y, c_x) √(2 / (1 + c_z)), of length 2 sin(tilt / 2), and the spin is 2 sin(spin / 2). If the link turns with ω, the
 image c moves with ω × c, and the spin grows with ω · (z + c) / (1 + c_z), because S turns perpendicular to z + c. A
-coordinate counts by what it exceeds its tolerance; within its tolerance, it is left alone.
+coordinate counts by its excess over the tolerance; within the tolerance, it is left alone.
 
 References
 ----------
@@ -81,7 +81,7 @@ DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
 LONGEST = 1.0  # rad; the largest turn of a joint in a step
 
-# After every so many steps, a seed is given up unless its squared error became this much smaller.
+# After every PATIENCE steps, a seed is given up unless its squared error became this much smaller.
 PATIENCE, GAIN = 6, 0.7
 
 # Two solutions that differ by less than this in every value [rad or m] are the same.
@@ -93,7 +93,7 @@ TWO_PI = 2.0 * np.pi
 
 @inline
 def _add_twist(twists, column, turn, shift):
-    """Add a motion of the link to that of a value: its angular velocity, and its velocity at the origin."""
+    """Add a motion of the link to the motion of a value: its angular velocity, and its velocity at the origin."""
     at = column * (FAULTS * LANES)
     for r in range(3):
         store(twists, at + r * LANES, load(twists, at + r * LANES) + shift[r])
@@ -155,7 +155,7 @@ def _follow(chain, constants, base, q, twists):
 
 @inline
 def _fault(x, tolerance):
-    """What a coordinate exceeds its tolerance by, and 1 if it counts."""
+    """Excess of a coordinate over its tolerance, and 1 if it counts."""
     counts = absolute(x) >= tolerance
     beyond = x - select(x > 0.0, broadcast(tolerance), broadcast(-tolerance))
     return select(counts, beyond, 0.0), select(counts, broadcast(1.0), 0.0)
@@ -447,7 +447,7 @@ def reach_poses(
     chain, constants, ranges : ndarray
         See above.
     tolerance : ndarray, shape (6,)
-        Of the coordinates.
+        For the coordinates.
     targets : ndarray, shape (n, 4, 4)
     starts : ndarray, shape (n, K)
     seeds : ndarray, shape (s, K)
@@ -459,8 +459,8 @@ def reach_poses(
     counts : ndarray of int64, shape (n,)
         Receives their number.
     nearest : ndarray, shape (n, K + 3)
-        Receives the first solution, or else the configuration that came nearest; and what it misses the tolerance by:
-        in metres, and 2 sin(angle / 2) of tilt and of spin.
+        Receives the first solution, or else the configuration that came nearest; then its excess over the tolerance: in
+        metres, and 2 sin(angle / 2) of tilt and of spin.
     """
     values = ranges.shape[1]
     work = (
