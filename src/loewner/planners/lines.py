@@ -116,7 +116,7 @@ def straight(
     >>> from loewner import CollisionChecker, Robot
     >>> robot = Robot.from_urdf("arm.urdf")
     >>> pose = robot.forward_kinematics([0.5, 1.0])[1]
-    >>> straight(CollisionChecker(robot), [0.0, 1.0], "cart", pose)
+    >>> straight(CollisionChecker(robot), [0.0, 1.0], "cart", pose).round(9)
     array([[0. , 1. ],
            [0.5, 1. ]])
     """

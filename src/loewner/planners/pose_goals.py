@@ -34,10 +34,10 @@ class PoseGoal:
 
     Examples
     --------
-    >>> from loewner import CollisionChecker, Robot
+    >>> from loewner import CollisionChecker, Robot, planners
     >>> robot = Robot.from_urdf("arm.urdf")
     >>> pose = robot.forward_kinematics([1.0, 0.5])[2]
-    >>> plan(CollisionChecker(robot), [0.0, 0.0], PoseGoal("forearm", pose))
+    >>> planners.plan(CollisionChecker(robot), [0.0, 0.0], planners.PoseGoal("forearm", pose)).round(9)
     array([[0. , 0. ],
            [1. , 0.5]])
     """

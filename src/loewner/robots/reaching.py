@@ -67,8 +67,10 @@ class Reached:
     --------
     >>> from loewner import Robot
     >>> robot = Robot.from_urdf("arm.urdf")
-    >>> robot.reach("forearm", robot.forward_kinematics([0.5, 1.0])[2])
-    Reached(configuration=array([0.5, 1. ]), reached=True, residual=array([0., 0.]), solutions=None, free=None)
+    >>> found = robot.reach("forearm", robot.forward_kinematics([[0.5, 1.0], [1.5, 0.0]])[:, 2])
+    >>> found.configuration.round(9), found.reached, bool((found.residual < 1e-9).all())
+    (array([[0.5, 1. ],
+           [1.5, 0. ]]), array([ True,  True]), True)
     """
 
     configuration: Floats

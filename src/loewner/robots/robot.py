@@ -638,7 +638,7 @@ class Robot:
         --------
         >>> robot = Robot.from_urdf("arm.urdf")
         >>> pose = robot.forward_kinematics([0.5, 1.0])[2]
-        >>> robot.reach("forearm", pose).configuration
+        >>> robot.reach("forearm", pose).configuration.round(9)
         array([0.5, 1. ])
         >>> pose[0, 3] += 3.0  # the rail is too short
         >>> found = robot.reach("forearm", pose)
