@@ -10,7 +10,7 @@ from families import translation
 from gantry import LEFT, gantry, wall
 from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robot, UnknownNameError, planners
 from loewner.planners import line_bounds
-from loewner.robots.robot import source_of
+from loewner.robots.robot import sources_of
 from test_reach import arm, joint, robot_of
 
 DENSE = np.linspace(0.0, 1.0, 401)
@@ -27,7 +27,7 @@ BALL = '<link name="base"><collision><geometry><sphere radius="0.01"/></geometry
 
 def with_bodies(robot):
     """A checker of the robot, at whose base and tip there are small balls that never meet."""
-    text = source_of(robot)[1].replace('<link name="base"/>', BALL)
+    text = sources_of(robot)[0].text.replace('<link name="base"/>', BALL)
     last = robot.link_names[-1]
     text = text.replace(f'<link name="{last}"/>', BALL.replace("base", last))
     return CollisionChecker(Robot.from_urdf(text=text))

@@ -38,6 +38,8 @@ FREE, AMBIGUOUS = Verdict.FREE, Verdict.AMBIGUOUS
 far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 
 # Ball joints, which no URDF has, on one branch after a sliding joint and on another one before a hinge.
+LIMIT = '<limit lower="-2" upper="2"/>'
+
 BALLS = """<mujoco model="balls"><worldbody><body name="trunk" pos="0.1 0 0.2">
 <joint type="hinge" axis="1 2 3"/><geom type="box" size="0.1 0.05 0.08"/>
 <body name="left" pos="0.3 0.1 0"><joint type="slide" axis="0 1 1"/><joint type="ball" pos="0.02 0.1 0"/>
@@ -94,7 +96,7 @@ def mixed_robot(rng, folder, links=6):
         joints.append((
             kind, rng.integers(max(0, k - 3), k),
             f'<origin xyz="{x[0]} {x[1]} {x[2]}" rpy="{turn[0]} {turn[1]} {turn[2]}"/>'
-            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/><limit lower="-2" upper="2"/>{mimic}',
+            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{"" if kind in ("planar", "floating") else LIMIT}{mimic}',
         ))  # fmt: skip
     bodies = various_bodies(rng)
     return robot_of(folder, joints, {f"l{k}": bodies[rng.integers(len(bodies))] for k in range(1, links)})

@@ -3,6 +3,7 @@
 import copy
 import os
 import pickle
+import re
 import subprocess
 import sys
 import warnings
@@ -42,6 +43,8 @@ LINKS = links("abcdef")
 
 
 def joint(name, kind, parent, child, inside='<axis xyz="0 0 1"/><limit lower="-2" upper="2"/>'):
+    if kind in ("planar", "floating"):  # a limit causes a warning
+        inside = re.sub("<limit[^>]*/>", "", inside)
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="0.1 -0.2 0.3" rpy="0.4 0.5 -0.6"/>{inside}</joint>'

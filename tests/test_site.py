@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import re
 import sys
+import typing
 from enum import IntEnum
 from functools import cached_property
 from importlib.util import find_spec
@@ -164,6 +165,18 @@ def test_public_names_show_an_example(name):
     assert ">>> " in section(NAMES[name], "Examples")
 
 
+def parameters_of(thing):
+    """Names of its parameters; those of a typed dictionary instead of the dictionary."""
+    names = set()
+    for name, parameter in inspect.signature(thing).parameters.items():
+        if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            (options,) = typing.get_args(eval(parameter.annotation, inspect.unwrap(thing).__globals__))
+            names |= set(options.__annotations__)
+        else:
+            names.add(name)
+    return names
+
+
 @pytest.mark.parametrize("name", [*NAMES, *MEMBERS])
 def test_public_names_are_documented(name):
     """Each says what it is, and names every argument, field and result that it has."""
@@ -171,7 +184,7 @@ def test_public_names_are_documented(name):
     assert inspect.getdoc(thing)
     if is_called(thing):
         signature = inspect.signature(thing)
-        assert set(signature.parameters) - {"self"} <= named_in(section(thing, "Parameters"))
+        assert parameters_of(thing) - {"self"} <= named_in(section(thing, "Parameters"))
         makes_an_object = inspect.ismethod(thing)  # of its class: a class method
         if signature.return_annotation not in (None, "None") and not makes_an_object:
             assert section(thing, "Returns")

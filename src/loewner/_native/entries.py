@@ -60,7 +60,7 @@ ENTRIES = {
         # -- poses, crowds, trees
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
-        Entry("trees.piece_tree", "piece_trees", "I1 F2 F2", "F1 I1 I1"),
+        Entry("trees.piece_tree", "piece_trees", "cI1 cF2 cF2", "F1 I1 I1"),
         Entry("trees.triangle_tree", "triangle_tree", "cF2 cI2", "F1 I1 F1 F1 F1 I1"),
         Entry("trees.cuts", "cut_up", "F2 I1 f i I1 I1 F2 F2 F3", "i"),
         Entry("trees.triangle_mesh", "equal_vertices", "cF2", "i I1"),
