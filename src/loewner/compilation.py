@@ -20,7 +20,7 @@ _MODULES = {
     "crowds": ("trees.boxes",),
     "robots": ("robots.",),
     "fits": ("fits.", "ellipsoids.", "pieces.directions"),
-    "surfaces": ("narrow.mesh_points", "trees.piece_tree", "trees.triangle"),
+    "surfaces": ("narrow.mesh_points", "trees.piece_tree", "trees.triangle", "trees.cuts"),
     "distances": ("pipeline.distances",),
     "estimates": ("pipeline.bounds",),
     "paper": ("paper.",),
