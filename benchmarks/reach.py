@@ -23,6 +23,7 @@ from scipy.optimize import least_squares
 import report
 from clock import threads_set_to
 from loewner import CollisionChecker, Robot
+from loewner.robots.robot import chain_to
 from rivals import Missing
 from robot_samples import example, obstacles, panda, robots_folder, talos
 from samples import Array
@@ -84,7 +85,7 @@ def missed(robot: Robot, link: str, Q: Array, T: Array) -> Array:
 
 def by_scipy(robot: Robot, link: str, joints: list[str] | None, T: Array) -> tuple[float, float]:
     """Seconds for a pose, and the share that was reached."""
-    chain = robot.chain_to(link, joints)
+    chain = chain_to(robot, link, joints)
     columns = chain.columns[chain.moving]
     start, number = robot.configuration().clip(robot.lower, robot.upper), robot.link_names.index(link)
     drawn = robot.random_configurations(SEEDS, 2)

@@ -10,7 +10,7 @@ from families import translation
 from gantry import LEFT, gantry, wall
 from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robot, UnknownNameError, planners
 from loewner.planners import line_bounds
-from loewner.robots.robot import sources_of
+from loewner.robots.robot import chain_to, sources_of
 from test_reach import arm, joint, robot_of
 
 DENSE = np.linspace(0.0, 1.0, 401)
@@ -65,7 +65,7 @@ ARMS = {
 def bounds_and_samples(module, robot, link, q0, q1, kept):
     """Bounds of one motion beside samples: the largest deviations from the line of its ends, and what the largest
     second difference would allow, which the bounds must cover, too."""
-    chain, number = robot.chain_to(link), robot.link_names.index(link)
+    chain, number = chain_to(robot, link), robot.link_names.index(link)
     Q = np.array([q0, q1])
     T = robot.forward_kinematics(Q)[:, number]
     line = module.Line.between(*T)

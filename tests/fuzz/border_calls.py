@@ -342,6 +342,10 @@ def joint_limits() -> planners.JointLimits:
     return planners.JointLimits.load("limits.yaml", robot())
 
 
+def pose_goal() -> planners.PoseGoal:
+    return planners.PoseGoal("ball", translation(-0.5, 0.5))
+
+
 def roadmap() -> planners.Roadmap:
     return planners.roadmap(checker(), 20, joints="y", fixed=[-0.5, 0.25, 0.0])
 
@@ -926,6 +930,19 @@ CALLS: dict[str, Call] = {
         on(robot, "jacobian"),
         {"Q": CONFIGURATIONS, "link": arg("rod"), "point": array(np.ones(3), NONE, FINITE)},
     ),
+    "Robot.reach": Call(
+        on(robot, "reach"),
+        {
+            "link": arg("rod"),
+            "T": poses(),
+            "joints": arg(lambda: ["x", "turn"], NONE),
+            "start": array(Q, NONE, FINITE, BATCHES, "turned over"),
+            "seeds": count(8),
+            "checker": arg(None, NONE),
+            "all": flag(),
+            "tolerance": array([0.125, 0.125, 0.0, 0.25, 0.25, 0.5], NONE, FINITE, "one inf"),
+        },
+    ),
     "Robot.checked": Call(
         on(robot, "checked"), {"Q": CONFIGURATIONS, "name": arg("Q", LABEL, skips=frozenset({"object that fails"}))}
     ),
@@ -1044,6 +1061,34 @@ CALLS: dict[str, Call] = {
             "weights": array([1.0, 0.5, 1.0], NONE),
         },
         varies=True,
+    ),
+    "planners.PoseGoal": Call(
+        lambda **given: planners.PoseGoal(**given).configurations(checker(), PATH[0]),
+        {
+            "link": arg("ball"),
+            "T": array(
+                [translation(-0.5, 0.5), translation(9.0)], NONE, FINITE, "without the first row", "two axes more"
+            ),
+            "tolerance": array([0.125, 0.125, 0.0, 0.25, 0.25, 0.5], NONE, FINITE, "one inf"),
+            "seeds": count(8),
+        },
+    ),
+    "planners.PoseGoal.configurations": Call(
+        on(pose_goal, "configurations"),
+        {"checker": arg(checker), "start": array(PATH[0], FINITE), "joints": arg("y", NONE)},
+    ),
+    "planners.straight": Call(
+        planners.straight,
+        {
+            "checker": arg(checker),
+            "start": array(PATH[0], FINITE),
+            "link": arg("rod"),
+            "T": array(translation(-0.25, 0.5), NONE, FINITE),
+            "position": positive(1e-3),
+            "rotation": positive(1e-3),
+            "joints": arg("slide", NONE),
+            "keep": arg(lambda: ("z", [0.0, 0.0, 1.0], 0.5), NONE),
+        },
     ),
     "planners.shorten": Call(
         planners.shorten,
@@ -1482,7 +1527,7 @@ RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory",
-    "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
+    "Overlaps", "PairDistances", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
     "planners.Plan", "planners.Trajectory",
     "cluster.Fitted",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +30,13 @@ from loewner.robots.proofs import deviations, prove, prove_by_rules
 
 # Motions that come nearer than this to colliding [m] may count as not free.
 TOLERANCE = 1e-5
+
+
+def checked_checker(checker: Any) -> CollisionChecker:
+    """Check that an argument is a collision checker."""
+    if not isinstance(checker, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+    return checker
 
 
 @dataclass(frozen=True, eq=False)

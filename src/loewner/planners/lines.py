@@ -14,15 +14,14 @@ from loewner._kernels import columns
 from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
-from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.line_bounds import Line, Strays, Turns, strays
-from loewner.planners.space import checked_checker
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.reaching import Chain, near, targets_of
-from loewner.robots.robot import link_poses
+from loewner.robots.robot import chain_to, link_poses
 
 # The first steps along a line, in metres and radians; from one to the next, Newton's method finds the same branch.
 FIRST_STEPS = 0.15, 0.5
@@ -125,7 +124,7 @@ def straight(
     rotation = min(_validate.positive_scalar(rotation, "rotation"), np.pi)
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
     target = targets_of(_validate.pose(T, "T")[None])[0]
-    chain = robot.chain_to(link, joints)
+    chain = chain_to(robot, link, joints)
     number = robot.link_names.index(link)
     if "turns" not in chain.kept:
         chain.kept["turns"] = Turns.of(chain, link)

@@ -18,8 +18,8 @@ from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import InputError, MissingExtraError, PlanningError, installing
 from loewner.planners.joint_limits import ON_LIMIT
-from loewner.planners.judge import Judge, free_now, refuse_unfree
-from loewner.planners.space import Space, checked_checker
+from loewner.planners.judge import Judge, checked_checker, free_now, refuse_unfree
+from loewner.planners.space import Space
 from loewner.robots import CollisionChecker
 
 # OMPL takes shares of the extent strictly between 0 and 1.

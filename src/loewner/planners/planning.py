@@ -12,9 +12,9 @@ from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
-from loewner.planners.judge import Judge, refuse_unfree
+from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.pose_goals import PoseGoal
-from loewner.planners.space import Space, checked_checker, checked_ends
+from loewner.planners.space import Space, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.edges import checked_path
 

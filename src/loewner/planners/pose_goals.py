@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
+from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
+from loewner.planners.judge import checked_checker
 from loewner.robots import CollisionChecker
+from loewner.robots.reaching import MOST_SEEDS, checked_tolerance
 
 # Configurations that are tried as goals at most: free ones first, then those nearest to the start.
 MOST_GOALS = 16
@@ -47,15 +50,27 @@ class PoseGoal:
     tolerance: ArrayLike | None = None
     seeds: int = 64
 
+    def __post_init__(self) -> None:
+        poses = _validate.poses(self.T, "T")
+        if poses.size == 0:
+            raise InputError("T: expected one pose or more, found none")
+        object.__setattr__(self, "T", poses.copy())
+        if not isinstance(self.link, str):
+            raise InputError(f"link: expected the name of a link, found {_validate.short(self.link)}")
+        if self.tolerance is not None:
+            checked_tolerance(self.tolerance)
+        _validate.whole_number(self.seeds, "seeds", 1, MOST_SEEDS)
+
+    @guarded
     def configurations(
-        self, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None = None
+        self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
         """Find configurations that reach the goal: free ones first, then those nearest to the start.
 
         Parameters
         ----------
         checker : CollisionChecker
-        start : ndarray, shape (dof,)
+        start : array_like, shape (dof,)
             Joints that do not move the link, or are not among `joints`, keep these values.
         joints : str or iterable of str, optional
             As for `plan`.
@@ -72,14 +87,13 @@ class PoseGoal:
         InputError, UnknownNameError
             As for `Robot.reach`.
         """
-        poses = _validate.poses(self.T, "goal, T").reshape(-1, 4, 4)
-        if len(poses) == 0:
-            raise InputError("goal, T: expected one pose or more, found none")
-        found = checker.robot.reach(
+        robot, poses = checked_checker(checker).robot, np.asarray(self.T).reshape(-1, 4, 4)
+        begin = robot.checked_one(start, "start")
+        found = robot.reach(
             self.link,
             poses,
             joints=joints,
-            start=start,
+            start=begin,
             seeds=self.seeds,
             checker=checker,
             all=True,
@@ -96,7 +110,7 @@ class PoseGoal:
                 + (f" from pose {nearest}" if len(poses) > 1 else "")
             )
         free = np.concatenate([np.arange(len(x)) < n for x, n in zip(found.solutions, found.free, strict=True)])
-        order = np.lexsort((np.linalg.norm(Q - start, axis=1), ~free))
+        order = np.lexsort((np.linalg.norm(Q - begin, axis=1), ~free))
         return np.asarray(Q[order[:MOST_GOALS]])
 
 
@@ -105,9 +119,10 @@ def goals_of(goal: Any, checker: CollisionChecker, start: Floats, joints: str | 
     robot = checker.robot
     if isinstance(goal, PoseGoal):
         return goal.configurations(checker, start, joints)
-    if np.shape(goal)[-2:] == (4, 4) and robot.dof != 4:
+    shape = _validate.plain_array(goal, "goal").shape
+    if shape[-2:] == (4, 4) and robot.dof != 4:
         raise InputError(
             f"goal: expected configurations, shape ({robot.dof},) or (goals, {robot.dof}), or for poses of a link "
-            f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(np.shape(goal))}"
+            f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(shape)}"
         )
     return goal

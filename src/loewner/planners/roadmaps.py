@@ -24,9 +24,9 @@ from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
-from loewner.planners.judge import Judge
+from loewner.planners.judge import Judge, checked_checker
 from loewner.planners.pose_goals import PoseGoal
-from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
+from loewner.planners.space import NAMED, Space, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,7 @@ from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
-from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.pose_goals import PoseGoal, goals_of
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
@@ -222,13 +221,6 @@ def checked_ends(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
         )
     return q, goals
-
-
-def checked_checker(checker: Any) -> CollisionChecker:
-    """Check that an argument is a collision checker."""
-    if not isinstance(checker, CollisionChecker):
-        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
-    return checker
 
 
 def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:

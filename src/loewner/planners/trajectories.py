@@ -27,8 +27,7 @@ from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
-from loewner.planners.judge import Judge, refuse_unfree
-from loewner.planners.space import checked_checker
+from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.straights import Straights, smallest
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of

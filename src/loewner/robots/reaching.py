@@ -323,7 +323,7 @@ def reach(
         found = Solutions.of(answers, chain, starts, checker)
         found.choose(Q, reached)
     if every:
-        lists = tuple(np.split(found.Q, np.cumsum(answers.counts)[:-1]))
+        lists = tuple(np.split(found.Q, np.cumsum(answers.counts)))[:count]
         numbers = None if checker is None else np.bincount(found.poses[found.free], minlength=count).reshape(shape)
     for most in () if every or checker is None else (FEW, seeds + 2):
         left = np.flatnonzero(~reached & (answers.counts > 0))

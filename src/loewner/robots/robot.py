@@ -651,42 +651,9 @@ class Robot:
             raise InputError(
                 f"checker: expected a loewner.CollisionChecker of this robot, found {_validate.short(checker)}"
             )
-        every, chain = _validate.flag(all, "all"), self.chain_to(link, joints)
+        every, chain = _validate.flag(all, "all"), chain_to(self, link, joints)
         begin = self.configuration().clip(self.lower, self.upper) if start is None else self.checked(start, "start")
         return reaching.reach(chain, poses, begin, seeds=seeds, checker=checker, every=every, tolerance=limits)
-
-    def chain_to(self, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
-        """Return the joints that place a link, in the form that `reach` takes.
-
-        Parameters
-        ----------
-        link : str
-        joints : str or iterable of str, optional
-            As for `reach`.
-
-        Returns
-        -------
-        Chain
-
-        Raises
-        ------
-        UnknownNameError, InputError
-            As for `reach`.
-        """
-        if not isinstance(link, str) or link not in self.link_names:
-            raise _validate.unknown_name("link", link, self.link_names)
-        moving = named_joints(self, joints)
-        key = link, tuple(moving)
-        if key not in self._chains:
-            moves = np.zeros(self.dof, dtype=bool)
-            for joint in moving:
-                moves[self._columns[joint]] = True
-            limits, usual = np.stack([self.lower, self.upper]), np.stack(self.usual_range(np.pi))
-            made = reaching.chain(self.tree, self.link_names.index(link), moves, limits, usual)
-            if not made.moving.any():
-                raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
-            self._chains[key] = made
-        return self._chains[key]
 
     @kept
     def _chains(self) -> dict[tuple[str, tuple[str, ...]], reaching.Chain]:
@@ -978,6 +945,24 @@ def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
         if not isinstance(name, str) or name not in robot.joint_names:
             raise _validate.unknown_name("joints", name, robot.joint_names)
     return names
+
+
+def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
+    """Return the joints that place a link, in the form that `Robot.reach` takes; its arguments are checked here."""
+    if not isinstance(link, str) or link not in robot.link_names:
+        raise _validate.unknown_name("link", link, robot.link_names)
+    moving = named_joints(robot, joints)
+    key = link, tuple(moving)
+    if key not in robot._chains:
+        moves = np.zeros(robot.dof, dtype=bool)
+        for joint in moving:
+            moves[robot._columns[joint]] = True
+        limits, usual = np.stack([robot.lower, robot.upper]), np.stack(robot.usual_range(np.pi))
+        made = reaching.chain(robot.tree, robot.link_names.index(link), moves, limits, usual)
+        if not made.moving.any():
+            raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
+        robot._chains[key] = made
+    return robot._chains[key]
 
 
 def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
