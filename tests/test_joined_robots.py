@@ -116,6 +116,27 @@ def test_a_pose_replaces_an_earlier_one(arm):
     both = Robot.join({"a": arm, "b": arm}, {"b": first})
     moved = both.placed(second).forward_kinematics([0.3, 0.4] * 2)
     np.testing.assert_allclose(moved, second @ both.forward_kinematics([0.3, 0.4] * 2), atol=1e-12)
+    outer = Robot.join({"c": arm, "d": both.placed(first)}, {"d": second})
+    for whole, name in ((both.placed(first).placed(second), "b"), (outer, "d/b"), (outer, "d")):
+        part, Q = whole.part(name), whole.random_configurations(1, seed=1)[0]
+        numbers = [whole.link_names.index(link) for link in part.link_names]
+        alone = part.robot.forward_kinematics(Q[part.columns])
+        np.testing.assert_allclose(alone, whole.forward_kinematics(Q)[numbers], atol=1e-12)
+
+
+def test_bodies_in_the_world_stay_there(arm):
+    """A robot is placed, or put on a base, before bodies are added in the world; they would move with it."""
+    door = arm.with_body("door", Body.box([0.1, 0.1, 0.1]), joint="revolute", limits=(0, 1))
+    for call in (
+        lambda: door.placed(None),
+        lambda: door.add_base("planar"),
+        lambda: Robot.join({"a": door}, {"a": None}),
+    ):
+        with pytest.raises(InputError, match="without bodies in the world.*'door'.*call with_body afterwards"):
+            call()
+    assert Robot.join({"a": door, "b": arm}).dof == door.dof + arm.dof
+    held = arm.with_body("tool", Body.box([0.1, 0.1, 0.1]), joint="fixed", parent=arm.link_names[-1])
+    assert held.add_base("planar").dof == arm.dof + 3
 
 
 # -- bases ----------------------------------------------------------------------------------------

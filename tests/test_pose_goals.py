@@ -67,7 +67,7 @@ def test_bad_input(checker):
         planners.plan(checker, LEFT, np.eye(4))
     with pytest.raises(UnknownNameError, match="link"):
         planners.plan(checker, LEFT, planners.PoseGoal("hand", np.eye(4)))
-    with pytest.raises(PoseError, match="T: expected a rotation"):
+    with pytest.raises(PoseError, match="T: expected last row"):
         planners.plan(checker, LEFT, planners.PoseGoal("rod", np.zeros((4, 4))))
     with pytest.raises(InputError, match="expected one pose or more"):
         planners.plan(checker, LEFT, planners.PoseGoal("rod", np.zeros((0, 4, 4))))
@@ -88,3 +88,18 @@ def test_command(tmp_path, capsys, monkeypatch):
     for pose, message in (("1 2", "expected x y z qw qx qy qz"), ("1 a 2", "expected numbers or a .npy file")):
         assert main([*command, "--goal-pose", "rod", pose]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_only_joints_that_move_the_link_move(checker):
+    """Other joints, such as fingers that hold something, keep their values on the way, unless joints are named."""
+    ball = checker.robot.forward_kinematics(BEHIND)[checker.robot.link_names.index("ball")]
+    path = planners.plan(checker, LEFT, planners.PoseGoal("ball", ball), simplify=False)
+    assert len(path) > 2
+    assert (path[:, 2] == UP).all()
+
+
+def test_no_bound_is_claimed_for_poses(checker):
+    """Configurations that were not tried may reach the pose at less cost."""
+    found = planners.plan(checker, LEFT, planners.PoseGoal("rod", rod(checker, BEHIND)), full=True)
+    assert found.bound == 0.0
+    assert found.gap == np.inf

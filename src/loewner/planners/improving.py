@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from typing import TypedDict
@@ -70,7 +71,8 @@ class Plan:
         Cost of the path.
     bound : float
         No path from the start to one of the goals costs less: the least cost of a straight motion to a goal that is
-        free and within the limits, whether or not this motion is free.
+        free and within the limits, whether or not this motion is free. For a `PoseGoal` it is 0, since configurations
+        that were not tried may reach the pose at less cost.
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float
@@ -94,7 +96,9 @@ class Plan:
     @property
     def gap(self) -> float:
         """Share by which the cost exceeds the bound; the best path may be cheaper by at most cost - bound."""
-        return 0.0 if self.cost == self.bound else float(np.divide(self.cost - self.bound, self.bound))
+        if self.cost == self.bound:
+            return 0.0
+        return float((self.cost - self.bound) / self.bound) if self.bound > 0.0 else math.inf
 
     def __repr__(self) -> str:
         return (
@@ -144,13 +148,13 @@ class Improvement:
         until = began + (timeout if seconds is None else seconds)
         return cls(_checked_weights(robot, weights), 2**62 if most is None else most, began, until)
 
-    def plan(self, path: Floats, ends: Departures, goals: Floats, iterations: int) -> Plan:
-        """Make the full result for a path to one of the given free goals."""
+    def plan(self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool) -> Plan:
+        """Make the full result for a path to one of the given free goals; `others` may exist besides."""
         kept = {goal.tobytes() for goal in goals}
         targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
         cost = cost_of(self.weights, path)
         rounded = 1 - (len(self.weights) + 4) * np.finfo(float).eps
-        bound = least_cost(ends.space, self.weights, ends.start, targets) * rounded
+        bound = 0.0 if others else least_cost(ends.space, self.weights, ends.start, targets) * rounded
         path.flags.writeable = False
         return Plan(path, cost, min(bound, cost), iterations, time.monotonic() - self.began)
 

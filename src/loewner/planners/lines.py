@@ -23,6 +23,9 @@ from loewner.robots.proofs import prove_by_rules
 from loewner.robots.reaching import Chain, near, targets_of
 from loewner.robots.robot import chain_to, link_poses
 
+# Least tolerances [m, rad]: inverse kinematics is no more accurate.
+LEAST_TOLERANCE = 1e-9
+
 # The first steps along a line, in metres and radians; from one to the next, Newton's method finds the same branch.
 FIRST_STEPS = 0.15, 0.5
 
@@ -122,6 +125,9 @@ def straight(
     robot = checked_checker(checker).robot
     position = _validate.positive_scalar(position, "position")
     rotation = min(_validate.positive_scalar(rotation, "rotation"), np.pi)
+    for name, value in (("position", position), ("rotation", rotation)):
+        if value < LEAST_TOLERANCE:
+            raise InputError(f"{name}: expected at least {LEAST_TOLERANCE:g}, as accurate as `reach`, found {value:g}")
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
     target = targets_of(_validate.pose(T, "T")[None])[0]
     chain = chain_to(robot, link, joints)

@@ -167,6 +167,9 @@ def plan(
     make = None if planner is None else ompl_planners.named(planner)
     full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
     better = improving.Improvement.of(robot, improvement, full, make is None, timeout)
+    posed = isinstance(goal, PoseGoal)
+    if joints is None and isinstance(goal, PoseGoal):
+        joints = goal.joint_names(robot)  # fingers that hold something keep their places
     q, goals = checked_ends(checker, start, goal, joints)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
     ends = Departures.of(space, judge, q, goals)
@@ -180,7 +183,7 @@ def plan(
             found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
         found, rounds = improving.improved(space, judge, found, goals, better, seed)
     path = ends.joined(found)
-    return better.plan(path, ends, goals, rounds) if full else path
+    return better.plan(path, ends, goals, rounds, posed) if full else path
 
 
 @guarded

@@ -14,8 +14,9 @@ from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.judge import checked_checker
-from loewner.robots import CollisionChecker
+from loewner.robots import CollisionChecker, Robot
 from loewner.robots.reaching import MOST_SEEDS, checked_tolerance
+from loewner.robots.robot import chain_to
 
 # Configurations that are tried as goals at most: free ones first, then those nearest to the start.
 MOST_GOALS = 16
@@ -62,6 +63,12 @@ class PoseGoal:
         _validate.whole_number(self.seeds, "seeds", 1, MOST_SEEDS)
 
     @guarded
+    def joint_names(self, robot: Robot) -> list[str]:
+        """Return the names of the joints that move the link; `plan` moves these alone, unless it is given others."""
+        chain = chain_to(robot, self.link)
+        moving = set(chain.columns[chain.moving].tolist())
+        return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]
+
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
@@ -58,7 +58,7 @@ class Part(Generic[R]):
     Attributes
     ----------
     robot : Robot
-        The robot that was joined, at its pose.
+        The robot that was joined, at its pose in the world; on a base that moves, at its pose in the frame of the base.
     columns : slice
         Its values in a configuration of the joined robot: ``Q[..., part.columns]`` are configurations of `robot`, and
         assigning to them moves this robot alone.
@@ -78,6 +78,8 @@ class Part(Generic[R]):
     columns: slice
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
+    # The tree that the pose of the joined robot moves; None on a base that moves.
+    _tree: Tree | None = field(default=None, repr=False)
 
 
 def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike | None] | None) -> R:
@@ -103,8 +105,8 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
         made = replace(made, disabled_pairs=made.disabled_pairs | more)
     at, of_parts = 0, dict(made._parts)
     for name, robot in placed.items():
-        names = (_prefixed(f"{name}/", names) for names in (robot.joint_names, robot.link_names))
-        of_parts[name] = Part(robot, slice(at, at + robot.dof), *names)
+        joints, links = _prefixed(f"{name}/", robot.joint_names), _prefixed(f"{name}/", robot.link_names)
+        of_parts[name] = Part(robot, slice(at, at + robot.dof), joints, links, robot.tree)
         at += robot.dof
     return cast(R, replace(made, _parts=of_parts))
 
@@ -128,6 +130,7 @@ def part(self: R, name: str) -> Part[R]:
 
     Examples
     --------
+    >>> from loewner import Robot
     >>> arm = Robot.from_urdf("arm.urdf")
     >>> both = Robot.join({"left": arm, "right": arm})
     >>> q = both.configuration()
@@ -163,12 +166,14 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     Raises
     ------
     InputError
-        If the bounds have the wrong shape, or a lower one is above the upper one, or a name is taken.
+        If the bounds have the wrong shape, or a lower one is above the upper one, or a name is taken; or if `with_body`
+        has added a body in the world, which would move with the base.
     UnknownNameError
         If there is no such kind.
 
     Examples
     --------
+    >>> from loewner import Robot
     >>> robot = Robot.from_urdf("arm.urdf").add_base("planar", [[-2, 2], [-1, 1]])
     >>> robot.configuration_names
     ('base/x', 'base/y', 'base/theta', 'rail', 'elbow')
@@ -176,6 +181,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     array([ 2.,  1., inf])
     """
     _validate.choice(kind, "kind", ("planar", "floating"))
+    refuse_bodies_in_world(self, "put on a base")
     axes = 2 if kind == "planar" else 3
     limits = np.full((axes, 2), [-np.inf, np.inf])
     if bounds is not None:
@@ -225,7 +231,7 @@ def with_body(
     joint : str
         Kind of the joint.
     parent : str, optional
-        The link to which the joint belongs. Default: the world.
+        The link to which the joint belongs. Default: the world; place the robot, or add its base, before.
     axis : array_like, shape (3,)
         Axis along which the joint slides or about which it turns.
     limits : (float, float), optional
@@ -247,7 +253,7 @@ def with_body(
 
     Examples
     --------
-    >>> from loewner import Body
+    >>> from loewner import Body, Robot
     >>> door = Body.box([0.8, 0.02, 1.0]).transformed([[1, 0, 0, 0.4], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]])
     >>> hinge = [[1, 0, 0, 2.5], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
     >>> robot = Robot.from_urdf("arm.urdf").with_body("door", door, hinge, joint="revolute", limits=(0, 1.5))
@@ -280,7 +286,24 @@ def with_body(
     made = replace(made, bodies={name: body}).placed(T)
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
     robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
-    return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent))
+    in_world = (*robot._in_world, name) if parent is None else robot._in_world
+    return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent, _in_world=in_world))
+
+
+def refuse_bodies_in_world(robot: Any, what: str) -> None:
+    """Refuse to move a robot with bodies that `with_body` has added in the world, which do not move with it."""
+    for name in robot._in_world:
+        raise InputError(
+            f"expected a robot without bodies in the world, to be {what}, found {name!r}; call with_body afterwards"
+        )
+
+
+def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[Any]]:
+    """Place the parts of a joined robot that is placed as a whole."""
+    return {
+        name: part if part._tree is None else replace(part, robot=replace(part.robot, tree=placed_tree(part._tree, T)))
+        for name, part in parts.items()
+    }
 
 
 # -- assembly ---------------------------------------------------------------------------------
@@ -368,8 +391,9 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
         _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
         _watch=Watch(name, configuration_names, lower, upper, turns, free),
         _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
+        _in_world=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._in_world)),
         _parts={
-            p.prefix + key: _shifted(p.prefix, part, shift)
+            p.prefix + key: _shifted(p, part, shift)
             for p, shift in zip(pieces, first, strict=False) for key, part in p.robot._parts.items()
         },
     )  # fmt: skip
@@ -382,9 +406,11 @@ def _states(piece: _Piece) -> dict[str, Any]:
     }
 
 
-def _shifted(prefix: str, part: Part[Any], by: int) -> Part[Any]:
+def _shifted(piece: _Piece, part: Part[Any], by: int) -> Part[Any]:
     at = slice(part.columns.start + by, part.columns.stop + by)
-    return Part(part.robot, at, _prefixed(prefix, part.joint_names), _prefixed(prefix, part.link_names))
+    joints, links = _prefixed(piece.prefix, part.joint_names), _prefixed(piece.prefix, part.link_names)
+    on_base = piece.on is not None or part._tree is None
+    return Part(part.robot, at, joints, links, None if on_base else part.robot.tree)
 
 
 def _tree(pieces: Sequence[_Piece], first_column: Sequence[int]) -> Tree:

@@ -150,6 +150,8 @@ class Robot:
     # Descriptions, and the robots that were joined.
     _sources: tuple[Source, ...] = field(repr=False)
     _parts: dict[str, Part[Robot]] = field(repr=False)
+    # Bodies that were added in the world, which the robot's pose does not move.
+    _in_world: tuple[str, ...] = field(repr=False)
 
     @classmethod
     @guarded
@@ -285,6 +287,7 @@ class Robot:
             _rooted=tree,
             _sources=(Source("", format, path, text, package_dirs),),
             _parts={},
+            _in_world=(),
         )
 
     @classmethod
@@ -356,7 +359,8 @@ class Robot:
     def placed(self, T_world_base: ArrayLike) -> Robot:
         """Return the same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
-        If the robot has been placed before, the new pose replaces the old one.
+        If the robot has been placed before, the new pose replaces the old one. A robot that was joined of several is
+        placed as a whole: the poses of its parts are relative to this pose.
 
         Parameters
         ----------
@@ -379,7 +383,8 @@ class Robot:
         array([0., 0., 5.])
         """
         T = _validate.pose(T_world_base, "T_world_base")
-        return replace(self, tree=placed_tree(self._rooted, T))
+        assembly.refuse_bodies_in_world(self, "placed")
+        return replace(self, tree=placed_tree(self._rooted, T), _parts=assembly.placed_parts(self._parts, T))
 
     part = assembly.part
     add_base = guarded(assembly.add_base)
@@ -609,7 +614,7 @@ class Robot:
             Largest deviations, in the frame of the target, to either side; ``inf`` leaves a direction free.
             Three lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about
             its z axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis.
-            Default: zeros.
+            With both tilts a and b in use, the z axis deviates by arccos(cos a + cos b - 1). Default: zeros.
 
         Returns
         -------
@@ -627,9 +632,10 @@ class Robot:
 
         Notes
         -----
-        Solutions are within the limits, and reach the tolerance to 1e-10 m and rad, or ten digits of the distance from
-        the world's origin if that is more. A joint that turns by more than a whole turn is returned at the angle that
-        is nearest to the start. Which solution comes first does not depend on the number of threads.
+        Solutions are within the limits, and reach the tolerance to 1e-9 m and rad, or nine digits of the distance from
+        the world's origin if that is more. That no solution was found does not prove that there is none; more
+        seeds find more. A joint that turns by more than a whole turn is returned at the angle that is nearest
+        to the start. Which solution comes first does not depend on the number of threads.
 
         Each seed is improved by damped Newton steps, eight seeds at a time, and given up where these gain too little. A
         redundant arm has infinitely many solutions, one for each seed or so.
