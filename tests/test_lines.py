@@ -245,7 +245,19 @@ def test_bad_input():
     for name in ("position", "rotation"):
         with pytest.raises(InputError, match=f"{name}: expected"):
             planners.straight(checker, q, link, T, **{name: 0.0})
-    for keep in (("z", [0, 0, 1]), ("w", [0, 0, 1], 0.1), ("z", [0, 0, 0], 0.1), ("z", [0, 0, 1], -1.0), 3):
+        with pytest.raises(InputError, match=f"{name}: expected at least 1e-09"):
+            planners.straight(checker, q, link, T, **{name: 5e-324})
+    for far in (1e5, 1e200):
+        with pytest.raises(InputError, match="T: expected"):
+            planners.straight(checker, q, link, translation(x=far))
+    for keep in (
+        ("z", [0, 0, 1]),
+        ("w", [0, 0, 1], 0.1),
+        ("z", [0, 0, 0], 0.1),
+        ("z", [0, 0, 1], -1.0),
+        ("z", [0, 0, 1], 1e-9),
+        3,
+    ):
         with pytest.raises((InputError, UnknownNameError), match="keep"):
             planners.straight(checker, q, link, T, keep=keep)
     half = T.copy()

@@ -65,6 +65,12 @@ def test_bad_input(checker):
         InputError, match=r"for poses of a link planners.PoseGoal\(link, T\); found poses, shape \(4, 4\)"
     ):
         planners.plan(checker, LEFT, np.eye(4))
+    with pytest.raises(InputError, match="goal: expected an array"):
+        planners.plan(checker, LEFT, [[1.0, 2.0], [3.0]])
+    with pytest.raises(InputError, match="seeds: expected"):
+        planners.PoseGoal("rod", np.eye(4), seeds=0)
+    with pytest.raises(InputError, match="checker: expected"):
+        planners.PoseGoal("rod", np.eye(4)).configurations(checker.robot, LEFT)
     with pytest.raises(UnknownNameError, match="link"):
         planners.plan(checker, LEFT, planners.PoseGoal("hand", np.eye(4)))
     with pytest.raises(PoseError, match="T: expected last row"):

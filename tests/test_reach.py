@@ -270,3 +270,27 @@ def test_bad_input(panda):
     with pytest.raises(UnknownNameError, match="joints"):
         panda.reach("panda_hand", T, joints=["elbow"])
     assert panda.reach("panda_hand", T, checker=checker) is not None
+
+
+def test_far_numbers(panda):
+    """Lengths whose squares overflow are refused, wherever they come from: the search would not end."""
+    T, far = np.eye(4), np.eye(4)
+    far[0, 3] = 1e200
+    with pytest.raises(InputError, match="T: expected lengths and values within"):
+        panda.reach("panda_hand", [T, far])
+    with pytest.raises(InputError, match="robot: expected lengths"):
+        panda.placed(far).reach("panda_hand", T)
+    based = panda.add_base("planar")
+    start = based.configuration()
+    start[0] = 1e200
+    with pytest.raises(InputError, match="start: expected lengths"):
+        based.reach("panda_hand", T, start=start)
+    far[0, 3] = 1e49
+    assert not panda.reach("panda_hand", far).reached
+
+
+def test_no_poses(panda):
+    """No poses have no solutions."""
+    found = panda.reach("panda_hand", np.empty((0, 4, 4)), all=True, checker=CollisionChecker(panda))
+    assert found.solutions == ()
+    assert found.free.shape == found.reached.shape == (0,)

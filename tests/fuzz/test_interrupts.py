@@ -23,8 +23,8 @@ import trimesh
 import driver
 import loewner
 from families import random_poses
-from gantry import gantry
-from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, paper
+from gantry import LEFT, RIGHT, gantry, wall
+from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, paper, planners
 
 # From the signal to the exception, at most [s]: shares take a tenth, and machines that run tests are slow.
 SOON = 2.0
@@ -50,6 +50,9 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         scene.add(f"rock {i}", rocks[i], T)
     checker = CollisionChecker(robot, scene)
     Q = robot.random_configurations(20_000, seed=1)
+    beside, number = CollisionChecker(robot, wall()), robot.link_names.index("rod")
+    rods = robot.forward_kinematics(Q)[:, number]
+    turned = robot.forward_kinematics([-0.9, 0.9, 3.0])[number]
     ball = trimesh.creation.icosphere(subdivisions=3)
     rocks.save(folder / "rocks.npz")
     loewner.save_scene(scene, folder / "scene.yaml")
@@ -87,6 +90,10 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         "checker.distance, exact": lambda: checker.distance(Q[:300], exact=True),
         "checker.collide_by_pair": lambda: checker.collide_by_pair(Q[:2000]),
         "checker.valid_edges": lambda: checker.valid_edges(Q[:500], Q[500:1000], resolution=0.05),
+        "robot.reach": lambda: robot.reach("rod", rods, checker=checker).reached,
+        "robot.reach, all": lambda: robot.reach("rod", rods[:2000], seeds=16, all=True, checker=checker).free,
+        "planners.straight": lambda: planners.straight(beside, LEFT, "rod", turned, position=1e-9, rotation=1e-9),
+        "plan, improve_for": lambda: planners.plan(beside, LEFT, RIGHT, improve_for=60.0, improve_iterations=300),
         "pairs_by_sampling": lambda: loewner.pairs_by_sampling(robot, 20_000),
         "checker.pairs": lambda: [contact.name_a for q in Q[:100] for contact in checker.pairs(q)],
         "Scene.pairs": lambda: [contact.distance for contact in scene.pairs()],

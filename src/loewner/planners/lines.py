@@ -20,11 +20,8 @@ from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.proofs import prove_by_rules
-from loewner.robots.reaching import Chain, near, targets_of
+from loewner.robots.reaching import Chain, near, refuse_far, targets_of
 from loewner.robots.robot import chain_to, link_poses
-
-# Least tolerances [m, rad]: inverse kinematics is no more accurate.
-LEAST_TOLERANCE = 1e-9
 
 # The first steps along a line, in metres and radians; from one to the next, Newton's method finds the same branch.
 FIRST_STEPS = 0.15, 0.5
@@ -35,8 +32,14 @@ LEAP = 0.75
 # Shortest step and shortest motion, as fractions of the line.
 LEAST_STEP, LEAST_MOTION = 2.0**-12, 2.0**-16
 
+# Tolerances below this [m, rad] are near the rounding of poses; an axis is kept by cosines, whose rounding counts more.
+LEAST_TOLERANCE, LEAST_ANGLE = 1e-9, 1e-6
+
 # Parts into which a motion is divided at a time at most, and the share of the tolerance that they may take.
 MOST_PARTS, SHARE = 16, 0.75
+
+# The longest line [m]; motions along a longer one would be shorter than LEAST_MOTION.
+LONGEST = FIRST_STEPS[0] / LEAST_MOTION
 
 # The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
 LARGEST_ANGLE = np.pi - 1e-6
@@ -81,7 +84,7 @@ def straight(
         T_world_link at the end, in metres.
     position, rotation : float
         Largest deviations of the link from the pose that belongs to the same fraction of the line, in metres and
-        radians.
+        radians, at least 1e-9.
     joints : str or iterable of str, optional
         A group, or names of joints: only these joints move. Default: all that move the link.
     keep : (axis, direction, angle), optional
@@ -123,11 +126,8 @@ def straight(
            [0.5, 1. ]])
     """
     robot = checked_checker(checker).robot
-    position = _validate.positive_scalar(position, "position")
-    rotation = min(_validate.positive_scalar(rotation, "rotation"), np.pi)
-    for name, value in (("position", position), ("rotation", rotation)):
-        if value < LEAST_TOLERANCE:
-            raise InputError(f"{name}: expected at least {LEAST_TOLERANCE:g}, as accurate as `reach`, found {value:g}")
+    position = _at_least(LEAST_TOLERANCE, position, "position")
+    rotation = min(_at_least(LEAST_TOLERANCE, rotation, "rotation"), np.pi)
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
     target = targets_of(_validate.pose(T, "T")[None])[0]
     chain = chain_to(robot, link, joints)
@@ -135,9 +135,12 @@ def straight(
     if "turns" not in chain.kept:
         chain.kept["turns"] = Turns.of(chain, link)
     turns = chain.kept["turns"]
+    refuse_far(chain, target, q)
     line = Line.between(link_poses(robot, q[None])[0, number], target)
     if line.angle > LARGEST_ANGLE:
         raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
+    if (length := float(np.linalg.norm(line.way))) > LONGEST:
+        raise InputError(f"T: expected a line of at most {LONGEST:g} m, found {length:g} m; go by a pose in between")
     judge = Judge.of(checker, 0.0)
     u, Q = _followed(robot, chain, line, q, link)
     if not turns.turning.any():  # joints that slide follow a line in one motion
@@ -155,6 +158,14 @@ def straight(
     return Q
 
 
+def _at_least(least: float, x: Any, name: str) -> float:
+    """Check a tolerance."""
+    value = _validate.positive_scalar(x, name)
+    if value < least:
+        raise InputError(f"{name}: expected at least {least:g}, which rounding allows, found {value:g}")
+    return value
+
+
 def _kept(keep: Any) -> Kept:
     """Check an axis that is to be kept."""
     listed = _validate.listed(keep, "keep", wanted="(axis, direction, angle)")
@@ -168,7 +179,7 @@ def _kept(keep: Any) -> Kept:
         if not 0 < length < np.inf:
             raise InputError(f"{name}: expected a vector with a length, found {_validate.short(vector)}")
         units.append(checked / length)
-    return Kept(units[0], units[1], min(_validate.positive_scalar(listed[2], "keep, angle"), np.pi))
+    return Kept(units[0], units[1], min(_at_least(LEAST_ANGLE, listed[2], "keep, angle"), np.pi))
 
 
 def _followed(robot: Robot, chain: Chain, line: Line, q: Floats, link: str) -> tuple[Floats, Floats]:

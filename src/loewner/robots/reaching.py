@@ -25,6 +25,10 @@ CHAINED, SEEDS_OF_A_CHAIN = 64, 2**14
 # Limit on the seeds, and on the size of a table of seeds that is kept.
 MOST_SEEDS, KEPT = 2**16, 1024
 
+# Largest length or value: squares of products of two do not overflow. With errors that are not finite, the kernel's
+# search would not end.
+LARGEST = 1e50
+
 # If the first solution is not free, a free one is sought among this many; then all seeds are tried.
 FEW = 4
 
@@ -230,6 +234,15 @@ def targets_of(T: Floats) -> Floats:
     return T
 
 
+def refuse_far(chain: Chain, T: Floats, starts: Floats) -> None:
+    """Refuse poses, starts and robots whose numbers may overflow in the kernel."""
+    own = np.concatenate([chain.constants.ravel(), chain.usual.ravel()])
+    for name, numbers in (("robot", own), ("T", T[..., :3, 3]), ("start", starts[..., chain.columns])):
+        largest = float(np.abs(numbers).max(initial=0.0))
+        if largest > LARGEST:
+            raise InputError(f"{name}: expected lengths and values within ±{LARGEST:g}, found {largest:g}")
+
+
 class Answers(NamedTuple):
     """The kernel's results for each pose: distinct solutions, their number, and the first or nearest of all."""
 
@@ -309,6 +322,7 @@ def reach(
     tolerance: Floats,
 ) -> Reached:
     """Reach poses, shape (..., 4, 4), from starts that broadcast with them; all arguments are checked."""
+    refuse_far(chain, T, starts)
     shape = _validate.broadcast({"T": T.shape[:-2], "start": starts.shape[:-1]})
     count, values = math.prod(shape), len(chain.columns)
     # Copies: kernels take no read-only arrays.
