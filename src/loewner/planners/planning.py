@@ -13,7 +13,7 @@ from loewner._validate import Floats
 from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
-from loewner.planners.pose_goals import PoseGoal
+from loewner.planners.pose_goals import PoseGoal, joints_of
 from loewner.planners.space import Space, checked_ends
 from loewner.robots import CollisionChecker
 from loewner.robots.edges import checked_path
@@ -169,7 +169,7 @@ def plan(
     better = improving.Improvement.of(robot, improvement, full, make is None, timeout)
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
-        joints = goal.joint_names(robot)  # fingers that hold something keep their places
+        joints = joints_of(goal, robot)  # fingers that hold something keep their places
     q, goals = checked_ends(checker, start, goal, joints)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
     ends = Departures.of(space, judge, q, goals)

@@ -63,12 +63,6 @@ class PoseGoal:
         _validate.whole_number(self.seeds, "seeds", 1, MOST_SEEDS)
 
     @guarded
-    def joint_names(self, robot: Robot) -> list[str]:
-        """Return the names of the joints that move the link; `plan` moves these alone, unless it is given others."""
-        chain = chain_to(robot, self.link)
-        moving = set(chain.columns[chain.moving].tolist())
-        return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]
-
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
@@ -133,3 +127,10 @@ def goals_of(goal: Any, checker: CollisionChecker, start: Floats, joints: str | 
             f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(shape)}"
         )
     return goal
+
+
+def joints_of(goal: PoseGoal, robot: Robot) -> list[str]:
+    """Return the names of the joints that move the link; `plan` moves these alone, unless it is given others."""
+    chain = chain_to(robot, goal.link)
+    moving = set(chain.columns[chain.moving].tolist())
+    return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]

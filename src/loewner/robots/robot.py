@@ -632,8 +632,8 @@ class Robot:
 
         Notes
         -----
-        Solutions are within the limits, and reach the tolerance to 1e-9 m and rad, or nine digits of the distance from
-        the world's origin if that is more. That no solution was found does not prove that there is none; more
+        Solutions are within the limits, and reach the tolerance to 1e-10 m and rad, times one plus the sum of the pose's
+        coordinates in metres, without their signs. That no solution was found does not prove that there is none; more
         seeds find more. A joint that turns by more than a whole turn is returned at the angle that is nearest
         to the start. Which solution comes first does not depend on the number of threads.
 
