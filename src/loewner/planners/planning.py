@@ -166,7 +166,9 @@ def plan(
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
     full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
-    better = improving.Improvement.of(robot, improvement, full, make is None, timeout)
+    better = None
+    if improvement or full:
+        better = improving.Improvement.of(robot, improvement, full, make is None, timeout)
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
@@ -181,9 +183,10 @@ def plan(
         found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
         if simplify:
             found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
-        found, rounds = improving.improved(space, judge, found, goals, better, seed)
+        if better is not None:
+            found, rounds = improving.improved(space, judge, found, goals, better, seed)
     path = ends.joined(found)
-    return better.plan(path, ends, goals, rounds, posed) if full else path
+    return path if better is None or not full else better.plan(path, ends, goals, rounds, posed)
 
 
 @guarded
