@@ -199,17 +199,18 @@ class PackedPaths(NamedTuple):
     @classmethod
     def of(cls, paths: tuple[PosePath, ...]) -> PackedPaths:
         """Pack at least one motion."""
-        rates, spans = [], []
-        for path in paths:
-            lengths, steps = np.diff(path.times), np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
-            rates.append((np.abs(path.positions).max(), (steps / lengths).max(), (path.arcs / lengths).max()))
-            spans.append(abs(path.times[0]) + path.period)
+        steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
+        lengths = [np.diff(path.times) for path in paths]
         return cls(
             paths, np.cumsum([0, *(len(path.times) for path in paths)]),
             np.concatenate([path.times for path in paths]),
             np.concatenate([np.concatenate([path.positions, path.quaternions], axis=1) for path in paths]),
             np.concatenate([np.append(path.arcs, 0.0) for path in paths]),
-            np.array([path.period * path.repeat for path in paths]), *np.array(rates).T, np.array(spans),
+            np.array([path.period * path.repeat for path in paths]),
+            np.array([np.abs(path.positions).max() for path in paths]),
+            np.array([(step / length).max() for step, length in zip(steps, lengths, strict=True)]),
+            np.array([(path.arcs / length).max() for path, length in zip(paths, lengths, strict=True)]),
+            np.array([abs(path.times[0]) + path.period for path in paths]),
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:

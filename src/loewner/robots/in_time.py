@@ -16,11 +16,11 @@ from loewner import _validate
 from loewner._kernels import codes, tolerances
 from loewner._validate import Floats, Ints
 from loewner.pose_paths import PackedPaths
-from loewner.robots import verdicts
+from loewner.robots import motions, verdicts
 from loewner.robots.courses import CURVE_ROUNDINGS, elevated, parts, straight
 from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
-from loewner.robots.proofs import deviations, prove
+from loewner.robots.proofs import deviations, refuse_starts
 from loewner.robots.robot import Robot, interpolated
 
 # Values of a floating joint.
@@ -163,7 +163,9 @@ def prove_edges(
     courses = straight(robot, a, b)
     off = deviations(courses, joint_error)
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
-    found = prove(ready, cut.courses, tolerance, cut.off)
+    found = motions.settle(ready, cut.courses, tolerance, cut.off)
+    refuse_starts(ready, cut.courses[:, 0], found)
+    found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
     begin = np.flatnonzero(np.diff(cut.owner, prepend=-1))
     work = np.add.reduceat(found.work, begin) if len(begin) else found.work
     made = Found(np.full(len(a), codes.FREE, dtype=np.int8), np.full(len(a), np.nan), np.full(len(a), -1), work)
@@ -175,7 +177,9 @@ def prove_edges(
     at = np.flatnonzero(made.verdicts == codes.COLLIDING)
     if len(at):
         fractions = made.fractions[at]
-        Q = with_bodies(ready, interpolated(robot, a[at], b[at], fractions[:, None]), t0[at] + fractions * (t1 - t0)[at])
+        Q = with_bodies(
+            ready, interpolated(robot, a[at], b[at], fractions[:, None]), t0[at] + fractions * (t1 - t0)[at]
+        )
         hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING
         made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
     return made
