@@ -25,6 +25,7 @@ from loewner.errors import (
 )
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
+from loewner.pose_paths import PosePath
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.robots import (
     CertifiedMotions,
@@ -75,6 +76,7 @@ __all__ = [
     "PlanningError",
     "Polytope",
     "PoseError",
+    "PosePath",
     "Problem",
     "Reached",
     "Robot",
