@@ -450,3 +450,65 @@ def test_bad_motions_are_refused(slider):
     scene.follow("a", [0.0, 1.0], still, repeat=True)
     with pytest.raises(InputError, match="at most 4194304 knots"):
         checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1e12)
+
+
+# -- first contact on a curve -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 7.0])
+def test_first_contact_of_two_balls_is_known(slider, speed):
+    """The robot's ball waits; the other one comes along x and would touch it at a distance of 0.2 m."""
+    scene = Scene(margin=0.05)
+    scene.add("other", Body.sphere(0.1))
+    scene.follow("other", [0.0, 3.0 / speed], [translation(x=2.0), translation(x=-1.0)])
+    checker = CollisionChecker(slider, scene)
+    q = np.array([0.0, 0.0, np.pi])
+    found = checker.first_contact(CubicSpline([0.0, 5.0, 20.0], [q, q, q]))
+    touching = (2.0 - 0.25) / speed
+    assert found.verdict == Verdict.COLLIDING
+    assert found.names == ("ball", "other")
+    assert touching - 1e-6 / speed <= found.free_until <= touching + 1e-15
+    assert touching - 1e-14 <= found.touching_at <= touching + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_first_contact_is_never_late(slider, seed):
+    rng = np.random.default_rng(seed)
+    checker = CollisionChecker(slider, moving_scene(rng, 3))
+    curves = [PPoly(rng.normal(size=(4, 2, 3)) * [0.3, 0.3, 1.0], [0.0, 1.0, 1.5]) for _ in range(6)]
+    for curve in curves:
+        curve.c[-1, 1] = curve(1.0 - 1e-300)
+    seen = set()
+    for curve, found in zip(curves, checker.first_contact(curves), strict=True):
+        proven = checker.certify_trajectory(curve)
+        assert (found.verdict == Verdict.FREE) == (proven.verdict == Verdict.FREE)
+        assert found.free_until <= found.touching_at
+        seen.add(found.verdict)
+        if found.verdict == Verdict.FREE:
+            assert found.touching_at == np.inf
+            continue
+        t = np.append(np.linspace(0.0, found.free_until, SAMPLES), np.nextafter(found.free_until, 0.0))
+        assert not sampled(checker, curve, t[t < found.free_until]).any()
+        if found.verdict == Verdict.COLLIDING:
+            assert sampled(checker, curve, np.array([found.touching_at, found.touching_at + 1e-9])).any()
+            names = [
+                (contact.name_a, contact.name_b)
+                for contact in checker.pairs(curve(found.touching_at + 1e-9), found.touching_at + 1e-9)
+            ]
+            assert found.touching_at - found.free_until > 1e-4 or found.names in names
+    assert Verdict.COLLIDING in seen
+
+
+def test_first_contact_with_what_stands(slider):
+    """Without bodies that move, and for a curve that begins in contact."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]))
+    checker = CollisionChecker(slider, scene)
+    a, b = np.array([-1.0, -0.5, np.pi]), np.array([1.0, -0.5, np.pi])
+    found = checker.first_contact(PPoly(np.stack([b - a, a])[:, None], [0.0, 1.0]))
+    assert found.free_until == pytest.approx((1.0 - 0.15) / 2.0, abs=1e-6)
+    assert found.free_until <= found.touching_at
+    inside = checker.first_contact(PPoly(np.stack([b - a, 0 * a])[:, None], [0.0, 1.0]))
+    assert (inside.verdict, inside.free_until, inside.touching_at) == (Verdict.COLLIDING, 0.0, 0.0)
+    with pytest.raises(InputError, match="tolerance"):
+        checker.first_contact(PPoly(np.zeros((2, 1, 3)), [0.0, 1.0]), tolerance=0.0)

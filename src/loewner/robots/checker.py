@@ -19,7 +19,7 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import curves, distances, edges, in_time, proofs, tracking, verdicts
+from loewner.robots import contact_times, curves, distances, edges, in_time, proofs, tracking, verdicts
 from loewner.robots.checked_pairs import prepared
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
@@ -432,6 +432,7 @@ class CollisionChecker:
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     joint_error = tracking.joint_error
+    first_contact = contact_times.first_contact
 
     def pairs(self, q: ArrayLike, t: float | None = None) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.

@@ -9,13 +9,12 @@ from math import comb
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
 from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
-from loewner.pose_paths import PackedPaths
 from loewner.queries import Verdict
 from loewner.robots import in_time
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, straight
@@ -108,8 +107,7 @@ def certified(
 ) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`."""
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
-    if ready.paths is not None:
-        curves = [_with_bodies(robot, ready.paths, curve) for curve in curves]
+    curves = [with_bodies(robot, ready, curve) for curve in curves]
     degrees = np.array([curve.courses.shape[1] for curve in curves])
     found: list[CertifiedTrajectory | None] = [None] * len(curves)
     for degree in np.unique(degrees):
@@ -120,21 +118,28 @@ def certified(
         first = 0
         for k in at:
             last = first + len(curves[k].courses)
-            for n in np.flatnonzero(proven.verdicts[first:last] == codes.TOO_LONG)[:1]:
-                raise InputError(
-                    f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
-                    f"orientation turns by more than about 80 degrees, found the piece from {curves[k].times[n]:g} s "
-                    f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it, or lower joint_error"
-                )
+            expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)
             found[k] = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             first = last
     return [one for one in found if one is not None]
 
 
-def _with_bodies(robot: Robot, paths: PackedPaths, curve: Curve) -> Curve:
+def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
+    """Refuse a curve with a piece that would take too many intervals; `number` is the curve's."""
+    for n in np.flatnonzero(found == codes.TOO_LONG)[:1]:
+        raise InputError(
+            f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
+            f"orientation turns by more than about 80 degrees, found the piece from {times[n]:g} s to "
+            f"{times[n + 1]:g} s of curve {number}; divide it, or lower joint_error"
+        )
+
+
+def with_bodies(robot: Robot, ready: Problem, curve: Curve) -> Curve:
     """Cut a curve where bodies of the scene change their rates, and append their values."""
-    cut = in_time.pieces(robot, paths, curve.courses, curve.off, curve.times[:-1], curve.times[1:])
+    if ready.paths is None:
+        return curve
+    cut = in_time.pieces(robot, ready.paths, curve.courses, curve.off, curve.times[:-1], curve.times[1:])
     return Curve(None, np.append(cut.times[:, 0], curve.times[-1]), cut.courses, cut.off)
 
 
