@@ -141,6 +141,8 @@ class PosePath:
         at = self._fine if fine else self.times
         if not self.repeat:
             return at[(at > low) & (at < high)]
+        if not low <= high:
+            return at[:0]
         first, last = (int(np.floor((t - at[0]) / self.period)) for t in (low, high))
         if (last - first + 1) * len(at) > MOST_KNOTS:
             raise InputError(
@@ -216,7 +218,5 @@ class PackedPaths(NamedTuple):
     def values(self, t: Floats) -> Floats:
         """Compute positions and quaternions at times, shape (N, bodies, 7); signs of quaternions are arbitrary."""
         out = np.empty((len(t), len(self.paths), 7))
-        entries.pose_values(
-            self.start, self.times, self.rows, self.arcs, self.periods, np.ascontiguousarray(t, dtype=np.float64), out
-        )
+        entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out

@@ -60,7 +60,11 @@ class Pieces(NamedTuple):
 
 def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
     """Append the values of all moving bodies at times, shape (N,), to configurations, shape (N, dof)."""
-    return Q if ready.paths is None else np.concatenate([Q, ready.paths.values(t).reshape(len(Q), -1)], axis=1)
+    return (
+        Q
+        if ready.paths is None
+        else np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
+    )
 
 
 def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
@@ -86,7 +90,7 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     curved = courses.shape[1] > 2
     if curved and paths.turns.any():
         courses = elevated(courses, max(0, 4 - courses.shape[1]))
-    low, high = float(t0.min()), float(t1.max())
+    low, high = float(t0.min(initial=np.inf)), float(t1.max(initial=-np.inf))
     knots = np.unique(np.concatenate([path.knots(low, high, curved) for path in paths.paths]))
     first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
     counts = np.maximum(last - first, 0) + 1
@@ -118,7 +122,10 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     errors = np.empty((total, len(paths.far), WIDTH))
     errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
     errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
-    joined = np.concatenate([of_robot, shape], axis=2), np.concatenate([strays, errors.reshape(total, -1)], axis=1)
+    joined = (
+        np.concatenate([of_robot, shape], axis=2),
+        np.concatenate([strays, errors.reshape(total, WIDTH * len(paths.far))], axis=1),
+    )
     return Pieces(owner, starts, ends, np.stack([begin, end], axis=1), *joined)
 
 
@@ -134,16 +141,16 @@ def _courses(a: Floats, b: Floats, points: int) -> tuple[Floats, Floats]:
     share = np.linspace(0.0, 1.0, points)[:, None, None]
     p, q = a[..., 3:], b[..., 3:]
     q = np.where((p * q).sum(axis=-1, keepdims=True) < 0.0, -q, q)
-    out = np.empty((len(a), points, *a.shape[1:]))
+    out, flat = np.empty((len(a), points, *a.shape[1:])), (len(a), points, WIDTH * a.shape[1])
     out[..., :3] = (1.0 - share) * a[:, None, :, :3] + share * b[:, None, :, :3]
     if points <= 3:  # motions of degree 1 turn at a constant rate, and in others of so few points nothing turns
         out[:, 0, :, 3:], out[:, 1:, :, 3:] = p, q[:, None]
-        return out.reshape(len(a), points, -1), np.zeros(a.shape[:2])
+        return out.reshape(flat), np.zeros(a.shape[:2])
     arc = 2.0 * np.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
     cosine, third = np.cos(arc), np.where(arc < 1e-6, 1.0, arc / np.maximum(np.sin(arc), 1e-12)) / 3.0
     cubic = np.stack([p, p + third * (q - cosine * p), q + third * (p - cosine * q), q], axis=1)
-    out[..., 3:] = elevated(cubic.reshape(len(a), 4, -1), points - 4).reshape(len(a), points, *p.shape[1:])
-    return out.reshape(len(a), points, -1), ARC_ERROR * (1.0 + 1e-9) * arc[..., 0] ** 4
+    out[..., 3:] = elevated(cubic.reshape(len(a), 4, 4 * a.shape[1]), points - 4).reshape(len(a), points, *p.shape[1:])
+    return out.reshape(flat), ARC_ERROR * (1.0 + 1e-9) * arc[..., 0] ** 4
 
 
 def prove_edges(

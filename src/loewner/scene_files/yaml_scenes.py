@@ -373,9 +373,11 @@ def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry
     """Add a body that follows a motion."""
     keys = entry.mapping(("poses", "repeat"), required=("poses",))
     rows = [(row, row.mapping(("time", *POSE_KEYS), required=("time",))) for row in keys["poses"].items()]
+    if not rows:
+        raise keys["poses"].error("expected one row or more, found none")
     times, poses = [of_row["time"].number() for _, of_row in rows], [_pose(row, of_row) for row, of_row in rows]
     with entry.blamed():
-        scene.add(name, body, poses[0] if poses else None, margin=margin)
+        scene.add(name, body, poses[0], margin=margin)
         scene.follow(name, times, poses, repeat="repeat" in keys and keys["repeat"].flag())
 
 
