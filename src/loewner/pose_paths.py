@@ -131,7 +131,7 @@ class PosePath:
         return T.reshape(*at.shape, 4, 4)
 
     def knots(self, low: float, high: float, fine: bool) -> Floats:
-        """List the times between two others at which the rates change, or, if `fine`, those of short turns besides.
+        """List the times between two others at which the rates change, and with `fine`, times between short turns.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class PackedPaths(NamedTuple):
     far, speeds, turns : ndarray, shape (bodies,)
         Bounds on the entries of positions [m], on speeds [m/s] and on rates of quaternions [1/s].
     spans : ndarray, shape (bodies,)
-        Bounds on what is added to a time, to find its place in the motion [s].
+        Largest numbers that are added to a time to find its place in the motion [s].
     """
 
     paths: tuple[PosePath, ...]

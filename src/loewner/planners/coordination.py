@@ -197,7 +197,7 @@ def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
 
 
 def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
-    """Say where the robots got farthest, and what is in the way of the next step of all."""
+    """Make the message: where the robots got farthest, and which bodies meet on the next step of all robots."""
     farthest = max(done, key=sum)
     dof = judge.checker.robot.dof
     a, b = (

@@ -664,7 +664,7 @@ class CollisionChecker:
             self._keep(ready.with_order(np.argsort(-ready.hits, kind="stable")))
 
     def _keep(self, ready: Problem) -> None:
-        # Queries of one configuration know no time.
+        # Fast queries of one configuration take no time.
         timed = ready.paths is not None
         self._prepared = (-1, None, ready) if timed else (ready.version, ready.single, ready)
 
