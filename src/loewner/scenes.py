@@ -502,7 +502,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the body is attached to a link, times do not increase, their number is not that of the poses, or two
+            If the body is attached to a link, times do not increase, there are not as many as poses, or two
             successive poses differ by half a turn.
         PoseError
             If a pose is not a rigid motion.

@@ -19,7 +19,7 @@ from loewner.robots.proofs import prove
 
 # Parts into which a piece that is not proven free is cut, and the number of times that this is done.
 PARTS = 8
-MOST_CUTS = 17  # after which fractions of a piece cannot be told apart
+MOST_CUTS = 17  # after which two fractions of a piece may be the same number
 
 # Share of the tolerance that is left to the proof.
 FOR_PROOF = 0.25
@@ -123,7 +123,7 @@ def first_contact(
 
 def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
     """Find the first contact of one curve, on whose courses the moving bodies have their places."""
-    waiting = [(curve, 0)]  # what is not proven yet, the earliest last, and how often it was cut
+    waiting = [(curve, 0)]  # pieces that are not proven yet, the earliest last, and the numbers of cuts
     touching, doubt = np.inf, None  # the earliest collision, and the first place that is too near
     while waiting:
         piece, cuts = waiting.pop()

@@ -68,7 +68,7 @@ def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
 
 
 def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
-    """Cut courses of a robot, from t0 to t1, and append those of the moving bodies.
+    """Cut courses of a robot, from t0 to t1, and append the courses of moving bodies.
 
     Parameters
     ----------
