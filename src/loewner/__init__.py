@@ -37,6 +37,7 @@ from loewner.robots import (
     Robot,
     Settled,
     StateDistance,
+    TrajectoryContact,
     pairs_by_sampling,
 )
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
@@ -83,6 +84,7 @@ __all__ = [
     "Scene",
     "Settled",
     "StateDistance",
+    "TrajectoryContact",
     "UnknownNameError",
     "Verdict",
     "classify",

@@ -130,7 +130,7 @@ class PosePath:
         T[:, :3, 3], T[:, 3, 3] = values[:, :3], 1.0
         return T.reshape(*at.shape, 4, 4)
 
-    def knots(self, low: float, high: float, fine: bool) -> Floats:
+    def _knots(self, low: float, high: float, fine: bool) -> Floats:
         """List the times between two others at which the rates change, and with `fine`, times between short turns.
 
         Raises

@@ -1589,8 +1589,9 @@ if find_spec("distributed"):
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
     "Robot",
-    "CertifiedMotions", "CertifiedTrajectory",
-    "Overlaps", "PairDistances", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
+    "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact",
+    "Overlaps", "PairDistances",
+    "PosePath", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
     "planners.Plan", "planners.Trajectory",
     "cluster.Fitted",

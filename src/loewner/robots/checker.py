@@ -448,7 +448,8 @@ class CollisionChecker:
         tuple of Contact
             Each with the exact distance or depth, witness points and normal.
         """
-        checked, ready = self._at(self.robot.checked_one(q), t)
+        time = None if t is None else _validate.finite_array(t, "t", ())
+        checked, ready = self._at(self.robot.checked_one(q), time)
         found, doubt = verdicts.contacts(ready, checked)
         if doubt:
             raise ConvergenceError(doubt)
@@ -646,7 +647,7 @@ class CollisionChecker:
         shape = _validate.broadcast({"Q": checked.shape[:-1], "t": times.shape})
         rows = edges.flat(np.broadcast_to(checked, (*shape, checked.shape[-1])))
         made = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
-        return np.ascontiguousarray(made.reshape(*shape, made.shape[1])), ready
+        return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
 
     def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
         """Decide verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
