@@ -24,7 +24,7 @@ from loewner import (
     load_scene,
     save_scene,
 )  # fmt: skip
-from loewner.pose_paths import PackedPaths, PosePath
+from loewner.pose_paths import PackedPaths, PosePath, path_of
 from loewner.robots import in_time
 from motion_oracle import AFLOAT
 
@@ -105,6 +105,8 @@ def test_a_turning_rod_is_seen_between_its_poses(slider):
     assert checker.certify_edges(q, q, t0=0.0, t1=1.0).verdict == Verdict.COLLIDING
     assert checker.certify_edges(q, q, t0=0.0, t1=0.2).verdict == Verdict.FREE
     assert checker.certify_edges(q, q, t0=1.0, t1=9.0).verdict == Verdict.FREE  # it waits where it ends
+    many = checker.certify_edges(q, [q, q], t0=[[0.0], [1.0], [1.0]], t1=[1.0, 9.0])
+    assert many.verdict.tolist() == [[Verdict.COLLIDING] * 2, [Verdict.FREE] * 2, [Verdict.FREE] * 2]
     waits = CubicSpline([0.0, 1.0], [q, q])
     assert checker.certify_trajectory(waits).verdict == Verdict.COLLIDING
 
@@ -252,7 +254,7 @@ def slerp(path, t):
 @pytest.mark.parametrize("seed", range(3))
 def test_courses_of_bodies_stay_within_their_bounds(points, seed, monkeypatch):
     rng = np.random.default_rng(seed)
-    path = PosePath.of(np.cumsum(rng.uniform(0.1, 1, 4)), turned(rng, 4, 100.0), False)
+    path = path_of(np.cumsum(rng.uniform(0.1, 1, 4)), turned(rng, 4, 100.0), False)
     packed, robot = PackedPaths.of((path,)), Robot.from_urdf(text='<robot name="none"><link name="a"/></robot>')
     t0, t1 = np.array([path.times[0] + 0.01]), np.array([path.times[-1] + 0.5])
 
@@ -456,7 +458,7 @@ def test_bad_motions_are_refused(slider):
         (lambda: checker.joint_error([LEFT, LEFT]), "expected a time"),
         (lambda: checker.certify_edges(LEFT, LEFT, t0=0.0), "expected both t0 and t1, found t0 only"),
         (lambda: checker.certify_edges(LEFT, LEFT, t0=1.0, t1=0.0), "t1: expected times at or after t0"),
-        (lambda: checker.certify_edges(LEFT, LEFT, t0=[0.0, 1.0], t1=2.0), "expected times for motions of shape"),
+        (lambda: checker.certify_edges([LEFT] * 3, LEFT, t0=[0.0, 1.0], t1=2.0), "broadcast"),
         (lambda: checker.collide(LEFT, np.inf), "t: expected finite"),
         (lambda: checker.collide([LEFT, LEFT], [0.0, 1.0, 2.0]), "broadcast"),
         (lambda: checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1e12), None),

@@ -64,49 +64,6 @@ class PosePath:
     def __repr__(self) -> str:
         return _validate.brief(self)
 
-    @classmethod
-    def of(cls, times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
-        """Check a motion's times and poses.
-
-        Raises
-        ------
-        InputError
-            If there are fewer than two times, times do not increase, the numbers of times and poses differ, two
-            successive poses differ by half a turn, or a motion that repeats does not end where it begins.
-        PoseError
-            If a pose is not a rigid motion.
-        """
-        at = _validate.finite_array(times, "times", (None,))
-        T = _validate.poses(poses, "poses")
-        repeat = _validate.flag(repeat, "repeat")
-        if len(at) < 2 or T.shape != (len(at), 4, 4):
-            raise InputError(
-                f"expected two times or more and a pose for each, shape (n, 4, 4), found {len(at)} and poses of shape "
-                f"{_validate.shape_text(T.shape)}"
-            )
-        for k in np.flatnonzero(~(np.diff(at) > 0))[:1]:
-            raise InputError(f"times: expected times that increase, found {at[k]:g} and then {at[k + 1]:g}")
-        quaternions = quaternions_of(T[:, :3, :3])
-        signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-        quaternions[1:] *= np.cumprod(signs)[:, None]
-        made = cls(at, T[:, :3, 3].copy(), quaternions, repeat)
-        for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
-            raise InputError(
-                f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
-                f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:g} and {at[k + 1]:g}; add poses in between"
-            )
-        if repeat:
-            jump = float(np.linalg.norm(made.positions[-1] - made.positions[0]))
-            turn = 2.0 * np.arccos(min(abs(float(quaternions[0] @ quaternions[-1])), 1.0))
-            if jump > CLOSED * max(1.0, float(np.abs(made.positions).max())) or turn > 1e-6:
-                raise InputError(
-                    f"poses: expected a motion that ends where it begins, to repeat it, found a jump of {jump:g} m "
-                    f"and {turn:g} rad"
-                )
-            made.positions[-1] = made.positions[0]
-            made.quaternions[-1] = made.quaternions[0] * np.sign(quaternions[0] @ quaternions[-1])
-        return made
-
     def poses(self, t: ArrayLike) -> Floats:
         """Compute the poses at times.
 
@@ -130,28 +87,6 @@ class PosePath:
         T[:, :3, 3], T[:, 3, 3] = values[:, :3], 1.0
         return T.reshape(*at.shape, 4, 4)
 
-    def _knots(self, low: float, high: float, fine: bool) -> Floats:
-        """List the times between two others at which the rates change, and with `fine`, times between short turns.
-
-        Raises
-        ------
-        InputError
-            If there are more than `MOST_KNOTS`.
-        """
-        at = self._fine if fine else self.times
-        if not self.repeat:
-            return at[(at > low) & (at < high)]
-        if not low <= high:
-            return at[:0]
-        first, last = (int(np.floor((t - at[0]) / self.period)) for t in (low, high))
-        if (last - first + 1) * len(at) > MOST_KNOTS:
-            raise InputError(
-                f"expected at most {MOST_KNOTS} knots of moving bodies, found {(last - first + 1) * len(at)} between "
-                f"the times {low:g} and {high:g}; ask for less time at once"
-            )
-        every = (at[:-1] + self.period * np.arange(first, last + 1)[:, None]).ravel()
-        return every[(every > low) & (every < high)]
-
     @kept
     def period(self) -> float:
         """Time from the first pose to the last [s]."""
@@ -171,6 +106,72 @@ class PosePath:
         share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
         steps = np.diff(self.times)
         return np.append(self.times[first] + share * steps[first], self.times[-1])
+
+
+def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
+    """Check a motion's times and poses.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two times, times do not increase, the numbers of times and poses differ, two
+        successive poses differ by half a turn, or a motion that repeats does not end where it begins.
+    PoseError
+        If a pose is not a rigid motion.
+    """
+    at = _validate.finite_array(times, "times", (None,))
+    T = _validate.poses(poses, "poses")
+    repeat = _validate.flag(repeat, "repeat")
+    if len(at) < 2 or T.shape != (len(at), 4, 4):
+        raise InputError(
+            f"expected two times or more and a pose for each, shape (n, 4, 4), found {len(at)} and poses of shape "
+            f"{_validate.shape_text(T.shape)}"
+        )
+    for k in np.flatnonzero(~(np.diff(at) > 0))[:1]:
+        raise InputError(f"times: expected times that increase, found {at[k]:g} and then {at[k + 1]:g}")
+    quaternions = quaternions_of(T[:, :3, :3])
+    signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    quaternions[1:] *= np.cumprod(signs)[:, None]
+    made = PosePath(at, T[:, :3, 3].copy(), quaternions, repeat)
+    for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
+        raise InputError(
+            f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
+            f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:g} and {at[k + 1]:g}; add poses in between"
+        )
+    if repeat:
+        jump = float(np.linalg.norm(made.positions[-1] - made.positions[0]))
+        turn = 2.0 * np.arccos(min(abs(float(quaternions[0] @ quaternions[-1])), 1.0))
+        if jump > CLOSED * max(1.0, float(np.abs(made.positions).max())) or turn > 1e-6:
+            raise InputError(
+                f"poses: expected a motion that ends where it begins, to repeat it, found a jump of {jump:g} m "
+                f"and {turn:g} rad"
+            )
+        made.positions[-1] = made.positions[0]
+        made.quaternions[-1] = made.quaternions[0] * np.sign(quaternions[0] @ quaternions[-1])
+    return made
+
+
+def _knots(path: PosePath, low: float, high: float, fine: bool) -> Floats:
+    """List the times between two others at which the rates change, and with `fine`, times between short turns.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_KNOTS`.
+    """
+    at = path._fine if fine else path.times
+    if not path.repeat:
+        return at[(at > low) & (at < high)]
+    if not low <= high:
+        return at[:0]
+    first, last = (int(np.floor((t - at[0]) / path.period)) for t in (low, high))
+    if (last - first + 1) * len(at) > MOST_KNOTS:
+        raise InputError(
+            f"expected at most {MOST_KNOTS} knots of moving bodies, found {(last - first + 1) * len(at)} between "
+            f"the times {low:g} and {high:g}; ask for less time at once"
+        )
+    every = (at[:-1] + path.period * np.arange(first, last + 1)[:, None]).ravel()
+    return every[(every > low) & (every < high)]
 
 
 class PackedPaths(NamedTuple):
@@ -220,3 +221,13 @@ class PackedPaths(NamedTuple):
         out = np.empty((len(t), len(self.paths), 7))
         entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
+
+    def knots(self, low: float, high: float, fine: bool) -> Floats:
+        """List the times between two others at which any body changes its rates, in order; see `_knots` for `fine`.
+
+        Raises
+        ------
+        InputError
+            If there are more than `MOST_KNOTS`.
+        """
+        return np.unique(np.concatenate([_knots(path, low, high, fine) for path in self.paths]))

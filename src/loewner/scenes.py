@@ -23,7 +23,7 @@ from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
-from loewner.pose_paths import PosePath
+from loewner.pose_paths import PosePath, path_of
 from loewner.queries import Bounds, Distance, Measured
 
 # One name or a pair, where None in place of a name means any link.
@@ -524,7 +524,7 @@ class Scene:
         ((), -0.5)
         """
         self._known(name)
-        path = PosePath.of(times, poses, repeat)
+        path = path_of(times, poses, repeat)
         with _CHANGING:
             if self._known(name) not in self._following:
                 self._poses.pop(self._placed(name))

@@ -54,6 +54,7 @@ from loewner import jax as for_jax
 from loewner import plots as drawing
 from loewner import torch as for_torch
 from loewner import viewer as viewing
+from loewner.pose_paths import path_of
 
 # Modules for frameworks that are there.
 FRAMEWORKS = {name: module for name, module in {"jax": for_jax, "torch": for_torch}.items() if find_spec(name)}
@@ -360,7 +361,7 @@ def two_robots() -> CollisionChecker:
 
 
 def pose_path() -> PosePath:
-    return PosePath.of([0.0, 1.0], np.stack([translation(), translation(1.0)]), False)
+    return path_of([0.0, 1.0], np.stack([translation(), translation(1.0)]), False)
 
 
 def moved() -> planners.Trajectory:
@@ -868,14 +869,6 @@ CALLS: dict[str, Call] = {
         on(scene, "follow"),
         {
             "name": arg("post"),
-            "times": array([0.0, 1.0], FINITE),
-            "poses": array(np.tile(np.eye(4), (2, 1, 1)), FINITE),
-            "repeat": flag(),
-        },
-    ),
-    "PosePath.of": Call(
-        PosePath.of,
-        {
             "times": array([0.0, 1.0], FINITE),
             "poses": array(np.tile(np.eye(4), (2, 1, 1)), FINITE),
             "repeat": flag(),

@@ -361,10 +361,15 @@ class CollisionChecker:
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         a, b, shape = edges.ends(self.robot, Q0, Q1)
-        errors, begin_end = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1, shape)
-        ready = self._ready(timed=begin_end is not None)
-        if ready.paths is not None and begin_end is not None:
-            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), begin_end, tolerance, errors)
+        errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
+        ready = self._ready(timed=times is not None)
+        if times is not None:
+            whole = _validate.broadcast({"motions": shape, "t0, t1": times[0].shape})
+            if whole != shape:
+                a, b = (edges.flat(np.broadcast_to(Q.reshape(*shape, -1), (*whole, Q.shape[1]))) for Q in (a, b))
+            shape, times = whole, (np.broadcast_to(times[0], whole).ravel(), np.broadcast_to(times[1], whole).ravel())
+        if times is not None and ready.paths is not None:
+            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, tolerance, errors)
         else:
             found = proofs.prove_by_rules(ready, a, b, tolerance, errors)
         found.expect_short(a, b)
@@ -705,20 +710,17 @@ class CollisionChecker:
         return ready
 
 
-def _begin_and_end(t0: Any, t1: Any, shape: tuple[int, ...]) -> tuple[Floats, Floats] | None:
-    """Check the times at which motions of a shape begin and end; None for none."""
+def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
+    """Check the times at which motions begin and end; None for none."""
     if t0 is None and t1 is None:
         return None
     if t0 is None or t1 is None:
         raise InputError(f"expected both t0 and t1, found {'t1' if t0 is None else 't0'} only")
     begin, end = _validate.finite_array(t0, "t0", ("...",)), _validate.finite_array(t1, "t1", ("...",))
-    if _validate.broadcast({"motions": shape, "t0": begin.shape, "t1": end.shape}) != shape:
-        raise InputError(
-            f"t0, t1: expected times for motions of shape {shape}, found times of shapes {begin.shape} and {end.shape}"
-        )
-    begin, end = (np.broadcast_to(times, shape).ravel() for times in (begin, end))
+    _validate.broadcast({"t0": begin.shape, "t1": end.shape})
+    begin, end = np.broadcast_arrays(begin, end)
     for k in np.flatnonzero(~(begin <= end))[:1]:
-        raise InputError(f"t1: expected times at or after t0, found {begin[k]:g} and then {end[k]:g}")
+        raise InputError(f"t1: expected times at or after t0, found {begin.flat[k]:g} and then {end.flat[k]:g}")
     return begin, end
 
 

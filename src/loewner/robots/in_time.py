@@ -91,7 +91,7 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     if curved and paths.turns.any():
         courses = elevated(courses, max(0, 4 - courses.shape[1]))
     low, high = float(t0.min(initial=np.inf)), float(t1.max(initial=-np.inf))
-    knots = np.unique(np.concatenate([path._knots(low, high, curved) for path in paths.paths]))
+    knots = paths.knots(low, high, curved)
     first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
     counts = np.maximum(last - first, 0) + 1
     total, width = int(counts.sum()), courses.shape[2] + WIDTH * len(paths.far)
