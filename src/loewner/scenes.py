@@ -520,8 +520,8 @@ class Scene:
         >>> T = np.tile(np.eye(4), (2, 1, 1))
         >>> T[:, 0, 3] = -1.0, 1.0
         >>> scene.follow("box", [0.0, 10.0], T)  # 0.2 m/s along x
-        >>> scene.static_names, scene.following["box"].poses(2.5)[0, 3]
-        ((), -0.5)
+        >>> scene.static_names, scene.following["box"].poses(2.5)[:3, 3].tolist()
+        ((), [-0.5, 0.0, 0.0])
         """
         self._known(name)
         path = path_of(times, poses, repeat)

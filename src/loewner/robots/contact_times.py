@@ -53,7 +53,7 @@ class TrajectoryContact:
     >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
     >>> contact = checker.first_contact(CubicSpline([0.0, 1.0], [[0.0, 1.57], [1.0, 1.57]]))
     >>> contact.names, round(contact.touching_at, 5)
-    (('cart', 'post'), 0.8)
+    (('cart', 'post'), 0.7)
     """
 
     verdict: Verdict
