@@ -172,10 +172,10 @@ def plan(
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
-    q, goals = checked_ends(checker, start, goal, joints)
+    q, goals, names = checked_ends(checker, start, goal, joints)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
     ends = Departures.of(space, judge, q, goals)
-    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge)
+    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     rounds = 0
     if make is not None:
         found = ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed)

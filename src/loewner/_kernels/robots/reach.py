@@ -28,7 +28,7 @@ squared damping is proportional to the squared error, so that the last steps are
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import (
     ACROSS,
     ALONG,
@@ -62,7 +62,6 @@ from loewner._kernels.simd.vectors import (
     absolute,
     broadcast,
     load,
-    mask_of,
     maximum,
     minimum,
     movemask,
@@ -100,7 +99,7 @@ def _add_twist(twists, column, turn, shift):
         store(twists, at + (3 + r) * LANES, load(twists, at + (3 + r) * LANES) + turn[r])
 
 
-@inline
+@apart
 def _follow(chain, constants, base, q, twists):
     """The pose of the link at eight configurations in the frame of the target, and the twists of the moving values."""
     nothing = broadcast(0.0), broadcast(0.0), broadcast(0.0)
@@ -385,6 +384,10 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
         for column in range(values):
             if ranges[HOW, column] != HELD:
                 q[column * LANES + 1] = nearest[pose - 1, column]
+    for column in range(values):
+        nearest[pose, column] = start[column]
+    for r in range(3):
+        nearest[pose, values + r] = np.inf
     at, count, least, step = 0, 0, np.inf, 0
     fresh, live = ALL - 1 - 2 * follows, ALL
     store(marks, 0, broadcast(np.inf))
@@ -413,7 +416,8 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
             store(squares, 3 * LANES, error)
             fresh = reached
             if step % PATIENCE == 0:
-                fresh = live & movemask((error > GAIN * load(marks, 0)) | mask_of(reached))
+                # Written so that a seed whose error is not finite is given up, too.
+                fresh = live & (~movemask(error < GAIN * load(marks, 0)) | reached)
                 store(marks, 0, error)
             left = fresh
             while left:
