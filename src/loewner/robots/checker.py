@@ -169,13 +169,15 @@ class CollisionChecker:
             Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         version, single, ready = self._prepared
-        if version == self._scene.version:
-            collides = single.collide(Q)
-            if collides is not None:
-                self._seen += 1  # a call for each answer would take a tenth of its time
-                if self._seen >= self._next_look:
-                    self._learn(ready, 0)
-                return collides
+        if version != self._scene.version:
+            ready = self._ready()
+            single = ready.single
+        collides = single.collide(Q)
+        if collides is not None:
+            self._seen += 1  # a call for each answer would take a tenth of its time
+            if self._seen >= self._next_look:
+                self._learn(ready, 0)
+            return collides
         checked = self.robot.checked(Q)
         return verdicts.collisions(self._exact(checked).verdicts, checked)
 
