@@ -1,7 +1,7 @@
 """Surfaces cut into parts, with a box and an ellipsoid around each: proofs of motions replace a surface by its parts.
 
 The part whose box has the most empty space is cut next, across an axis of its box, where the boxes of its halves are
-smallest. Up to about a thousand of its items suggest where: they are sorted into bins along each axis, and only those
+smallest. Up to some five hundred of its items suggest where: they are sorted into bins along each axis, and only those
 next to the best boundary one by one. Between two walls, the cut is halfway between the items on either side.
 
 Corners are stored by coordinate, and those of a part one after the other, so that eight are processed at a time.
@@ -30,7 +30,7 @@ LEAST_SHARE = 4
 # its edges, the longest, along which a box is tried.
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
-# Bins along each axis, up to how many items are sorted at once, and about how many are sorted into bins.
+# Bins along each axis, up to how many items are sorted at once, and half the number of items that suggest a cut.
 BINS, FEW, MANY = 64, 32, 256
 
 # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
@@ -315,7 +315,7 @@ def _items(faces, order, first, last, begin):
 
 @njit()
 def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, held):
-    """Axis and place at which a part is cut: items whose middles are before it, times two, come first.
+    """Axis at which a part is cut, and the place there, times two: items whose middles are before it come first.
 
     Parameters
     ----------
