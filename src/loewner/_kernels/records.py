@@ -96,6 +96,10 @@ class Problem(NamedTuple):
     standing_poses: Any
 
 
+# Where the table of `MotionTables` begins, in bytes, if it follows the table of a `Problem`.
+MOTIONS = 8 * ENTRIES * (len(Tree._fields) + len(Problem._fields) - 1)
+
+
 class MotionTables(NamedTuple):
     """The input of `robots.motions` besides a `Problem`.
 

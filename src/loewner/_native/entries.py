@@ -44,7 +44,7 @@ ENTRIES = {
         Entry("robots.reach", "reach_poses", "I2 F2 F2 F1 F3 F2 F2 i i i F3 I1 F2", ""),
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         Entry("robots.standing", "measure_moving", "i i i", ""),
-        Entry("robots.standing", "place_static", "i i i F2", ""),
+        Entry("robots.standing", "place_static", "i i F1 F2", "i"),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F2 F3 B1", "I2 F2"),
         Entry("pipeline.distances", "memory_of_distances", "", "i"),
@@ -63,7 +63,7 @@ ENTRIES = {
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
         Entry("trees.piece_tree", "piece_trees", "cI1 cF2 cF2", "F1 I1 I1"),
         Entry("trees.triangle_tree", "triangle_tree", "cF2 cI2", "F1 I1 F1 F1 F1 I1"),
-        Entry("trees.cuts", "cut_up", "F2 I1 f i I1 I1 F2 F2 F3", "i"),
+        Entry("trees.cuts", "cut_up", "F1 I1 f i I1 I1 F2 F2 F3", "i"),
         Entry("trees.triangle_mesh", "equal_vertices", "cF2", "i I1"),
         Entry("trees.triangle_mesh", "part_vertices", "i cI2", "I1"),
         Entry("trees.boxes", "body_boxes", "i i i i i F3 F2 F2", ""),
