@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,28 +16,19 @@ from loewner._validate import Floats
 from loewner.errors import InputError, LoewnerError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
+from loewner.planners.kept_axes import KeptAxis
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.proofs import prove_by_rules
-from loewner.robots.reaching import Chain, refuse_far, targets_of
+from loewner.robots.reaching import Chain, refuse_far, refuse_unsteady, targets_of
 from loewner.robots.robot import chain_to
 
-# Tolerances below this [m, rad] are near the rounding of poses; an axis is kept by cosines, whose rounding counts more.
-LEAST_TOLERANCE, LEAST_ANGLE = 1e-9, 1e-6
+# Tolerances below this [m, rad] are near the rounding of poses.
+LEAST_TOLERANCE = 1e-9
 
 # Singular values of the Jacobian [m, rad] below this count as singular in messages.
 SINGULAR = 0.02
-
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
-
-class Kept(NamedTuple):
-    """An axis of the link that stays within an angle of a direction of the world."""
-
-    axis: Floats
-    direction: Floats
-    angle: float
 
 
 @guarded
@@ -136,30 +127,17 @@ def _at_least(least: float, x: Any, name: str) -> float:
     return value
 
 
-def _kept(keep: Any) -> Kept:
+def _kept(keep: Any) -> KeptAxis:
     """Check an axis that is to be kept."""
     listed = _validate.listed(keep, "keep", wanted="(axis, direction, angle)")
     if len(listed) != 3:
         raise InputError(f"keep: expected (axis, direction, angle), found {_validate.short(keep)}")
-    axis = AXES[_validate.choice(listed[0], "keep, axis", AXES)] if isinstance(listed[0], str) else listed[0]
-    units = []
-    for vector, name in ((axis, "keep, axis"), (listed[1], "keep, direction")):
-        checked = _validate.finite_array(vector, name, (3,))
-        length = float(np.linalg.norm(checked))
-        if not 0 < length < np.inf:
-            raise InputError(f"{name}: expected a vector with a length, found {_validate.short(vector)}")
-        units.append(checked / length)
-    return Kept(units[0], units[1], min(_at_least(LEAST_ANGLE, listed[2], "keep, angle"), np.pi))
+    return KeptAxis.of(*listed)
 
 
 def _refuse_start(robot: Robot, chain: Chain, q: Floats, link: str) -> None:
     """Raise an error for joints that do not move along straight lines, and for a start outside the limits."""
-    moves, kinds = chain.links[:, columns.MOVES_OF_LINK], chain.links[:, columns.KIND_OF_LINK]
-    if moves[kinds >= columns.FLOATING].any():
-        raise InputError(
-            f"joints: expected joints that turn or slide before {link!r}, found a floating or ball joint; name the "
-            "joints that are to move"
-        )
+    refuse_unsteady(chain, link)
     values = q[chain.columns]
     outside = (values < chain.ranges[columns.LEAST] - ON_LIMIT) | (values > chain.ranges[columns.MOST] + ON_LIMIT)
     if outside.any():
@@ -169,7 +147,7 @@ def _refuse_start(robot: Robot, chain: Chain, q: Floats, link: str) -> None:
 
 
 def _unfollowed(
-    robot: Robot, chain: Chain, outcome: int, rows: Floats, q: Floats, link: str, kept: Kept | None
+    robot: Robot, chain: Chain, outcome: int, rows: Floats, q: Floats, link: str, kept: KeptAxis | None
 ) -> LoewnerError:
     """Make the error for a line that the kernel cannot follow."""
     if outcome == codes.HALF_TURN:

@@ -242,6 +242,16 @@ def refuse_far(chain: Chain, T: Floats, starts: Floats) -> None:
             raise InputError(f"{name}: expected lengths and values within ±{LARGEST:g}, found {largest:g}")
 
 
+def refuse_unsteady(chain: Chain, link: str) -> None:
+    """Refuse joints that move, but not along straight lines."""
+    moves, kinds = chain.links[:, columns.MOVES_OF_LINK], chain.links[:, columns.KIND_OF_LINK]
+    if moves[kinds >= columns.FLOATING].any():
+        raise InputError(
+            f"joints: expected joints that turn or slide before {link!r}, found a floating or ball joint; name the "
+            "joints that are to move"
+        )
+
+
 class Answers(NamedTuple):
     """The kernel's results for each pose: distinct solutions, their number, and the first or nearest of all."""
 

@@ -32,6 +32,7 @@ from loewner._kernels.columns import (
     TRANSLATION,
 )
 from loewner._kernels.linalg3 import apply, cross, dot, minus, plus, product, scaled
+from loewner._kernels.pieces.pack import kept_axis_of
 from loewner._kernels.robots.kinematics import by_quaternion, nine, triple_of, turned_by
 from loewner._kernels.robots.reach import FAULTS, REACHED, deviation_of, follow, move
 from loewner._kernels.simd.trig import sine_cosine
@@ -58,6 +59,9 @@ MIDDLE = 0.125  # the largest value of s (1 - s) / 2: a curve's distance from it
 
 # Newton steps towards a configuration; a good guess needs three.
 STEPS = 32
+
+# An axis has been brought back if it is within the tolerance, exceeded by this share of it.
+NEARLY = 0.01
 
 # Share of the tolerance that the next motions may take, and by which factors they are longer or shorter at most.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
@@ -247,6 +251,33 @@ def _position_at(line, u):
 
 
 @inline
+def _bent(R, m):
+    """The second derivative of the rotation, ([bend] + [turn]²) R."""
+    a, b = m.bend, m.turn
+    square = dot(b, b)
+    return product(
+        (
+            b[0] * b[0] - square, b[0] * b[1] - a[2], b[0] * b[2] + a[1],
+            b[1] * b[0] + a[2], b[1] * b[1] - square, b[1] * b[2] - a[0],
+            b[2] * b[0] - a[1], b[2] * b[1] + a[0], b[2] * b[2] - square,
+        ),
+        R,
+    )  # fmt: skip
+
+
+@inline
+def _rounding(chain, constants, q, d, squares):
+    """Bound the rounding of rotations, B55; `squares` are one plus the squares of the turns."""
+    largest = broadcast(1.0)
+    for column in range(q.size // LANES):
+        largest = maximum(largest, absolute(load(q, column * LANES)) + 0.5 * absolute(load(d, column * LANES)))
+    factor, offset = 1.0, 0.0
+    for link in range(len(chain)):
+        factor, offset = max(factor, abs(constants[link, MULTIPLIER])), max(offset, abs(constants[link, OFFSET]))
+    return LINE_ROUNDINGS * (len(chain) + 1.0) * squares * (largest * factor + offset)
+
+
+@inline
 def gaps_of(chain, constants, line, wanted, u, q, still):
     """How far the link is from the line at eight configurations: of its position and rotation; and its cosine.
 
@@ -286,28 +317,11 @@ def strays_of(chain, constants, line, wanted, before, after, u0, u1, q, d):
     Strays
     """
     R, m = _followed(chain, constants, q, d)
-    # The second derivative of the rotation, ([bend] + [turn]²) R, beside the line's.
-    a, b = m.bend, m.turn
-    square = dot(b, b)
-    bent = product(
-        (
-            b[0] * b[0] - square, b[0] * b[1] - a[2], b[0] * b[2] + a[1],
-            b[1] * b[0] + a[2], b[1] * b[1] - square, b[1] * b[2] - a[0],
-            b[2] * b[0] - a[1], b[2] * b[1] + a[0], b[2] * b[2] - square,
-        ),
-        R,
-    )  # fmt: skip
+    bent = _bent(R, m)
     share, L = line.angle * (u1 - u0), _rotation_at(line, 0.5 * (u0 + u1))
     bows = _times(share * share, _less(_less(line.rotation, _times(-1.0, line.cosine)), L))
-    largest = broadcast(1.0)
-    for column in range(q.size // LANES):
-        largest = maximum(largest, absolute(load(q, column * LANES)) + 0.5 * absolute(load(d, column * LANES)))
-    factor, offset = 1.0, 0.0
-    for link in range(len(chain)):
-        factor, offset = max(factor, abs(constants[link, MULTIPLIER])), max(offset, abs(constants[link, OFFSET]))
     cube = m.angle * m.angle * m.angle
-    squares = 1.0 + m.angle * m.angle + share * share
-    rounding = LINE_ROUNDINGS * (len(chain) + 1.0) * squares * (largest * factor + offset)
+    rounding = _rounding(chain, constants, q, d, 1.0 + m.angle * m.angle + share * share)
     length = (1.0 + SPARE) * m.length
     bend, twist = MIDDLE * sqrt(dot(m.pull, m.pull)), 0.5 * (1.0 + SPARE) * MIDDLE * m.third
     turn_bend = MIDDLE * _norm(_less(bent, bows))
@@ -476,3 +490,72 @@ def follow_line(chain, constants, ranges, start, target, wanted):
                 return TILTED if near & ~kept & 1 else STOPPED, rows[: count + 1]
             longest = max(longest, 2.0 if arrived & 1 else 4.0)
         step /= longest
+
+
+@inline
+def least_cosine(chain, constants, axis, direction, q, d):
+    """Bound the cosine between a kept axis and its direction from below, on eight motions given as in `strays_of`.
+
+    The bound is Taylor's series about the middle.
+    """
+    R, m = _followed(chain, constants, q, d)
+    a, cube = apply(R, axis), m.angle * m.angle * m.angle
+    slope, bend = dot(direction, cross(m.turn, a)), dot(direction, apply(_bent(R, m), axis))
+    fall = 0.5 * absolute(slope) + 0.125 * absolute(bend) + (1.0 + SPARE) * cube / 48.0
+    return dot(direction, a) - fall - _rounding(chain, constants, q, d, 1.0 + m.angle * m.angle)
+
+
+@njit()
+def keeps_axis(handle, ends):
+    """Whether a motion provably keeps an axis: by bounds on eight equal parts of it.
+
+    Parameters
+    ----------
+    handle : int
+        Handle of a `records.KeptAxis`.
+    ends : ndarray, shape (2, dof)
+    """
+    kept = kept_axis_of(handle)
+    values, n = kept.columns.size, kept.numbers
+    q, d = np.empty(values * LANES), np.empty(values * LANES)
+    for column in range(values):
+        value = ends[0, kept.columns[column]]
+        part = (ends[1, kept.columns[column]] - value) / LANES
+        for lane in range(LANES):
+            q[column * LANES + lane], d[column * LANES + lane] = value + (lane + 0.5) * part, part
+    axis, direction = (n[0, 1], n[0, 2], n[0, 3]), (n[0, 4], n[0, 5], n[0, 6])
+    return movemask(least_cosine(kept.chain, kept.constants, axis, direction, q, d) >= n[0, 0]) == ALL
+
+
+@njit()
+def bring_back(handle, row):
+    """Move a configuration, shape (dof,), until its axis is near the direction; return whether that worked."""
+    kept = kept_axis_of(handle)
+    values = kept.columns.size
+    twists, matrix, tolerance = np.empty(values * FAULTS * LANES), np.empty(21 * LANES), np.empty(FAULTS)
+    q, nothing = np.empty(values * LANES), (broadcast(0.0), broadcast(0.0), broadcast(0.0))
+    for k in range(FAULTS):
+        tolerance[k] = kept.numbers[0, 7] if k in (3, 4) else np.inf
+    for column in range(values):
+        store(q, column * LANES, broadcast(row[kept.columns[column]]))
+    for _ in range(STEPS):
+        R, t = follow(kept.chain, kept.constants, (nine(kept.numbers, 2, 0), nothing), q, twists)
+        deviation = deviation_of(product(R, nine(kept.numbers, 1, 0)), t, tolerance)
+        f = deviation[0]
+        error = f[3] * f[3] + f[4] * f[4]
+        if movemask(error <= (NEARLY * tolerance[3]) * (NEARLY * tolerance[3])) == ALL:
+            for column in range(values):
+                row[kept.columns[column]] = q[column * LANES]
+            return True
+        move(kept.ranges, t, deviation, error, q, twists, matrix)
+    return False
+
+
+@njit()
+def keep_axis(handle, Q0, Q1, kept):
+    """Write to `kept` which motions between rows of Q0 and Q1 provably keep an axis."""
+    ends = np.empty((2, Q0.shape[1]))
+    for row in range(len(Q0)):
+        for column in range(Q0.shape[1]):
+            ends[0, column], ends[1, column] = Q0[row, column], Q1[row, column]
+        kept[row] = keeps_axis(handle, ends)
