@@ -1094,6 +1094,7 @@ CALLS: dict[str, Call] = {
             "start": array([-0.5, 0.25, 0.0], FINITE),
             "goal": array([[-0.5, 0.5, 0.0]], FINITE),
             "joints": arg("y", NONE),
+            "keep": arg(None, NONE),
             "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),

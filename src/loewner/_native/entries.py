@@ -42,6 +42,8 @@ ENTRIES = {
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         Entry("robots.pose_paths", "pose_values", "I1 F1 F2 F1 F1 F1 F3", ""),
         Entry("robots.reach", "reach_poses", "I2 F2 F2 F1 F3 F2 F2 i i i F3 I1 F2", ""),
+        Entry("robots.lines", "follow_line", "I2 F2 F2 F1 F2 F1", "i F2"),
+        Entry("robots.lines", "keep_axis", "i F2 F2 T1", ""),
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         Entry("robots.standing", "measure_moving", "i i i", ""),
         Entry("robots.standing", "place_static", "i i F1 F2", "i"),
