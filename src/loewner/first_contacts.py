@@ -41,9 +41,9 @@ class FirstContact:
         At every real time from 0 to this time, except the time itself, the bodies are proven to be farther apart than
         the margin; inf if FREE.
     touching_at : float or ndarray
-        Time at which they touch or come within the margin. From `free_until` to this time, no point of one body moves
-        farther than the tolerance relative to the points of the other. For AMBIGUOUS pairs, a time, not before
-        `free_until`, at which they touch or are within the tolerance of it; inf if none is known. inf if FREE.
+        Time at which they touch or come within the margin. From `free_until` to this time, the distance of the bodies
+        changes by no more than the tolerance. For AMBIGUOUS pairs, a time not before `free_until` at which they touch
+        or are within the tolerance of touching; inf if none is known. inf if FREE.
 
     Examples
     --------
@@ -84,9 +84,9 @@ def first_contact(
         The poses (T0, T1) of a body at the beginning and at the end, broadcast together; or one pose, of a body at
         rest. None is the identity.
     tolerance : float
-        How far points may move in metres, relative to each other, between the time until which the bodies are free and
-        the time at which they touch; see `FirstContact`. Times are exact up to rounding if it is about 1e-12 of the
-        lengths involved or more; below that, pairs are AMBIGUOUS.
+        Length in metres by which the bodies may approach each other from the time until which they are proven free to
+        the time at which they touch. It can be as small as about 1e-11 of the lengths involved; below that, pairs are
+        AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 
@@ -154,7 +154,8 @@ def _followed(a: Any, motion_a: Any, b: Any, motion_b: Any, tolerance: float, ma
     in_shares(run, plan.total, CHUNK)
     if plan.shape == ():
         return FirstContact(Verdict(int(verdicts[0])), float(times[0, 0]), float(times[1, 0]))
-    return FirstContact(*(x.reshape(plan.shape) for x in (verdicts, times[0], times[1])))
+    free, touching = (x.reshape(plan.shape) for x in times)
+    return FirstContact(verdicts.reshape(plan.shape), free, touching)
 
 
 def _ends(motion: Any, name: str) -> tuple[Floats, Floats]:

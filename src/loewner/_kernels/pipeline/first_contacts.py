@@ -8,12 +8,11 @@ Times are fractions of the motion.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, NEAREST, OVERLAPPING, TOUCHING
-from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, REACH
+from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, NEAREST, OVERLAPPING, TOUCHING
+from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_RADIUS, POLYTOPE, REACH, SEGMENT
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
 from loewner._kernels.linalg3 import (
     apply,
-    apply_transposed,
     cross,
     dot,
     matrix,
@@ -46,13 +45,16 @@ TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 140, certified.md B56
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B57
 
 # Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates.
-UPWARD = 1.0 + 1e-5  # derived 3.2e-6, certified.md B58
+STRETCH = 1e-5  # derived 1.7e-6, certified.md B58
+UPWARD = 1.0 + STRETCH
 
 # A turn is refused if the cosine of its half is below this: poses, which may have gone through float32, do not show
 # which way is the shorter one.
 HALF_TURN = 1e-6
 
-ROUNDS = 256  # hulls need six; only motions that graze within the tolerance need so many
+ENOUGH = 0.9  # of the gap that is expected
+
+ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need so many
 
 # Steps are chosen for this share of the curvature that the bounds allow; between 0.2 and 0.6 hardly anything changes.
 SHARE = 0.3
@@ -88,7 +90,7 @@ def _nine(row, at):
 
 
 @njit()
-def _write_motion(first, last, poses, row, motion):
+def write_motion(first, last, poses, row, motion):
     """Write the motion between two poses, and the pose at 0; False if the turn has no shorter way."""
     R, S = matrix(first), matrix(last)
     for c in range(3):
@@ -151,7 +153,7 @@ def _place(motion, t, poses, row):
 
 
 @inline
-def _arm(P, motion):
+def arm_of(P, motion):
     """Upper bound on the distance of any point of a core from the axis of its body's motion."""
     table, p = P.table, P.piece
     r = radius(P)
@@ -160,6 +162,21 @@ def _arm(P, motion):
     rounding = 8.0 * UNIT_ROUNDOFF * table[p, REACH]
     around = np.sqrt(dot(off, off)) + max(table[p, OUTER_RADIUS] - r, 0.0) + rounding
     return min(around, max(table[p, REACH] - r, 0.0) + rounding)
+
+
+@inline
+def rates_between(way_a, arm_a, way_b, arm_b):
+    """Bounds on the relative velocity and acceleration of any point of one body and any point of the other one."""
+    v = minus(_three(way_b, WAY), _three(way_a, WAY))
+    speed = np.sqrt(dot(v, v)) + way_a[ANGLE] * arm_a + way_b[ANGLE] * arm_b
+    bend = way_a[ANGLE] * way_a[ANGLE] * arm_a + way_b[ANGLE] * way_b[ANGLE] * arm_b
+    return speed * UPWARD, bend * UPWARD
+
+
+@inline
+def lost_between(speed, bend, change, w):
+    """What a gap may lose between planes at the ends of a step w, whose unit normals differ by a change."""
+    return (bend * w + 2.0 * change * speed) * w / 8.0
 
 
 @inline
@@ -174,6 +191,12 @@ def _touch_with_care(A, B, shift, n, margin):
     """Whether the robust search calls two convex pieces touching."""
     status, _, _, _ = run(A, B, shift, n, margin, True, np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3))
     return status == TOUCHING
+
+
+@inline
+def _is_bent(P):
+    """Whether a core is curved."""
+    return POLYTOPE < P.layout[P.piece, KIND] < SEGMENT
 
 
 @inline
@@ -204,7 +227,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
 
 
 @njit()
-def _look(A, B, n, margin, far, memory):
+def _look(A, B, n, margin, far, enough, memory):
     """Whether two pieces come within the margin, and a plane between them.
 
     Parameters
@@ -214,6 +237,8 @@ def _look(A, B, n, margin, far, memory):
         First direction, from A to B.
     margin, far : float
         The margin, and the distance of cores that is certainly more than it.
+    enough : float
+        Gap at which a search between curved pieces, which converges linearly, may end.
 
     Returns
     -------
@@ -239,14 +264,14 @@ def _look(A, B, n, margin, far, memory):
         meets, above, n = value + gap <= margin, value + gap - margin, _three(result, 0)
     else:
         ends = begin(A, B, shift, W)
-        status, _, length, n = measure_along(A, B, shift, W, ends, n, error, margin + radii, np.inf, result)
-        meets = status in (TOUCHING, OVERLAPPING)
+        last = far + enough if _is_bent(A) or _is_bent(B) else np.inf
+        status, _, length, n = measure_along(A, B, shift, W, ends, n, error, margin + radii, last, result)
+        meets, above = status in (TOUCHING, OVERLAPPING), length - radii - margin
         if status == NEAREST:
-            above = length - radii - margin
             gap, _, _ = _gap_along(A, B, shift, n, error)
             b = minus((result[6], result[7], result[8]), shift)
             return False, n, gap - far, above, _three(result, 3), b
-        if not meets:
+        if not meets and status != APART:
             meets = _touch_with_care(A, B, shift, n, margin)
     gap, a, b = _gap_along(A, B, shift, n, error)
     return meets, n, gap - far, above, a, b
@@ -274,10 +299,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     """
     poses, motions = poses_of(memory), motions_of(memory)
     way_a, way_b = motions[0], motions[1]
-    arm_a, arm_b = _arm(A, way_a), _arm(B, way_b)
-    v = minus(_three(way_b, WAY), _three(way_a, WAY))
-    speed = (np.sqrt(dot(v, v)) + way_a[ANGLE] * arm_a + way_b[ANGLE] * arm_b) * UPWARD
-    bend = (way_a[ANGLE] * way_a[ANGLE] * arm_a + way_b[ANGLE] * way_b[ANGLE] * arm_b) * UPWARD
+    arm_a, arm_b = arm_of(A, way_a), arm_of(B, way_b)
+    speed, bend = rates_between(way_a, arm_a, way_b, arm_b)
     reaches = A.table[A.piece, REACH] + B.table[B.piece, REACH]
     slack = TURN_ROUNDINGS * reaches + PLACE_ROUNDINGS * (way_a[SIZE] + way_b[SIZE])
     # The error of a rotation stretches radii, too.
@@ -296,10 +319,11 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if at >= horizon and not surface:  # often the plane so far holds to the end
                 shift = shift_between(A, B)
                 low, _, _ = _gap_along(A, B, shift, normal, rounding_error(A, B, shift))
-                if min(gap, low - far) > bend * w * w / 8.0:
+                if min(gap, low - far) > lost_between(speed, bend, 0.0, w):
                     return FREE, horizon, np.inf, r
             n = normal
-        meets, n, low, top, at_a, at_b = _look(A, B, n, margin, far, memory)
+        enough = ENOUGH * (gap - nearing * w)
+        meets, n, low, top, at_a, at_b = _look(A, B, n, margin, far, enough if enough > 0.0 else np.inf, memory)
         proven, curve = False, 0.0
         if meets:
             hit = at
@@ -308,7 +332,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if not surface and r > 0:
                 off = minus(n, normal)
                 change = np.sqrt(dot(off, off)) + 16.0 * UNIT_ROUNDOFF
-                lost = (bend * w + 2.0 * change * speed) * w / 8.0
+                lost = lost_between(speed, bend, change, w)
                 proven = proven or min(gap, low) > lost
                 # The curvature by which the model of the last step missed.
                 curve = (lost + max(gap - nearing * w - low, 0.0)) / (w * w)
@@ -316,8 +340,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                     turning = change / w
         if proven:
             t, gap, above, normal = at, low, top, n
-            moving = minus(cross(_three(way_b, SPIN), at_b), cross(_three(way_a, SPIN), at_a))
-            nearing = -dot(n, plus(moving, v))
+            v = plus(_three(way_b, WAY), cross(_three(way_b, SPIN), at_b))
+            nearing = dot(n, minus(plus(_three(way_a, WAY), cross(_three(way_a, SPIN), at_a)), v))
             if t >= horizon or gap > speed * (horizon - t):
                 return FREE, horizon, np.inf, r
         elif r == 0:
@@ -363,8 +387,7 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
         far_a = max(far_a, a.table[i, REACH])
     for j in range(first_b, b.piece_start[ib + 1]):
         far_b = max(far_b, b.table[j, REACH])
-    v = minus(_three(motions[1], WAY), _three(motions[0], WAY))
-    speed = (np.sqrt(dot(v, v)) + motions[0, ANGLE] * far_a + motions[1, ANGLE] * far_b) * UPWARD
+    speed, _ = rates_between(motions[0], far_a, motions[1], far_b)
     slack = TURN_ROUNDINGS * (far_a + far_b) + PLACE_ROUNDINGS * (motions[0, SIZE] + motions[1, SIZE])
     # What may meet is near half-way.
     _place(motions[0], 0.5, poses, 0)
@@ -421,9 +444,9 @@ def first_contacts(start, stop, plan, pack_a, Ta0, Ta1, pack_b, Tb0, Tb1, margin
     rounds = 0
     for k in range(start, stop):
         ka, kb = row_of(k, shape, pose_a), row_of(k, shape, pose_b)
-        if not _write_motion(Ta0[ka], Ta1[ka], poses, 0, motions[0]):
+        if not write_motion(Ta0[ka], Ta1[ka], poses, 0, motions[0]):
             return 2 * k, rounds
-        if not _write_motion(Tb0[kb], Tb1[kb], poses, 1, motions[1]):
+        if not write_motion(Tb0[kb], Tb1[kb], poses, 1, motions[1]):
             return 2 * k + 1, rounds
         ia, ib = row_of(k, shape, body_a), row_of(k, shape, body_b)
         verdict, free, touching, r = _between_bodies(a, ia, b, ib, margin, tolerance, memory)
