@@ -54,7 +54,7 @@ HALF_TURN = 1e-6
 
 ENOUGH = 0.9  # of the gap that is expected
 
-ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need so many
+ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
 
 # Steps are chosen for this share of the curvature that the bounds allow; with 0.3, pairs take a tenth more rounds. A
 # step that is not proven is reduced at least by the second number.
@@ -180,7 +180,7 @@ def rates_between(way_a, arm_a, way_b, arm_b):
 
 @inline
 def lost_between(speed, bend, change, w):
-    """What a gap may lose between planes at the ends of a step w, whose unit normals differ by a change."""
+    """Largest loss of a gap between planes at the ends of a step w, whose unit normals differ by a change."""
     return (bend * w + 2.0 * change * speed) * w / 8.0
 
 
@@ -392,7 +392,7 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
         far_b = max(far_b, b.table[j, REACH])
     speed, _ = rates_between(motions[0], far_a, motions[1], far_b)
     slack = TURN_ROUNDINGS * (far_a + far_b) + PLACE_ROUNDINGS * (motions[0, SIZE] + motions[1, SIZE])
-    # What may meet is near half-way.
+    # Pieces that may meet are near each other half-way.
     _place(motions, 0.5, poses)
     piece_tree.begin(a, ia, poses, 0, b, ib, poses, 1, steps, numbers)
     verdict, free, touching, horizon, rounds = FREE, np.inf, np.inf, 1.0, 0
