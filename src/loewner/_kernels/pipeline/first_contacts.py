@@ -120,7 +120,8 @@ def write_motion(first, last, poses, row, motion):
         return False
     axis, angle = (0.0, 0.0, 1.0), 0.0
     if sine > 0.0 and not same:
-        axis, angle = scaled(1.0 / sine, v), 2.0 * np.arctan2(sine, w)
+        # The tangent of a quarter of the angle; the two-argument arc tangent is not from the C library in Numba.
+        axis, angle = scaled(1.0 / sine, v), 4.0 * np.arctan(sine / (w + np.sqrt(sine * sine + w * w)))
     # R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k')
     k, Rk = axis, apply(R, axis)
     rest = (
