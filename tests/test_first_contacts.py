@@ -28,7 +28,7 @@ ROUNDING = 1e-11
 
 def pose(turn=(0.0, 0.0, 0.0), at=(0.0, 0.0, 0.0)) -> np.ndarray:
     """Poses from rotation vectors and origins."""
-    turn, at = np.broadcast_arrays(turn, at)
+    turn, at = (x.copy() for x in np.broadcast_arrays(turn, at))
     T = np.zeros((*turn.shape[:-1], 4, 4))
     T[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape[:-1], 3, 3)
     T[..., :3, 3], T[..., 3, 3] = at, 1.0
@@ -37,14 +37,13 @@ def pose(turn=(0.0, 0.0, 0.0), at=(0.0, 0.0, 0.0)) -> np.ndarray:
 
 def on_the_way(motion, t) -> np.ndarray:
     """The poses of motions at fractions, computed without the library."""
-    T0, T1 = np.broadcast_arrays(*motion)
-    t = np.broadcast_to(t, T0.shape[:-2])[..., None]
+    shape = np.broadcast_shapes(np.shape(t), motion[0].shape[:-2])
+    T0, T1 = (np.broadcast_to(T, (*shape, 4, 4)) for T in motion)
+    t = np.broadcast_to(t, shape)[..., None]
     R = T0[..., :3, :3]
     turn = Rotation.from_matrix((np.swapaxes(R, -1, -2) @ T1[..., :3, :3]).reshape(-1, 3, 3)).as_rotvec()
     T = T0.copy()
-    T[..., :3, :3] = R @ Rotation.from_rotvec(
-        turn.reshape(t.shape[:-1] + (3,)).reshape(-1, 3) * t.reshape(-1, 1)
-    ).as_matrix().reshape(R.shape)
+    T[..., :3, :3] = R @ Rotation.from_rotvec(turn * t.reshape(-1, 1)).as_matrix().reshape(R.shape)
     T[..., :3, 3] = (1 - t) * T0[..., :3, 3] + t * T1[..., :3, 3]
     return T
 
@@ -75,7 +74,7 @@ def expect_times(found, times, speed, tolerance=TOLERANCE) -> None:
     assert np.isinf(touching[~meets]).all()
     assert (free[meets] <= times[meets] + ROUNDING).all()
     assert (touching[meets] >= times[meets] - ROUNDING).all()
-    width = (touching - free)[meets]
+    width = touching[meets] - free[meets]
     assert (width >= 0).all()
     assert (width * np.broadcast_to(speed, times.shape)[meets] <= tolerance * 1.001).all()
 
@@ -95,7 +94,7 @@ def test_balls():
     times[C <= 0] = 0.0
     found = first_contact(Bodies.spheres(radii[0]), a, Bodies.spheres(radii[1]), b)
     expect_times(found, times, np.linalg.norm(v, axis=1))
-    assert 50 < np.isfinite(times).sum() < n - 50
+    assert 200 < np.isfinite(times).sum() < n - 20
 
 
 def test_ball_and_half_space():
@@ -298,11 +297,12 @@ def test_margin_and_tolerance():
     assert (fine.verdict == wide.verdict).all()
     assert (fine.free_until <= wide.touching_at)[meets].all()
     assert (wide.free_until <= fine.touching_at)[meets].all()
-    assert (fine.touching_at - fine.free_until)[meets].max() < 1e-9
+    assert (fine.touching_at[meets] - fine.free_until[meets]).max() < 1e-9
     kept = first_contact(hull, Ma, hull, Mb, margin=0.1)
     assert (kept.free_until <= fine.free_until).all()
     # A tolerance below rounding cannot be honoured.
-    assert set(first_contact(hull, Ma, hull, Mb, tolerance=1e-300).verdict) <= {FREE, AMBIGUOUS}
+    tiny = first_contact(hull, Ma, hull, Mb, tolerance=1e-300)
+    assert ((tiny.verdict != COLLIDING) | (tiny.touching_at == 0.0)).all()
 
 
 def test_far_from_the_origin():
@@ -315,7 +315,7 @@ def test_far_from_the_origin():
     far = first_contact(box, (off @ Ma[0], off @ Ma[1]), box, (off @ Mb[0], off @ Mb[1]))
     assert (near.verdict == far.verdict).all()
     meets = near.verdict == COLLIDING
-    assert np.abs(near.touching_at - far.touching_at)[meets].max() < 1e-5
+    assert np.abs(near.touching_at[meets] - far.touching_at[meets]).max() < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -389,7 +389,7 @@ def test_gaps_between_two_planes():
             M = [(T0, T0 + translation(*rng.normal(size=3)) - np.eye(4)) for T0, _ in M]
         arm_a, arm_b, speed, bend = bounds(a, M[0], b, M[1])
         # All points at all times, and their differences.
-        T = [on_the_way(tuple(np.tile(E, (101, 1, 1)) for E in ends), t) for ends in M]
+        T = [on_the_way(ends, t) for ends in M]
         y = [np.einsum("tij,nj->tni", T[s][:, :3, :3], x[s]) + T[s][:, None, :3, 3] for s in (0, 1)]
         d = (y[1][:, None] - y[0][:, :, None]).reshape(101, -1, 3)
         h = t[1]
