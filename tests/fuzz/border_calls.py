@@ -834,6 +834,17 @@ CALLS: dict[str, Call] = {
         loewner.distance,
         {**OPERANDS, "exact": flag(), "pairs": arg(None, ROWS.takes)},
     ),
+    "first_contact": Call(
+        loewner.first_contact,
+        {
+            "a": OPERANDS["a"],
+            "motion_a": poses(),
+            "b": OPERANDS["b"],
+            "motion_b": arg(lambda: (translation(3.0), translation(0.5)), NONE),
+            "tolerance": positive(),
+            "margin": margin(),
+        },
+    ),
     "overlapping_pairs": Call(
         loewner.overlapping_pairs,
         {

@@ -51,6 +51,8 @@ ENTRIES = {
         Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F2 F3 B1", "I2 F2"),
         Entry("pipeline.distances", "memory_of_distances", "", "i"),
         Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F2 F3 B1", ""),
+        Entry("pipeline.first_contacts", "first_contacts", "i i I2 i F3 F3 i F3 F3 f f i F2 B1", "i i"),
+        Entry("pipeline.first_contacts", "memory_of_first_contacts", "", "i"),
         # -- points and meshes
         Entry("narrow.mesh_points", "points_memory", "", "i"),
         Entry("narrow.mesh_points", "squared_distances_of", "cF2 cF3 F1", ""),

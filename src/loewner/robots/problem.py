@@ -95,7 +95,8 @@ class Standing(NamedTuple):
     @classmethod
     def at(cls, memory: Floats, shapes: Shapes) -> Standing:
         """View them one after the other in memory."""
-        begin, views: list[Any] = 0, []
+        views: list[Any] = []
+        begin = 0
         for kind, shape in shapes:
             end = begin + _words(kind, shape)
             views.append(memory[begin:end].view(kind).reshape(shape))
