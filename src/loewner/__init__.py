@@ -25,6 +25,7 @@ from loewner.errors import (
 )
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
+from loewner.pose_paths import PosePath
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.robots import (
     CertifiedMotions,
@@ -36,6 +37,7 @@ from loewner.robots import (
     Robot,
     Settled,
     StateDistance,
+    TrajectoryContact,
     pairs_by_sampling,
 )
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
@@ -75,12 +77,14 @@ __all__ = [
     "PlanningError",
     "Polytope",
     "PoseError",
+    "PosePath",
     "Problem",
     "Reached",
     "Robot",
     "Scene",
     "Settled",
     "StateDistance",
+    "TrajectoryContact",
     "UnknownNameError",
     "Verdict",
     "classify",

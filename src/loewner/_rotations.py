@@ -52,3 +52,21 @@ def to_rpy(R: Floats) -> tuple[float, float, float]:
     # The remaining rotation without the yaw, which is arbitrary if the pitch is a right angle.
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return roll, math.atan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw
+
+
+def quaternions_of(rotations: Floats) -> Floats:
+    """Unit quaternions, real part first, of rotation matrices of shape (..., 3, 3); also at half turns."""
+    R = rotations.reshape(-1, 3, 3)
+    diagonal, trace = R[:, [0, 1, 2], [0, 1, 2]], np.trace(R, axis1=1, axis2=2)
+    # Row k is the quaternion times four times its own entry k; the row with the largest such entry is well conditioned.
+    rows = np.empty((len(R), 4, 4))
+    rows[:, 0, 0] = 1.0 + trace
+    rows[:, [1, 2, 3], [1, 2, 3]] = 1.0 + 2.0 * diagonal - trace[:, None]
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), 1):
+        rows[:, 0, k] = rows[:, k, 0] = R[:, i, j] - R[:, j, i]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        rows[:, i + 1, j + 1] = rows[:, j + 1, i + 1] = R[:, i, j] + R[:, j, i]
+    best = np.diagonal(rows, axis1=1, axis2=2).argmax(axis=1)
+    found: Floats = rows[np.arange(len(R)), best]
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return found.reshape(*rotations.shape[:-2], 4)

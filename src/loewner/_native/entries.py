@@ -40,6 +40,7 @@ ENTRIES = {
         Entry("robots.clearances", "clearances", "b f i i F2 i i i F1 F2", ""),
         Entry("robots.clearances", "pair_gradients", "i i F2 i i i cI2 cF2 cF2 F2", ""),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
+        Entry("robots.pose_paths", "pose_values", "I1 F1 F2 F1 F1 F1 F3", ""),
         Entry("robots.reach", "reach_poses", "I2 F2 F2 F1 F3 F2 F2 i i i F3 I1 F2", ""),
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         Entry("robots.standing", "measure_moving", "i i i", ""),

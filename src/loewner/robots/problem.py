@@ -24,6 +24,7 @@ from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_parts
+from loewner.pose_paths import PackedPaths, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
 
@@ -117,6 +118,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
+        Behind its own joints, a floating one for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -138,6 +140,8 @@ class Problem:
         `order`, `group_start`, `group_pairs` and `chain` of `records.MotionTables`.
     table : ndarray of int64
         Addresses of the arrays of `records.Problem`, and then of `records.MotionTables`.
+    paths : PackedPaths or None
+        The motions that bodies of the scene follow; None if there are none.
     """
 
     robot: Robot
@@ -161,6 +165,7 @@ class Problem:
     group_pairs: Ints
     chain: Floats
     table: Ints
+    paths: PackedPaths | None = None
 
     @classmethod
     def of(
@@ -221,6 +226,13 @@ class Problem:
         for value in (*_OF_COUNTS, Problem.cut, Problem.motions):
             value.hand_on(self, ordered)
         return ordered
+
+    def with_paths(self, paths: tuple[PosePath, ...]) -> Problem:
+        """Set the motions that bodies follow; all other data stays valid."""
+        made = replace(self, paths=PackedPaths.of(paths))
+        for value in (*_OF_COUNTS, Problem.cut, Problem.motions):
+            value.hand_on(self, made)
+        return made
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""

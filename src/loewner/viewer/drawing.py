@@ -12,9 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from loewner._kernels import columns
+from loewner._rotations import quaternions_of
 from loewner._validate import Floats
 from loewner.bodies import CURVED, Body, packed_of
 from loewner.bodies.kinds import Mesh, ball
@@ -114,7 +114,7 @@ class Copies:
         turns[..., 0] *= np.sign(np.linalg.det(turns))[:, None]
         vertices, triangles = ball(1 if len(self.centers) > MANY_COPIES else 2)
         return scene.add_batched_meshes_simple(
-            name, vertices.astype(np.float32), triangles.astype(np.uint32), quaternions(turns).astype(np.float32),
+            name, vertices.astype(np.float32), triangles.astype(np.uint32), quaternions_of(turns).astype(np.float32),
             self.centers.astype(np.float32), batched_scales=lengths.astype(np.float32), batched_colors=look["color"],
             opacity=look.get("opacity"), side=look["side"], lod="off", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
@@ -319,15 +319,9 @@ def ellipsoids(body: Body, which: str) -> Mesh:
     return joined(of_ellipsoids(packed_of(body), which).values())
 
 
-def quaternions(rotations: Floats) -> Floats:
-    """Convert rotation matrices, shape (..., 3, 3), to unit quaternions wxyz, shape (..., 4)."""
-    xyzw = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
-    return np.asarray(np.roll(xyzw, 1, axis=-1).reshape(*rotations.shape[:-2], 4))
-
-
 def place(node: Any, T: Floats) -> None:
     """Put a node of the page's scene at a pose."""
-    node.wxyz, node.position = quaternions(T[:3, :3]), T[:3, 3]
+    node.wxyz, node.position = quaternions_of(T[:3, :3]), T[:3, 3]
 
 
 def light(scene: Any) -> None:

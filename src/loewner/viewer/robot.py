@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
+from loewner._rotations import quaternions_of
 from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.bodies.kinds import Mesh
@@ -29,7 +30,6 @@ from loewner.viewer.drawing import (
     Rgb,
     add_mesh,
     place,
-    quaternions,
     spanned,
 )
 from loewner.viewer.framing import add_ground, aim, diagonal, framed
@@ -325,7 +325,9 @@ class RobotViewer(Viewer):
             self._inputs = PoseInputs(self, "body", step=0.005)
         links = robot.forward_kinematics(self._q)
         self._links = [
-            self.server.scene.add_frame(f"/robot/{k}", show_axes=False, wxyz=quaternions(T[:3, :3]), position=T[:3, 3])
+            self.server.scene.add_frame(
+                f"/robot/{k}", show_axes=False, wxyz=quaternions_of(T[:3, :3]), position=T[:3, 3]
+            )
             for k, T in enumerate(links)
         ]
         for name, body in robot.bodies.items():
@@ -537,7 +539,7 @@ class RobotViewer(Viewer):
 
     def _answer(self) -> None:
         links = self.checker.robot.forward_kinematics(self._q)
-        for node, wxyz, T in zip(self._links, quaternions(links[:, :3, :3]), links, strict=True):
+        for node, wxyz, T in zip(self._links, quaternions_of(links[:, :3, :3]), links, strict=True):
             node.wxyz, node.position = wxyz, T[:3, 3]
         self._match_scene()
         self._look_along()
