@@ -179,7 +179,7 @@ class CollisionChecker:
                 self._learn(ready, 0)
             return collides
         checked = self.robot.checked(Q)
-        return verdicts.collisions(self._exact(checked).verdicts, checked)
+        return verdicts.collisions(self._exact(ready, checked).verdicts, checked)
 
     def classify(self, Q: ArrayLike) -> OneOrMany:
         """Compute certified verdicts from the ellipsoids alone.
@@ -240,7 +240,7 @@ class CollisionChecker:
             As for `collide`.
         """
         checked = self.robot.checked(Q)
-        found = self._exact(checked)
+        found = self._exact(self._ready(), checked)
         return verdicts.collisions(found.verdicts, checked), found.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
@@ -614,9 +614,9 @@ class CollisionChecker:
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _exact(self, Q: Floats) -> Verdicts:
-        """Decide verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
-        ready, flat = self._ready(), edges.flat(Q)
+    def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
+        """Decide verdict and tier of every configuration; ConvergenceError if one is unsettled."""
+        flat = edges.flat(Q)
         found = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))
         verdicts.expect_settled(ready, flat, found.verdicts)
