@@ -23,8 +23,10 @@ from loewner.errors import (
     PoseError,
     UnknownNameError,
 )
+from loewner.first_contacts import FirstContact, first_contact
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
+from loewner.pose_paths import PosePath
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.robots import (
     CertifiedMotions,
@@ -36,6 +38,7 @@ from loewner.robots import (
     Robot,
     Settled,
     StateDistance,
+    TrajectoryContact,
     pairs_by_sampling,
 )
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
@@ -60,6 +63,7 @@ __all__ = [
     "Distance",
     "Ellipsoids",
     "FileError",
+    "FirstContact",
     "Fit",
     "GeometryError",
     "GpuError",
@@ -75,18 +79,21 @@ __all__ = [
     "PlanningError",
     "Polytope",
     "PoseError",
+    "PosePath",
     "Problem",
     "Reached",
     "Robot",
     "Scene",
     "Settled",
     "StateDistance",
+    "TrajectoryContact",
     "UnknownNameError",
     "Verdict",
     "classify",
     "collide",
     "contact_function",
     "distance",
+    "first_contact",
     "get_num_threads",
     "load_scene",
     "mvce",

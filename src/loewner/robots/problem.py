@@ -24,6 +24,7 @@ from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_parts
+from loewner.pose_paths import PackedPaths, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
 
@@ -94,7 +95,8 @@ class Standing(NamedTuple):
     @classmethod
     def at(cls, memory: Floats, shapes: Shapes) -> Standing:
         """View them one after the other in memory."""
-        begin, views = 0, []
+        views: list[Any] = []
+        begin = 0
         for kind, shape in shapes:
             end = begin + _words(kind, shape)
             views.append(memory[begin:end].view(kind).reshape(shape))
@@ -113,6 +115,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
+        Behind its own joints, a floating one for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -135,6 +138,8 @@ class Problem:
         arrays of `standing`. Another state of the scene has a block of its own (`place_static`).
     handle : int
         Address of the table; valid as long as this object lives.
+    paths : PackedPaths or None
+        The motions that bodies follow; None if none does.
     """
 
     robot: Robot
@@ -158,6 +163,7 @@ class Problem:
     chain: Floats
     block: Floats
     handle: int
+    paths: PackedPaths | None = None
 
     @classmethod
     def of(
@@ -223,6 +229,12 @@ class Problem:
         for value in (Problem.cut, Problem.motions):
             value.hand_on(self, ordered)
         return ordered
+
+    def with_paths(self, paths: tuple[PosePath, ...]) -> Problem:
+        """Set the motions that bodies follow; all other data stays valid."""
+        made = object.__new__(Problem)
+        vars(made).update(vars(self), paths=PackedPaths.of(paths))
+        return made
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
