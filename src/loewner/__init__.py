@@ -23,6 +23,7 @@ from loewner.errors import (
     PoseError,
     UnknownNameError,
 )
+from loewner.first_contacts import FirstContact, first_contact
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
 from loewner.pose_paths import PosePath
@@ -62,6 +63,7 @@ __all__ = [
     "Distance",
     "Ellipsoids",
     "FileError",
+    "FirstContact",
     "Fit",
     "GeometryError",
     "GpuError",
@@ -91,6 +93,7 @@ __all__ = [
     "collide",
     "contact_function",
     "distance",
+    "first_contact",
     "get_num_threads",
     "load_scene",
     "mvce",

@@ -21,7 +21,7 @@ _MODULES = {
     "robots": ("robots.",),
     "fits": ("fits.", "ellipsoids.", "pieces.directions"),
     "surfaces": ("narrow.mesh_points", "trees.piece_tree", "trees.triangle", "trees.cuts"),
-    "distances": ("pipeline.distances",),
+    "distances": ("pipeline.distances", "pipeline.first_contacts"),
     "estimates": ("pipeline.bounds",),
     "paper": ("paper.",),
 }

@@ -219,7 +219,9 @@ class Scene:
         """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
             poses = self._poses  # a body that moves has none
-            return np.array([poses[name] for name in self._bodies if name in poses]).reshape(-1, 4, 4)
+            # Their bytes one after the other: NumPy takes twice as long for a list of arrays.
+            joined = bytearray().join([poses[name] for name in self._bodies if name in poses])
+        return np.frombuffer(joined).reshape(-1, 4, 4)
 
     @property
     def attachments(self) -> dict[str, Attachment]:

@@ -834,6 +834,17 @@ CALLS: dict[str, Call] = {
         loewner.distance,
         {**OPERANDS, "exact": flag(), "pairs": arg(None, ROWS.takes)},
     ),
+    "first_contact": Call(
+        loewner.first_contact,
+        {
+            "a": OPERANDS["a"],
+            "motion_a": poses(),
+            "b": OPERANDS["b"],
+            "motion_b": arg(lambda: (translation(3.0), translation(0.5)), NONE),
+            "tolerance": positive(),
+            "margin": margin(),
+        },
+    ),
     "overlapping_pairs": Call(
         loewner.overlapping_pairs,
         {
@@ -1094,6 +1105,7 @@ CALLS: dict[str, Call] = {
             "start": array([-0.5, 0.25, 0.0], FINITE),
             "goal": array([[-0.5, 0.5, 0.0]], FINITE),
             "joints": arg("y", NONE),
+            "keep": arg(None, NONE),
             "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),

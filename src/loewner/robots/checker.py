@@ -172,7 +172,10 @@ class CollisionChecker:
             Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         version, single, ready = self._prepared
-        if version == self._scene.version and t is None:
+        if t is None:
+            if version != self._scene.version:
+                ready = self._ready()
+                single = ready.single
             collides = single.collide(Q)
             if collides is not None:
                 self._seen += 1  # a call for each answer would take a tenth of its time

@@ -1,0 +1,459 @@
+"""First contacts of pairs of bodies that move and turn: proven steps from time to time, and the first time they touch.
+
+A step is proven by planes at its two ends, see docs/certified.md, "First contact": the normal turns from one to the
+other, and the loss in between is of second order in the step. Near contact the steps therefore converge quadratically.
+Times are fractions of the motion.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, NEAREST, OVERLAPPING, TOUCHING
+from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_RADIUS, POLYTOPE, REACH, SEGMENT
+from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
+from loewner._kernels.linalg3 import (
+    apply,
+    cross,
+    dot,
+    matrix,
+    minus,
+    negated,
+    one_norm,
+    plus,
+    product,
+    scaled,
+    turned,
+)
+from loewner._kernels.narrow import epa_fast
+from loewner._kernels.narrow.gjk_fast import MEMORY as SEARCH
+from loewner._kernels.narrow.gjk_fast import begin, measure_along, result_of, vertices_of
+from loewner._kernels.narrow.gjk_robust import lengths, rounding_error, run, swollen_radii
+from loewner._kernels.narrow.surface_boxes import is_surface
+from loewner._kernels.narrow.surface_distance import surface_distance
+from loewner._kernels.narrow.surface_meets import surface_pair
+from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
+from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
+from loewner._kernels.pieces.shapes import placed_support, radius, rotation_of
+from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.simd.memory import Arena, floats, integers, raw
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.trees import piece_tree
+
+# Error of a placed point from the rotation of its body, times its distance from the body's origin; and from the body's
+# origin, times the coordinates of its two ends.
+TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 140, certified.md B58
+PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B59
+
+# Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates.
+STRETCH = 1e-5  # derived 1.7e-6, certified.md B60
+UPWARD = 1.0 + STRETCH
+
+# A turn is refused if the cosine of its half is below this: poses, which may have gone through float32, do not show
+# which way is the shorter one.
+HALF_TURN = 1e-6
+
+ENOUGH = 0.9  # of the gap that is expected
+
+ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
+
+# Steps are chosen for this share of the curvature that the bounds allow; with 0.3, pairs take a tenth more rounds. A
+# step that is not proven is reduced at least by the second number.
+SHARE, REDUCED = 0.6, 0.7
+SURFACE_SHARE = 0.95  # of the longest step that the speed of surfaces allows
+NEAR = 1e-9  # share of the distance of a surface that is left to its rounding, before it is proven
+
+# Columns of a motion, each row a body: the rotation at 0, in parts that are constant, go with the sine and go with the
+# cosine; the origin at 0; its way; the angular velocity; the axis in the body's frame; the angle; the coordinates.
+REST, SINE, COSINE, START, WAY, SPIN, AXIS, ANGLE, SIZE, MOTION = 0, 9, 18, 27, 30, 33, 36, 39, 40, 41
+
+FOUND = 64  # piece pairs taken from the trees at a time
+
+MEMORY = Arena(
+    poses=floats(2, 4, 4), motions=floats(2, MOTION), search=SEARCH, faces=floats(epa_fast.FLOATS),
+    edges=integers(epa_fast.INTEGERS), surfaces=raw(SURFACE_SIZE), steps=integers(piece_tree.STEPS),
+    numbers=floats(piece_tree.NUMBERS), found=integers(2, FOUND),
+)  # fmt: skip
+_BYTES = MEMORY.size()
+(search_at, surfaces_at), (poses_of, motions_of, faces_of, edges_of, steps_of, numbers_of, found_of) = (
+    MEMORY.addresses("search surfaces"),
+    MEMORY.accessors("poses motions faces edges steps numbers found"),
+)
+
+
+@inline
+def _three(row, at):
+    return row[at], row[at + 1], row[at + 2]
+
+
+@inline
+def _nine(row, at):
+    return (*_three(row, at), *_three(row, at + 3), *_three(row, at + 6))
+
+
+@njit()
+def write_motion(first, last, poses, row, motion):
+    """Write the motion between two poses, and the pose at 0; False if the turn has no shorter way."""
+    R, S = matrix(first), matrix(last)
+    for c in range(3):
+        poses[row, 3, c] = 0.0
+        motion[START + c], motion[WAY + c] = first[c, 3], last[c, 3] - first[c, 3]
+    poses[row, 3, 3] = 1.0
+    motion[SIZE] = one_norm(_three(motion, START)) + abs(last[0, 3]) + abs(last[1, 3]) + abs(last[2, 3])
+    # The quaternion of R'S, from its largest component (Shepperd).
+    m = product((R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]), S)
+    same = True
+    for c in range(9):
+        same = same and R[c] == S[c]
+    traces = m[0] + m[4] + m[8], m[0] - m[4] - m[8], m[4] - m[0] - m[8], m[8] - m[0] - m[4]
+    if traces[0] >= traces[1] and traces[0] >= traces[2] and traces[0] >= traces[3]:
+        w, v = 1.0 + traces[0], (m[7] - m[5], m[2] - m[6], m[3] - m[1])
+    elif traces[1] >= traces[2] and traces[1] >= traces[3]:
+        w, v = m[7] - m[5], (1.0 + traces[1], m[1] + m[3], m[2] + m[6])
+    elif traces[2] >= traces[3]:
+        w, v = m[2] - m[6], (m[1] + m[3], 1.0 + traces[2], m[5] + m[7])
+    else:
+        w, v = m[3] - m[1], (m[2] + m[6], m[5] + m[7], 1.0 + traces[3])
+    if w < 0.0:
+        w, v = -w, negated(v)
+    sine = np.sqrt(dot(v, v))
+    if not w > HALF_TURN * np.sqrt(sine * sine + w * w):
+        return False
+    axis, angle = (0.0, 0.0, 1.0), 0.0
+    if sine > 0.0 and not same:
+        # The tangent of a quarter of the angle; the two-argument arc tangent is not from the C library in Numba.
+        axis, angle = scaled(1.0 / sine, v), 4.0 * np.arctan(sine / (w + np.sqrt(sine * sine + w * w)))
+    # R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k')
+    k, Rk = axis, apply(R, axis)
+    rest = (
+        Rk[0] * k[0], Rk[0] * k[1], Rk[0] * k[2], Rk[1] * k[0], Rk[1] * k[1], Rk[1] * k[2],
+        Rk[2] * k[0], Rk[2] * k[1], Rk[2] * k[2],
+    )  # fmt: skip
+    across = product(R, (0.0, -k[2], k[1], k[2], 0.0, -k[0], -k[1], k[0], 0.0))
+    for c in range(9):
+        motion[REST + c], motion[SINE + c], motion[COSINE + c] = rest[c], across[c], R[c] - rest[c]
+    for c in range(3):
+        motion[SPIN + c], motion[AXIS + c] = angle * Rk[c], axis[c]
+    motion[ANGLE] = angle
+    for r in range(3):
+        for c in range(3):
+            poses[row, r, c] = first[r, c]
+    return True
+
+
+@njit()
+def _place(motions, t, poses):
+    """Write the poses of both bodies at a time."""
+    for row in range(2):
+        _place_one(motions[row], t, poses, row)
+
+
+@inline
+def _place_one(motion, t, poses, row):
+    angle = t * motion[ANGLE]
+    if motion[ANGLE] != 0.0:
+        R = turned(_nine(motion, REST), np.sin(angle), _nine(motion, SINE), np.cos(angle), _nine(motion, COSINE))
+        for c in range(3):
+            poses[row, 0, c], poses[row, 1, c], poses[row, 2, c] = R[c], R[3 + c], R[6 + c]
+    for c in range(3):
+        poses[row, c, 3] = motion[START + c] + t * motion[WAY + c]
+
+
+@inline
+def arm_of(P, motion):
+    """Upper bound on the distance of any point of a core from the axis of its body's motion."""
+    table, p = P.table, P.piece
+    r = radius(P)
+    c = table[p, OUTER_CENTER], table[p, OUTER_CENTER + 1], table[p, OUTER_CENTER + 2]
+    off = cross(_three(motion, AXIS), c)
+    rounding = 8.0 * UNIT_ROUNDOFF * table[p, REACH]
+    around = np.sqrt(dot(off, off)) + max(table[p, OUTER_RADIUS] - r, 0.0) + rounding
+    return min(around, max(table[p, REACH] - r, 0.0) + rounding)
+
+
+@inline
+def rates_between(way_a, arm_a, way_b, arm_b):
+    """Bounds on the relative velocity and acceleration of any point of one body and any point of the other one."""
+    v = minus(_three(way_b, WAY), _three(way_a, WAY))
+    speed = np.sqrt(dot(v, v)) + way_a[ANGLE] * arm_a + way_b[ANGLE] * arm_b
+    bend = way_a[ANGLE] * way_a[ANGLE] * arm_a + way_b[ANGLE] * way_b[ANGLE] * arm_b
+    return speed * UPWARD, bend * UPWARD
+
+
+@inline
+def lost_between(speed, bend, change, w):
+    """Largest loss of a gap between planes at the ends of a step w, whose unit normals differ by a change."""
+    return (bend * w + 2.0 * change * speed) * w / 8.0
+
+
+@inline
+def _middle(P):
+    """Center of the outer ellipsoid in the world's axes, relative to the translation of its body."""
+    table, p = P.table, P.piece
+    return apply(rotation_of(P), (table[p, OUTER_CENTER], table[p, OUTER_CENTER + 1], table[p, OUTER_CENTER + 2]))
+
+
+@njit()
+def _touch_with_care(A, B, shift, n, margin):
+    """Whether the robust search calls two convex pieces touching."""
+    status, _, _, _ = run(A, B, shift, n, margin, True, np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3))
+    return status == TOUCHING
+
+
+@inline
+def _is_bent(P):
+    """Whether a core is curved."""
+    return POLYTOPE < P.layout[P.piece, KIND] < SEGMENT
+
+
+@njit()
+def _gap_along(A, B, shift, n, error):
+    """Proven lower bound on the gap between two cores along a unit vector, and the points that attain it."""
+    a, b = placed_support(A, n), placed_support(B, negated(n))
+    return dot(n, minus(plus(b, shift), a)) - error, a, b
+
+
+@njit()
+def _look_at_surface(A, B, n, margin, far, memory):
+    """As `_look`, where one piece is a surface."""
+    result, work = result_of(search_at(memory)), surfaces_at(memory)
+    shift, radii = shift_between(A, B), radius(A) + radius(B)
+    verdict, _ = surface_pair(A, B, margin + radii, far, work, work, 0)
+    if verdict != FREE:
+        return verdict == COLLIDING, n, -np.inf, np.inf, n, n
+    size, error = lengths(A, B, shift), rounding_error(A, B, shift)
+    value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
+    # The verdict for a distance slightly below proves it.
+    keep = min(value, 2.0 * size) * (1.0 - NEAR) - 4.0 * error
+    if not keep > far:
+        return False, n, -np.inf, value - margin - radii, n, n
+    verdict, _ = surface_pair(A, B, keep, keep, work, work, 0)
+    b = minus((result[6], result[7], result[8]), shift)
+    above = value - margin - radii
+    return False, _three(result, 0), keep - far if verdict == FREE else -np.inf, above, _three(result, 3), b
+
+
+@njit()
+def _look(A, B, n, margin, far, enough, memory):
+    """Whether two pieces come within the margin, and a plane between them.
+
+    Parameters
+    ----------
+    A, B : Placed
+    n : tuple of 3 float
+        First direction, from A to B.
+    margin, far : float
+        The margin, and the distance of cores that is certainly more than it.
+    enough : float
+        Gap at which a search between curved pieces, which converges linearly, may end.
+
+    Returns
+    -------
+    meets : bool
+    n : tuple of 3 float
+        Unit normal of the plane.
+    gap : float
+        Proven lower bound on the distance of the cores beyond `far`; for convex pieces, along n.
+    above : float
+        Upper bound on the distance of the pieces beyond the margin.
+    at_a, at_b : tuple of 3 float
+        The nearest points, each relative to the translation of its body.
+    """
+    if is_surface(A) or is_surface(B):
+        return _look_at_surface(A, B, n, margin, far, memory)
+    shift = shift_between(A, B)
+    error = rounding_error(A, B, shift)
+    radii = radius(A) + radius(B)
+    W, result = vertices_of(search_at(memory)), result_of(search_at(memory))
+    meets, above = False, np.inf
+    if is_round(A) and is_round(B) and radii == 0.0:
+        value, gap = round_distance(A, B, n, lengths(A, B, shift), result)
+        meets, above, n = value + gap <= margin, value + gap - margin, _three(result, 0)
+    else:
+        ends = begin(A, B, shift, W)
+        last = far + enough if _is_bent(A) or _is_bent(B) else np.inf
+        status, _, length, n = measure_along(A, B, shift, W, ends, n, error, margin + radii, last, result)
+        meets, above = status in (TOUCHING, OVERLAPPING), length - radii - margin
+        if status == NEAREST:
+            gap, _, _ = _gap_along(A, B, shift, n, error)
+            b = minus((result[6], result[7], result[8]), shift)
+            return False, n, gap - far, above, _three(result, 3), b
+        if not meets and status != APART:
+            meets = _touch_with_care(A, B, shift, n, margin)
+    gap, a, b = _gap_along(A, B, shift, n, error)
+    return meets, n, gap - far, above, a, b
+
+
+@inline
+def _root(gap, nearing, curve):
+    """The step after which the gap, which shrinks at a rate, has shrunk to curve times the step's square."""
+    below = nearing + np.sqrt(nearing * nearing + 4.0 * curve * gap)
+    return 2.0 * gap / below if below > 0.0 else np.inf
+
+
+@njit()
+def _between_pieces(A, B, horizon, margin, tolerance, memory):
+    """Follow two pieces up to a time, at which the bodies are known to touch if it is less than 1.
+
+    Returns
+    -------
+    verdict : int
+    free_until : float
+        They are proven free before this time; `horizon` or slightly less if FREE.
+    touching_at : float
+        Time at which they touch; inf if none is known.
+    rounds : int
+    """
+    poses, motions = poses_of(memory), motions_of(memory)
+    way_a, way_b = motions[0], motions[1]
+    arm_a, arm_b = arm_of(A, way_a), arm_of(B, way_b)
+    speed, bend = rates_between(way_a, arm_a, way_b, arm_b)
+    reaches = A.table[A.piece, REACH] + B.table[B.piece, REACH]
+    slack = TURN_ROUNDINGS * reaches + PLACE_ROUNDINGS * (way_a[SIZE] + way_b[SIZE])
+    # The error of a rotation stretches radii, too.
+    far = margin + swollen_radii(A, B) * (1.0 + TURN_ROUNDINGS) + slack
+    surface = is_surface(A) or is_surface(B)
+    t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
+    gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
+    _place(motions, 0.0, poses)
+    n = minus(plus(shift_between(A, B), _middle(B)), _middle(A))
+    for r in range(ROUNDS):
+        w = at - t
+        if r > 0:
+            _place(motions, at, poses)
+            if at >= horizon and not surface:  # often the plane so far holds to the end
+                shift = shift_between(A, B)
+                low, _, _ = _gap_along(A, B, shift, normal, rounding_error(A, B, shift))
+                if min(gap, low - far) > lost_between(speed, bend, 0.0, w):
+                    return FREE, horizon, np.inf, r
+            n = normal
+        enough = ENOUGH * (gap - nearing * w)
+        meets, n, low, top, at_a, at_b = _look(A, B, n, margin, far, enough if enough > 0.0 else np.inf, memory)
+        proven, curve = False, 0.0
+        if meets:
+            hit = at
+        else:
+            proven = min(gap, low) > 0.0 and gap + low > speed * w
+            if not surface and r > 0:
+                off = minus(n, normal)
+                change = np.sqrt(dot(off, off)) + 16.0 * UNIT_ROUNDOFF
+                lost = lost_between(speed, bend, change, w)
+                proven = proven or min(gap, low) > lost
+                # The curvature by which the model of the last step missed.
+                curve = (lost + max(gap - nearing * w - low, 0.0)) / (w * w)
+                if proven:
+                    turning = change / w
+        if proven:
+            t, gap, above, normal = at, low, top, n
+            v = plus(_three(way_b, WAY), cross(_three(way_b, SPIN), at_b))
+            nearing = dot(n, minus(plus(_three(way_a, WAY), cross(_three(way_a, SPIN), at_a)), v))
+            if t >= horizon or gap > speed * (horizon - t):
+                return FREE, horizon, np.inf, r
+        elif r == 0:
+            break
+        if (hit - t) * speed <= tolerance:
+            return COLLIDING, t, hit, r
+        if horizon < 1.0 and (horizon - t) * speed <= tolerance:
+            return FREE, t, np.inf, r
+        if proven:
+            w = _root(gap, nearing, SHARE * (bend + 2.0 * turning * speed))
+            if surface:
+                w = SURFACE_SHARE * 2.0 * gap / (speed + nearing)
+            if nearing > 0.0:
+                if 2.0 * gap * speed <= tolerance * nearing:
+                    w = 2.0 * gap / nearing  # beyond the contact that is expected
+                else:
+                    w = min(w, (gap - 0.25 * tolerance * nearing / speed) / nearing)
+        else:
+            w = min(REDUCED * w, 0.9 * _root(gap, nearing, curve)) if curve > 0.0 else 0.5 * w
+        at = min(t + w, horizon)
+        if at >= hit:
+            at = 0.5 * (t + hit)
+        if not t < at < hit:
+            break
+    if hit == 0.0:
+        return COLLIDING, 0.0, 0.0, 0
+    if hit == np.inf and above <= tolerance:
+        hit = t
+    return AMBIGUOUS, t, hit, ROUNDS
+
+
+@njit()
+def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
+    """As `_between_pieces`, for two bodies; both motions are in memory."""
+    poses, motions = poses_of(memory), motions_of(memory)
+    first_a, first_b = a.piece_start[ia], b.piece_start[ib]
+    if a.piece_start[ia + 1] - first_a == 1 and b.piece_start[ib + 1] - first_b == 1:
+        A, B = placed(a, first_a, poses, 0), placed(b, first_b, poses, 1)
+        return _between_pieces(A, B, 1.0, margin, tolerance, memory)
+    steps, numbers, found = steps_of(memory), numbers_of(memory), found_of(memory)
+    far_a = far_b = 0.0
+    for i in range(first_a, a.piece_start[ia + 1]):
+        far_a = max(far_a, a.table[i, REACH])
+    for j in range(first_b, b.piece_start[ib + 1]):
+        far_b = max(far_b, b.table[j, REACH])
+    speed, _ = rates_between(motions[0], far_a, motions[1], far_b)
+    slack = TURN_ROUNDINGS * (far_a + far_b) + PLACE_ROUNDINGS * (motions[0, SIZE] + motions[1, SIZE])
+    # Pieces that may meet are near each other half-way.
+    _place(motions, 0.5, poses)
+    piece_tree.begin(a, ia, poses, 0, b, ib, poses, 1, steps, numbers)
+    verdict, free, touching, horizon, rounds = FREE, np.inf, np.inf, 1.0, 0
+    while horizon > 0.0:
+        count = piece_tree.more(a, b, ib, margin + 0.5 * speed + slack, steps, numbers, found[0], found[1])
+        if count == 0:
+            break
+        for c in range(count):
+            A, B = placed(a, found[0, c], poses, 0), placed(b, found[1, c], poses, 1)
+            result, until, hit, r = _between_pieces(A, B, horizon, margin, tolerance, memory)
+            free, rounds = min(free, until), rounds + r
+            if result != FREE:
+                verdict, touching = result, min(touching, hit)
+                horizon = min(horizon, hit if result == COLLIDING else until)
+    return verdict, free, touching, rounds
+
+
+@njit()
+def memory_of_first_contacts():
+    """Number of bytes of memory for `first_contacts`."""
+    return _BYTES
+
+
+@njit()
+def first_contacts(start, stop, plan, pack_a, Ta0, Ta1, pack_b, Tb0, Tb1, margin, tolerance, memory, times, verdicts):
+    """First contacts of pairs start .. stop.
+
+    Parameters
+    ----------
+    plan, pack_a, pack_b
+        Operands as in `verdicts`.
+    Ta0, Ta1, Tb0, Tb1 : ndarray, shape (n, 4, 4)
+        Poses at the beginning and at the end of each motion; rigid.
+    margin, tolerance : float
+    memory : int
+        Address of `MEMORY` to write to; one thread uses it at a time.
+    times : ndarray, shape (2, n)
+        Receives the times up to which the pairs are free, and at which they touch; inf if they are free.
+    verdicts : ndarray of int8, shape (n,)
+
+    Returns
+    -------
+    fault : int
+        2 k or 2 k + 1 if the turn of a or b of pair k has no shorter way, at which the work ends; otherwise -1.
+    rounds : int
+        Number of searches.
+    """
+    a, b = pieces_of(pack_a), pieces_of(pack_b)
+    poses, motions = poses_of(memory), motions_of(memory)
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
+    rounds = 0
+    for k in range(start, stop):
+        ka, kb = row_of(k, shape, pose_a), row_of(k, shape, pose_b)
+        if not write_motion(Ta0[ka], Ta1[ka], poses, 0, motions[0]):
+            return 2 * k, rounds
+        if not write_motion(Tb0[kb], Tb1[kb], poses, 1, motions[1]):
+            return 2 * k + 1, rounds
+        ia, ib = row_of(k, shape, body_a), row_of(k, shape, body_b)
+        verdict, free, touching, r = _between_bodies(a, ia, b, ib, margin, tolerance, memory)
+        rounds += r + 1
+        verdicts[k] = verdict
+        times[0, k], times[1, k] = (np.inf, np.inf) if verdict == FREE else (free, touching)
+    return -1, rounds
