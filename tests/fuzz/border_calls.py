@@ -807,7 +807,7 @@ CALLS: dict[str, Call] = {
         loewner.first_contact,
         {
             "a": OPERANDS["a"],
-            "motion_a": poses(),
+            "motion_a": pose(0.0, BATCHES),
             "b": OPERANDS["b"],
             "motion_b": arg(lambda: (translation(3.0), translation(0.5)), NONE),
             "tolerance": positive(),
