@@ -1535,7 +1535,7 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
+    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory",
     "Overlaps", "PairDistances", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
