@@ -1,5 +1,7 @@
 """A checker whose scene has changed answers as one that is made anew: only what changed is prepared again."""
 
+import gc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,8 +9,10 @@ from hypothesis import strategies as st
 
 from checker_oracle import composed_bodies, pose, random_robot, random_scene, simple_bodies
 from loewner import Bodies, Body, CollisionChecker, InputError, PoseError, Scene, UnknownNameError
+from loewner._kernels import codes
 from loewner.bodies import packed_of
 from loewner.bodies.pack import Packed, joined
+from loewner.robots import verdicts
 from loewner.robots.problem import Problem
 
 CHANGES = ("move", "move_all", "add", "remove", "replace", "attach", "detach", "allow", "forbid", "margin")
@@ -119,6 +123,26 @@ def test_what_did_not_change_is_kept(pool, tmp_path):
     still = np.flatnonzero((replaced.standing.poses == before.standing.poses).all(axis=1))
     assert len(still) == 1
     np.testing.assert_array_equal(moved.standing.bounds[still], before.standing.bounds[still])
+
+
+def test_an_earlier_state_stays_as_it_was(pool, tmp_path):
+    """Its arrays and its answers, which other threads may be using; its queries keep the memory that they need."""
+    rng = np.random.default_rng(2)
+    robot = random_robot(rng, tmp_path, 5, pool[:9])
+    scene = Scene()
+    for k in range(6):
+        scene.add(f"b{k}", pool[k], pose(rng, 0.6))
+    checker, Q = CollisionChecker(robot, scene), robot.random_configurations(60, 0)
+    before, expected = checker._ready(), checker.collide(Q)
+    single, arrays = before.single, [array.copy() for array in before.standing]
+    for _ in range(5):
+        scene.move_all(scene.names, np.array([pose(rng, 0.6) for _ in scene.names]))
+        checker.collide(Q[0])
+    assert all(map(np.array_equal, before.standing, arrays))
+    assert verdicts.collisions(verdicts.classified(before, codes.EXACT, Q).verdicts, Q).tolist() == expected.tolist()
+    del before
+    gc.collect()
+    assert all(single.collide(q) in (None, collides) for q, collides in zip(Q, expected.tolist(), strict=True))
 
 
 def test_bodies_move_together_or_not_at_all():

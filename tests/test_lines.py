@@ -1,17 +1,20 @@
 """Lines of a link: near enough at every instant, in bounds that mutants break; errors that say where a line ends."""
 
-import inspect
-import types
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from families import translation
 from gantry import LEFT, gantry, wall
+from interpreted_kernels import interpreted, source_of
 from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robot, UnknownNameError, planners
-from loewner.planners import line_bounds
+from loewner._kernels import codes
+from loewner._native import entries
 from loewner.robots.robot import chain_to, sources_of
 from test_reach import arm, joint, robot_of
+
+KERNEL = interpreted("robots.lines")
 
 DENSE = np.linspace(0.0, 1.0, 401)
 
@@ -62,24 +65,43 @@ ARMS = {
 }
 
 
-def bounds_and_samples(module, robot, link, q0, q1, kept):
-    """Bounds of one motion beside samples: the largest deviations from the line of its ends, and what the largest
-    second difference would allow, which the bounds must cover, too."""
-    chain, number = chain_to(robot, link), robot.link_names.index(link)
-    Q = np.array([q0, q1])
-    T = robot.forward_kinematics(Q)[:, number]
-    line = module.Line.between(*T)
-    found = module.strays(robot, chain, module.Turns.of(chain, link), line, np.array([0.0, 1.0]), Q, number, kept)
+def line_of(kernel, T0, T1):
+    """The kernel's line between two poses."""
+    flat = [(tuple(T[:3, :3].ravel().tolist()), tuple(T[:3, 3].tolist())) for T in (T0, T1)]
+    return kernel.line_between(*flat[0], *flat[1])
+
+
+def poses_of(line, u):
+    """Poses of a line at fractions."""
+    angles, T = (line.angle * u)[:, None, None], np.zeros((len(u), 4, 4))
+    rotation, sine, cosine = (np.reshape(part, (3, 3)) for part in (line.rotation, line.sine, line.cosine))
+    T[:, :3, :3] = rotation + np.sin(angles) * sine + (1 - np.cos(angles)) * cosine
+    T[:, :3, 3], T[:, 3, 3] = line.start + u[:, None] * np.array(line.way), 1.0
+    return T
+
+
+def bounds(kernel, chain, line, kept, u, Q):
+    """Bounds of one motion by the kernel."""
+    wanted = kernel.Wanted(1e-4, 1e-3, -np.inf, *(tuple(vector.tolist()) for vector in kept))
+    Q = np.array(Q)[:, chain.columns]
+    still, tables = np.zeros(Q.shape[1]), (chain.links, chain.constants)
+    ends = [kernel.gaps_of(*tables, line, wanted, at, q, still) for at, q in zip(u, Q, strict=True)]
+    return kernel.strays_of(*tables, line, wanted, *ends, *u, (Q[0] + Q[1]) / 2, Q[1] - Q[0])
+
+
+def samples(robot, link, q0, q1, kept):
+    """The line of a motion's ends; the largest deviations from it, of samples; and what the largest second difference
+    would allow, which the bounds must cover, too."""
+    number = robot.link_names.index(link)
     poses = robot.forward_kinematics(q0 + DENSE[:, None] * (np.array(q1) - q0))[:, number]
-    targets = line.poses(DENSE)
-    off = poses[:, :3] - targets[:, :3]
+    line = line_of(KERNEL, poses[0], poses[-1])
+    off = poses[:, :3] - poses_of(line, DENSE)[:, :3]
     cosines = poses[:, :3, :3] @ kept[0] @ kept[1]
     bends = np.diff(off, 2, axis=0) * (len(DENSE) - 1) ** 2
     positions = np.linalg.norm(off[..., 3], axis=1).max(), np.linalg.norm(bends[..., 3], axis=1).max() / 8
     rotations = [np.linalg.norm(x[..., :3], axis=(1, 2)).max() for x in (off, bends / 8)]
     falls = np.abs(np.diff(cosines, 2)).max() * (len(DENSE) - 1) ** 2 / 8
-    least = cosines.min(), min(cosines[0], cosines[-1]) - falls
-    return found, positions, rotations, least
+    return line, positions, rotations, (cosines.min(), min(cosines[0], cosines[-1]) - falls)
 
 
 def cases(seed=0, count=30):
@@ -94,31 +116,39 @@ def cases(seed=0, count=30):
             yield robot, link, q, q + rng.choice([0.03, 0.2, 0.8]) * rng.uniform(-1, 1, robot.dof)
 
 
-def broken(module):
-    """How many motions stray farther than the module's bounds, of those above, and the least of bound over sample."""
-    count, tightest = 0, np.inf
-    rng = np.random.default_rng(1)
+@pytest.fixture(scope="module")
+def sampled():
+    """The motions above beside samples of them."""
+    rng, made = np.random.default_rng(1), []
     for robot, link, q0, q1 in cases():
         kept = rng.normal(size=(2, 3))
         kept /= np.linalg.norm(kept, axis=1, keepdims=True)
-        found, positions, rotations, least = bounds_and_samples(module, robot, link, q0, q1, kept=kept)
+        made.append((chain_to(robot, link), kept, (q0, q1), samples(robot, link, q0, q1, kept)))
+    return made
+
+
+def broken(kernel, sampled):
+    """How many motions stray farther than the kernel's bounds, and the least of bound over sample."""
+    count, tightest = 0, np.inf
+    for chain, kept, ends, (line, positions, rotations, least) in sampled:
+        found = bounds(kernel, chain, line, kept, (0.0, 1.0), ends)
         spare = 1 + 1e-4, 1e-8  # of differences
         count += (
-            found.positions[0] < positions[0]
-            or found.rotations[0] < rotations[0]
-            or found.leasts[0] > least[0]
-            or found.positions[0] * spare[0] + spare[1] < positions[1]
-            or found.rotations[0] * spare[0] + spare[1] < rotations[1]
-            or found.leasts[0] - spare[1] > least[1]
+            found.position < positions[0]
+            or found.rotation < rotations[0]
+            or found.cosine > least[0]
+            or found.position * spare[0] + spare[1] < positions[1]
+            or found.rotation * spare[0] + spare[1] < rotations[1]
+            or found.cosine - spare[1] > least[1]
         )
         if positions[0] > 1e-6:
-            tightest = min(tightest, found.positions[0] / positions[0])
+            tightest = min(tightest, found.position / positions[0])
     return count, tightest
 
 
-def test_bounds_hold():
+def test_bounds_hold(sampled):
     """No sample strays farther than the bound, by position, rotation or kept axis; the bound is attained within 1 %."""
-    count, tightest = broken(line_bounds)
+    count, tightest = broken(KERNEL, sampled)
     assert count == 0
     assert tightest < 1.01
 
@@ -127,33 +157,55 @@ def test_bounds_hold():
     ("old", "new"),
     [
         ("MIDDLE = 0.125", "MIDDLE = 0.12"),
-        ("a = 2 * (np.cumsum(b, axis=1) - b) + b", "a = np.cumsum(b, axis=1)"),
-        ("bends[0] + twists[0]", "bends[0]"),
-        ("bends[1] + twists[1]", "bends[1]"),
-        ("np.abs(bent @ axis @ direction) + 0.5 * (1 + SPARE) * total**3", "np.abs(bent @ axis @ direction)"),
-        ("- MIDDLE * curved", "+ 0 * curved"),
-        ("[:, turns.columns] * turns.multipliers", "[:, turns.columns]"),
-        ("M = b.swapaxes(1, 2) @ a", "M = a.swapaxes(1, 2) @ b"),
-        ("np.where(turns.turning[:, None] > 0, _cross", "np.where(turns.turning[:, None] > 2, _cross"),
+        ("plus(m.bend, cross(m.turn, b))", "m.bend"),
+        ("plus(m.pull, cross(m.bend, r))", "m.pull"),
+        ("cross(m.turn, cross(m.turn, r))", "scaled(0.0, r)"),
+        ("scaled(2.0 * rate, cross", "scaled(rate, cross"),
+        ("bend + twist + rounding", "bend + rounding"),
+        ("turn_bend + turn_twist + rounding", "turn_bend + rounding"),
+        ("least - tilt - tilt_twist", "least - tilt"),
+        ("least - tilt - tilt_twist", "least - tilt_twist"),
+        ("AXIS)), load(d, at) * multiplier)", "AXIS)), load(d, at))"),
+        ("b[0] * b[1] - a[2]", "b[0] * b[1] + a[2]"),
+        ("b[2] * b[2] - square", "b[2] * b[2]"),
+        ("third = m.third + size", "third = m.third + 0.0 * size"),
     ],
 )
-def test_mutants_of_the_bounds_are_found(old, new):
+def test_mutants_of_the_bounds_are_found(old, new, sampled):
     """If a factor or a term of the bound is dropped, some motion strays farther."""
-    text = inspect.getsource(line_bounds)
+    text = source_of("robots.lines")
     assert text.count(old) == 1
-    mutant = types.ModuleType("mutant")
-    mutant.__dict__["__name__"] = line_bounds.__name__
-    exec(compile(text.replace(old, new), "mutant", "exec"), mutant.__dict__)
-    assert broken(mutant)[0] > 0
+    assert broken(interpreted("robots.lines", text.replace(old, new)), sampled)[0] > 0
+
+
+@pytest.mark.parametrize("kind", ARMS)
+def test_the_compiled_kernel_bounds_likewise(kind):
+    """Every motion that the compiled kernel returns is within the tolerances by the interpreted one."""
+    robot, link = ARMS[kind]
+    chain, rng, total = chain_to(robot, link), np.random.default_rng(4), 0
+    for _ in range(5):
+        q = rng.uniform(-1.5, 1.5, robot.dof)
+        T0, T1 = robot.forward_kinematics(np.stack([q, q + 0.2]))[:, robot.link_names.index(link)]
+        wanted = np.array([1e-3, 2e-3, 0.9, 0, 0, 1, *T0[:3, 2]])
+        outcome, rows = entries.follow_line(*chain[:3], q[chain.columns], T1, wanted)
+        line, kept = line_of(KERNEL, T0, T1), wanted[3:].reshape(2, 3)
+        count = len(rows) if outcome == codes.FOLLOWED else len(rows) - 1
+        for before, after in pairwise(rows[:count]):
+            found = bounds(KERNEL, chain, line, kept, (before[0], after[0]), (before[2:], after[2:]))
+            assert found.position <= 1e-3 * (1 + 1e-9)
+            assert found.rotation <= 2e-3 * (1 + 1e-9)
+            assert found.cosine >= 0.9 - 1e-9
+        total += count
+    assert total > 50
 
 
 def strayed(robot, link, path, T, samples=50):
     """Largest metres and radians between the motions and the line, of samples, by the fraction of the line."""
     number = robot.link_names.index(link)
-    line = line_bounds.Line.between(robot.forward_kinematics(path[0])[number], np.asarray(T))
+    line = line_of(KERNEL, robot.forward_kinematics(path[0])[number], np.asarray(T))
     # The fractions of rows: they are on the line, so the nearest pose of the line is theirs.
     fine = np.linspace(0, 1, 20001)
-    targets = line.poses(fine)
+    targets = poses_of(line, fine)
     rows = robot.forward_kinematics(path)[:, number]
     gaps = np.linalg.norm(rows[:, None, :3] - targets[None, :, :3], axis=(2, 3))
     u = fine[gaps.argmin(axis=1)]
@@ -161,7 +213,7 @@ def strayed(robot, link, path, T, samples=50):
     Q = path[:-1, None] + s[:, None] * (path[1:] - path[:-1])[:, None]
     at = (u[:-1, None] + s * (u[1:] - u[:-1])[:, None]).ravel()
     D = robot.forward_kinematics(Q.reshape(-1, robot.dof))[:, number]
-    wanted = line.poses(at)
+    wanted = poses_of(line, at)
     E = wanted[:, :3, :3].swapaxes(1, 2) @ D[:, :3, :3]
     chord = np.linalg.norm(E - np.eye(3), axis=(1, 2)) / np.sqrt(8)
     return np.linalg.norm(D[:, :3, 3] - wanted[:, :3, 3], axis=1).max(), 2 * np.arcsin(chord).max()

@@ -71,6 +71,19 @@ def test_another_layout_fails_at_build_time(emit, monkeypatch, name, value):
         emit.check_numba()
 
 
+def test_references_to_arguments_are_counted_only_where_they_are_handed_on(emit):
+    """Arguments that are only passed on lose their counts; those that are stored, and what is made, keep them."""
+    count = "  tail call void @NRT_{}ref(ptr {})"
+    kept = [count.format(way, name) for way in ("inc", "dec") for name in ("%stored", "%made", "%mixed")]
+    gone = [count.format(way, "%passed") for way in ("inc", "dec")]
+    before = ["define i32 @f(ptr %out, ptr captures(none) %passed, ptr %stored, ptr %mixed) #1 {", "entry:"]
+    before += ["  %made = tail call ptr @NRT_new(i64 8)", "  %is = icmp eq ptr %passed, null"]
+    after = ["  %called = tail call i32 @g(ptr %passed)", "  store ptr %stored, ptr %out, align 8"]
+    after += ["  %both = phi ptr [ %made, %entry ], [ %mixed, %other ]", "  ret i32 0", "}", ""]
+    text = "\n".join([*before, *kept, *gone, *after])
+    assert emit.uncounted(text) == "\n".join([*before, *kept, *after])
+
+
 def test_processes_of_a_build_hand_over_each_library_once_with_all_that_it_calls(emit, tmp_path):
     """Two copies of a function would be defined twice, and one that is missing could not be linked."""
     from llvmlite import ir

@@ -252,6 +252,45 @@ def test_parts_hold_each_triangle_once(rng):
     assert all(map(is_, parts.in_parts(packs, np.zeros(len(packs), dtype=bool)), packs))
 
 
+CLOUDS = {
+    "uniform": lambda rng: rng.uniform(size=(3000, 3)),
+    "equal": lambda rng: np.ones((500, 3)),
+    "many equal": lambda rng: np.repeat(rng.normal(size=(20, 3)), 50, axis=0),
+    "on a line": lambda rng: rng.uniform(size=(700, 1)) * [1.0, 0.0, 0.0],
+    "on a grid": lambda rng: np.stack(np.meshgrid(*[np.arange(9.0)] * 3), axis=-1).reshape(-1, 3),
+    "few": lambda rng: rng.normal(size=(7, 3)),
+    "far away": lambda rng: 1e5 + rng.normal(size=(900, 3)),
+}
+
+
+@pytest.mark.parametrize("cloud", CLOUDS)
+def test_boxes_and_ellipsoids_hold_their_points(cloud, rng):
+    """Each part of a cloud lies in its box and, with the radius, in its ellipsoid; each point is in one part."""
+    points, radius = CLOUDS[cloud](rng), 0.01
+    (cut,) = parts.in_parts([Body.from_cloud(points, radius=radius)._packed], np.array([True]))
+    sizes = np.diff(cut.triangle_start)
+    assert sizes.min() > 0
+    assert sizes.sum() == len(points)
+    rounding = 1e-12 * np.abs(points).max()
+    for i in range(len(sizes)):
+        vertices, _ = _part(cut, i)
+        box = cut.kernel.points[24 * i : 24 * i + 24].reshape(3, 8).T
+        for side in box[[4, 2, 1]] - box[0]:
+            length = np.linalg.norm(side)
+            along = (vertices - box[0]) @ side / length if length > 1e3 * rounding else np.zeros(1)
+            assert -10 * rounding <= along.min() <= along.max() <= length + 10 * rounding
+        reach = np.linalg.norm(np.linalg.solve(cut.outer_factor[i], (vertices - cut.outer_center[i]).T), axis=0)
+        assert reach.max() < 1.0
+
+
+def test_no_part_holds_points_of_two_walls(rng):
+    """However many points they have, although only some of these suggest the cut: it is between the walls."""
+    points = np.tile(rng.uniform(size=(20000, 3)), (2, 1)) * [1.0, 1.0, 0.02]
+    points[:20000, 2] += 0.3
+    (cut,) = parts.in_parts([Body.from_cloud(points, radius=0.01)._packed], np.array([True]))
+    assert max(np.ptp(_part(cut, i)[0][:, 2]) for i in cut.trees) < 0.021
+
+
 def test_many_surfaces_have_few_parts_each(monkeypatch):
     """All together no more than so many, and one more among many leaves the parts of the others as they are."""
     monkeypatch.setattr(parts, "ALL_PARTS", 40)

@@ -57,6 +57,11 @@ def test_what_cannot_be_reached(checker):
         planners.plan(checker, LEFT, planners.PoseGoal("rod", [translation(x=5.0), translation(x=4.0)]))
     with pytest.raises(PlanningError, match="collision of .*wall"):
         planners.plan(checker, LEFT, planners.PoseGoal("rod", rod(checker, [0.0, -0.5, 0.0])))
+    blocked = planners.PoseGoal("rod", [translation(x=5.0), rod(checker, [0.0, -0.5, 0.0])])
+    with pytest.raises(PlanningError, match="found none: solution 0 of pose 1: a collision of .*wall"):
+        planners.plan(checker, LEFT, blocked)
+    with pytest.raises(PlanningError, match="found none: solution 0 of pose 1: a collision of .*wall"):
+        planners.roadmap(checker, 20).path(LEFT, blocked)
 
 
 def test_bad_input(checker):

@@ -26,10 +26,9 @@ from loewner import (
 )
 from loewner._kernels import _sources
 from loewner._kernels._jit import njit
-from loewner._kernels.robots import kinematics
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import load, store
-from loewner.robots import link_bodies
+from loewner.robots import link_bodies, reaching
 from loewner.robots.tree import KINDS
 from loewner.robots.urdf import VALUES, Shape
 from robot_oracle import disagreement, robots_folder
@@ -892,4 +891,4 @@ def test_reading_urdf_needs_no_optional_package(tmp_path):
 def test_kernels_and_descriptions_agree_on_widths():
     """Columns of a joint, by kind, are told twice: to kernels and to people."""
     for kind, values in VALUES.items():
-        assert kinematics.WIDTH[KINDS[kind]] == len(values)
+        assert reaching.WIDTHS[KINDS[kind]] == len(values)

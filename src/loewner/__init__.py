@@ -26,6 +26,7 @@ from loewner.errors import (
 from loewner.first_contacts import FirstContact, first_contact
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
+from loewner.pose_paths import PosePath
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.robots import (
     CertifiedMotions,
@@ -37,6 +38,7 @@ from loewner.robots import (
     Robot,
     Settled,
     StateDistance,
+    TrajectoryContact,
     pairs_by_sampling,
 )
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
@@ -77,12 +79,14 @@ __all__ = [
     "PlanningError",
     "Polytope",
     "PoseError",
+    "PosePath",
     "Problem",
     "Reached",
     "Robot",
     "Scene",
     "Settled",
     "StateDistance",
+    "TrajectoryContact",
     "UnknownNameError",
     "Verdict",
     "classify",

@@ -23,6 +23,7 @@ from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
+from loewner.pose_paths import PosePath, path_of
 from loewner.queries import Bounds, Distance, Measured
 
 # One name or a pair, where None in place of a name means any link.
@@ -136,7 +137,7 @@ class Scene:
     -----
     Iterating over a scene yields the names of its bodies, in the order in which they were added. The scene's own
     queries (`pairs`, `collide`, `distance`) cover only the static bodies in the world, since the pose of an attached
-    body depends on a robot's configuration.
+    body depends on a robot's configuration, and the pose of a body that follows a motion (`follow`) on the time.
 
     Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
     state. Adding a body that is probably not in metres causes a warning, once per scene.
@@ -161,6 +162,7 @@ class Scene:
         self._bodies: dict[str, Body] = {}
         self._poses: dict[str, Floats] = {}
         self._attachments: dict[str, Attachment] = {}
+        self._following: dict[str, PosePath] = {}
         self._allowed: set[Pair] = set()
         self._leaving: set[Pair] = set()
         self._reaching: set[Pair] = set()
@@ -198,9 +200,9 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the static bodies, that is, of all bodies except attached ones, in the order of `names`."""
+        """Names of the static bodies, neither attached nor following a motion, in the order of `names`."""
         with _CHANGING:
-            return tuple(name for name in self._bodies if name not in self._attachments)
+            return tuple(name for name in self._bodies if name in self._poses)
 
     @property
     def static_bodies(self) -> Bodies:
@@ -216,8 +218,10 @@ class Scene:
     def static_poses(self) -> Floats:
         """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
-            poses = self._poses  # an attached body has none
-            return np.array([poses[name] for name in self._bodies if name in poses]).reshape(-1, 4, 4)
+            poses = self._poses  # a body that moves has none
+            # Their bytes one after the other: NumPy takes twice as long for a list of arrays.
+            joined = bytearray().join([poses[name] for name in self._bodies if name in poses])
+        return np.frombuffer(joined).reshape(-1, 4, 4)
 
     @property
     def attachments(self) -> dict[str, Attachment]:
@@ -227,13 +231,20 @@ class Scene:
         return _validate.Named("attached body", held)
 
     @property
+    def following(self) -> dict[str, PosePath]:
+        """The motion of each body that follows one, keyed by the name of the body."""
+        with _CHANGING:
+            held = {name: self._following[name] for name in self._bodies if name in self._following}
+        return _validate.Named("body that follows a motion", held)
+
+    @property
     def version(self) -> int:
         """A number that grows with every change, so that stale data prepared from the scene can be recognised."""
         return self._version
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except `move`, which leaves all prepared data except poses valid."""
+        """A number that grows with every change except of poses and motions, which leave other prepared data valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -251,7 +262,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the body is attached to a link.
+            If the body is attached to a link, or follows a motion: see `following`.
         """
         with _CHANGING:
             return self._poses[self._placed(name)].copy()
@@ -283,6 +294,7 @@ class Scene:
             other._bodies = dict(self._bodies)
             other._poses = dict(self._poses)
             other._attachments = dict(self._attachments)
+            other._following = dict(self._following)
             other._allowed = set(self._allowed)
             other._leaving, other._reaching = set(self._leaving), set(self._reaching)
             other._margins = dict(self._margins)
@@ -359,6 +371,7 @@ class Scene:
             del self._bodies[self._known(name)]
             self._poses.pop(name, None)
             self._attachments.pop(name, None)
+            self._following.pop(name, None)
             # A body that is later added under the same name must not inherit permission to touch.
             self._allowed = {pair for pair in self._allowed if name not in pair}
             self._end_contacts(name)
@@ -469,6 +482,58 @@ class Scene:
             self._poses.update(moves)
             self._version += 1
 
+    def follow(self, name: str, times: ArrayLike, poses: ArrayLike, *, repeat: bool = False) -> None:
+        """Let a body move: a part on a conveyor, a door, the forecast of a tracker.
+
+        From now on, a `CollisionChecker` needs times for its answers; it proves motions of the robot against the motion
+        of the body. Bodies of the scene are not checked against each other.
+
+        Parameters
+        ----------
+        name : str
+            A body of the scene. If it follows a motion already, the new one takes its place.
+        times : array_like, shape (n,)
+            Seconds, increasing; two or more.
+        poses : array_like, shape (n, 4, 4)
+            T_world_body at these times; translation in metres. In between, the position changes linearly and the body
+            turns at a constant rate, the shorter way.
+        repeat : bool
+            Whether the motion begins again when it ends, for which the last pose must be the first one. By default the
+            body waits at the first pose before the motion, and at the last pose after it.
+
+        Raises
+        ------
+        InputError
+            If the body is attached to a link, times do not increase, there are not as many as poses, or two
+            successive poses differ by half a turn.
+        PoseError
+            If a pose is not a rigid motion.
+        UnknownNameError
+            If there is no such body.
+
+        See Also
+        --------
+        detach : Stops the body. attach : Stops it as well, and attaches it to a link.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("box", Body.box([0.2, 0.2, 0.2]))
+        >>> T = np.tile(np.eye(4), (2, 1, 1))
+        >>> T[:, 0, 3] = -1.0, 1.0
+        >>> scene.follow("box", [0.0, 10.0], T)  # 0.2 m/s along x
+        >>> scene.static_names, scene.following["box"].poses(2.5)[:3, 3].tolist()
+        ((), [-0.5, 0.0, 0.0])
+        """
+        self._known(name)
+        path = path_of(times, poses, repeat)
+        with _CHANGING:
+            if self._known(name) not in self._following:
+                self._poses.pop(self._placed(name))
+                self._structure_version += 1
+            self._following[name] = path
+            self._version += 1
+
     def attach(
         self,
         name: str,
@@ -484,7 +549,8 @@ class Scene:
         Parameters
         ----------
         name : str
-            A body of the scene. A body that is already attached to a link is handed over to the new one.
+            A body of the scene. A body that is already attached to a link is handed over to the new one; a body that
+            follows a motion no longer follows it.
         link : str
             Name of a link. It is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
@@ -526,6 +592,7 @@ class Scene:
         with _CHANGING:
             self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
             self._poses.pop(name, None)
+            self._following.pop(name, None)
             self._end_contacts(name)
             self._leaving |= leaving
             self._reaching |= reaching
@@ -540,7 +607,7 @@ class Scene:
             )
 
     def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
-        """Put an attached body back into the world.
+        """Put an attached body back into the world, or stop a body that follows a motion.
 
         Parameters
         ----------
@@ -552,14 +619,15 @@ class Scene:
         Raises
         ------
         InputError
-            If the body is not attached.
+            If the body is neither attached nor follows a motion.
         """
         T = _validate.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
         with _CHANGING:
-            if self._known(name) not in self._attachments:
+            if self._known(name) in self._poses:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
             self._poses[name] = T
-            del self._attachments[name]
+            self._attachments.pop(name, None)
+            self._following.pop(name, None)
             self._end_contacts(name)
             self._changed()
 
@@ -950,15 +1018,20 @@ class Scene:
                 f"{name!r}: expected a body that stands in the world, found one attached to link {link!r}; detach it, "
                 "or attach it anew to place it otherwise on a link"
             )
+        if name in self._following:
+            raise InputError(
+                f"{name!r}: expected a body that stands in the world, found one that follows a motion; see "
+                "Scene.following for its poses, and detach to stop it"
+            )
         return str(name)
 
 
-def poses_since(scene: Scene, structure_version: int) -> tuple[Floats, int] | None:
-    """Return the `static_poses` and the version of a scene in which bodies were only moved; otherwise None."""
+def poses_since(scene: Scene, structure_version: int) -> tuple[Floats, tuple[PosePath, ...], int] | None:
+    """Return `static_poses`, motions and the version of a scene in which only these changed; otherwise None."""
     with _CHANGING:
         if scene.structure_version != structure_version:
             return None
-        return scene.static_poses, scene.version
+        return scene.static_poses, tuple(scene.following.values()), scene.version
 
 
 def _check_name(name: Any, what: str) -> str:

@@ -33,7 +33,20 @@ import pytest
 import loewner
 from families import box_corners, translation
 from gantry import gantry
-from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
+from loewner import (
+    Bodies,
+    Body,
+    CollisionChecker,
+    Ellipsoids,
+    LoewnerError,
+    PosePath,
+    Robot,
+    Scene,
+    cli,
+    meshes,
+    paper,
+    planners,
+)  # fmt: skip
 from loewner import cluster as clustering
 from loewner import compilation as compiling
 from loewner import gpu as on_gpus
@@ -41,6 +54,7 @@ from loewner import jax as for_jax
 from loewner import plots as drawing
 from loewner import torch as for_torch
 from loewner import viewer as viewing
+from loewner.pose_paths import path_of
 
 # Modules for frameworks that are there.
 FRAMEWORKS = {name: module for name, module in {"jax": for_jax, "torch": for_torch}.items() if find_spec(name)}
@@ -334,6 +348,22 @@ def checker() -> CollisionChecker:
     return CollisionChecker(robot(), scene())
 
 
+def checker_in_time() -> CollisionChecker:
+    """A checker in whose scene a body follows a motion."""
+    moving = scene().copy()
+    moving.add("part", ball(), translation(50.0))
+    moving.follow("part", [0.0, 1.0], np.stack([translation(50.0), translation(51.0)]))
+    return CollisionChecker(robot(), moving)
+
+
+def two_robots() -> CollisionChecker:
+    return CollisionChecker(Robot.join({"a": robot(), "b": robot()}, {"b": translation(50.0)}))
+
+
+def pose_path() -> PosePath:
+    return path_of([0.0, 1.0], np.stack([translation(), translation(1.0)]), False)
+
+
 def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
@@ -553,6 +583,7 @@ ROWS = array(
 Q = [[0.5, 0.25, 0.125], [-0.5, 0.25, 0.0]]
 CONFIGURATIONS = array(Q, FINITE, BATCHES, "empty (0, 3)", "turned over")
 ONE = array(Q[0], FINITE)
+AT = array([0.25, 0.5], FINITE, NONE, NUMBERS, ZERO, NEGATIVE, "a number alone")
 
 
 def _one_ellipsoid() -> Ellipsoids:
@@ -845,6 +876,16 @@ CALLS: dict[str, Call] = {
         on(scene, "move_all"),
         {"names": arg(lambda: ["post", "box"]), "Ts": array(np.tile(np.eye(4), (2, 1, 1)), FINITE)},
     ),
+    "Scene.follow": Call(
+        on(scene, "follow"),
+        {
+            "name": arg("post"),
+            "times": array([0.0, 1.0], FINITE),
+            "poses": array(np.tile(np.eye(4), (2, 1, 1)), FINITE),
+            "repeat": flag(),
+        },
+    ),
+    "PosePath.poses": Call(on(pose_path, "poses"), {"t": TIMES}),
     "Scene.attach": Call(
         on(scene, "attach"),
         {
@@ -994,8 +1035,8 @@ CALLS: dict[str, Call] = {
             "skip_adjacent": arg(False, FLAGS, NONE),
         },
     ),
-    "CollisionChecker.collide": Call(on(checker, "collide"), {"Q": CONFIGURATIONS}),
-    "CollisionChecker.classify": Call(on(checker, "classify"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.collide": Call(on(checker_in_time, "collide"), {"Q": CONFIGURATIONS, "t": AT}),
+    "CollisionChecker.classify": Call(on(checker_in_time, "classify"), {"Q": CONFIGURATIONS, "t": AT}),
     "CollisionChecker.settle": Call(on(checker, "settle"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.tiers": Call(on(checker, "tiers"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.valid_edges": Call(
@@ -1003,13 +1044,19 @@ CALLS: dict[str, Call] = {
         {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "resolution": positive()},
     ),
     "CollisionChecker.certify_edges": Call(
-        on(checker, "certify_edges"),
+        on(checker_in_time, "certify_edges"),
         {
             "Q0": CONFIGURATIONS,
             "Q1": CONFIGURATIONS,
             "tolerance": positive(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "t0": AT,
+            "t1": array([1.25, 1.5], FINITE, NUMBERS, "a number alone"),
         },
+    ),
+    "CollisionChecker.first_contact": Call(
+        on(checker_in_time, "first_contact"),
+        {"curve": arg(moved, "empty list", "empty tuple"), "tolerance": positive(1e-6)},
     ),
     "CollisionChecker.joint_error": Call(
         on(checker, "joint_error"),
@@ -1028,7 +1075,7 @@ CALLS: dict[str, Call] = {
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
         },
     ),
-    "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
+    "CollisionChecker.pairs": Call(on(checker_in_time, "pairs"), {"q": ONE, "t": arg(0.5, NUMBERS, ZERO, NEGATIVE)}),
     "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.distance": Call(
         on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag(), "gradient": flag()}
@@ -1058,6 +1105,7 @@ CALLS: dict[str, Call] = {
             "start": array([-0.5, 0.25, 0.0], FINITE),
             "goal": array([[-0.5, 0.5, 0.0]], FINITE),
             "joints": arg("y", NONE),
+            "keep": arg(None, NONE),
             "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
@@ -1099,6 +1147,15 @@ CALLS: dict[str, Call] = {
             "rotation": positive(1e-3),
             "joints": arg("slide", NONE),
             "keep": arg(lambda: ("z", [0.0, 0.0, 1.0], 0.5), NONE),
+        },
+    ),
+    "planners.coordinate": Call(
+        planners.coordinate,
+        {
+            "checker": arg(two_robots),
+            "paths": arg(lambda: {"a": PATH, "b": PATH[::-1]}),
+            "steps": count(4),
+            "joint_error": array(np.full(6, 1e-3), FINITE, NUMBERS, ZERO, "a number alone"),
         },
     ),
     "planners.shorten": Call(
@@ -1537,8 +1594,9 @@ if find_spec("distributed"):
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
     "Robot",
-    "CertifiedMotions", "CertifiedTrajectory",
-    "Overlaps", "PairDistances", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
+    "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact",
+    "Overlaps", "PairDistances",
+    "PosePath", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
     "planners.Plan", "planners.Trajectory",
     "cluster.Fitted",

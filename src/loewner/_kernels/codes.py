@@ -43,3 +43,7 @@ NOT_CLOSED, FACE_OFF, INSIDE_OUT = 11, 12, 13
 
 # Outcome of a search for a path: the trees met, all iterations are done, or the memory for trees is full.
 MET, SPENT, FULL = 0, 1, 2
+
+# Outcome of following a line: all of it; a turn by half a turn, or a line that is too long; no further, because of the
+# tolerances or because of a kept axis.
+FOLLOWED, HALF_TURN, TOO_FAR, STOPPED, TILTED = 0, 1, 2, 3, 4

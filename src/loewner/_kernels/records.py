@@ -96,6 +96,31 @@ class Problem(NamedTuple):
     standing_poses: Any
 
 
+# Where the table of `MotionTables` begins, in bytes, if it follows the table of a `Problem`.
+MOTIONS = 8 * ENTRIES * (len(Tree._fields) + len(Problem._fields) - 1)
+
+
+class KeptAxis(NamedTuple):
+    """An axis of a link that stays within an angle of a direction of the world, for `robots.lines`.
+
+    Attributes
+    ----------
+    chain, constants, ranges : ndarray
+        See `robots.reach`.
+    columns : ndarray of int64, shape (K,)
+        Columns of the values in a configuration of the robot.
+    numbers : ndarray, shape (3, 9)
+        The least cosine, the axis and the direction, then the tolerance of `bring_back`; a rotation whose third column
+        is the axis, by rows; and one whose third row is the direction.
+    """
+
+    chain: Any
+    constants: Any
+    ranges: Any
+    columns: Any
+    numbers: Any
+
+
 class MotionTables(NamedTuple):
     """The input of `robots.motions` besides a `Problem`.
 

@@ -86,12 +86,12 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
     faces = np.zeros(total, dtype=np.int64) if single else flat_faces(vertices, triangles)
     order, start = faces.argsort(kind="stable"), np.empty(most + 1, dtype=np.int64)
     boxes, centers, shapes = np.empty((most, 24)), np.empty((most, 3)), np.empty((most, 3, 3))
-    corners = vertices[triangles[:, :1] if single else triangles].reshape(total, -1)
-    count = entries.cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes)
+    each = 1 if single else 3
+    corners = vertices[triangles[order, :each]].reshape(total, 3 * each).T.copy()
+    count = entries.cut_up(corners.reshape(-1), faces, radius, most, order, start, boxes, centers, shapes)
     if count < 2:
         return None
-    each, points = corners.shape[1] // 3, corners[order].reshape(-1, 3)
-    first = each * start[:count]
+    points, first = corners.T.reshape(-1, 3), each * start[:count]
     layout = np.zeros((count, 5), dtype=np.int64)
     layout[:, columns.KIND] = columns.SURFACE
     layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO] = first, each * start[1 : count + 1]

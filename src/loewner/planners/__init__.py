@@ -1,6 +1,7 @@
 """Plan paths whose motions are proven free from start to goal, and make trajectories from the paths."""
 
 from loewner.planners.controller_points import ControllerPoints
+from loewner.planners.coordination import coordinate
 from loewner.planners.improving import Plan
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.lines import straight
@@ -17,6 +18,7 @@ __all__ = [
     "PoseGoal",
     "Roadmap",
     "Trajectory",
+    "coordinate",
     "plan",
     "roadmap",
     "shorten",

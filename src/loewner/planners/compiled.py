@@ -21,6 +21,9 @@ from loewner.planners.space import Space
 # The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
 SHARE = 1 / 12
 
+# The same with an axis to keep, over the square root of its angle: chords of longer motions leave the angle.
+KEPT = 2.0
+
 # Initial capacity of trees, in configurations.
 CAPACITY = 2048
 
@@ -120,6 +123,8 @@ class Growth:
         limits[4] = 1.0 if weights is None else weights
         low, high = limits[4] * limits[:2]
         longest = math.dist(low.tolist(), high.tolist()) * SHARE
+        if judge.kept is not None:
+            longest = min(longest, KEPT * math.sqrt(judge.kept.angle))
         judge = judge.up_to(math.dist(limits[0].tolist(), limits[1].tolist()) * (SHARE if weights is None else 1.0))
         trees = Trees.of(joints, max(CAPACITY, 2 * len(goals)))
         state, gap = np.zeros(STATE, dtype=np.int64), np.array([np.inf])

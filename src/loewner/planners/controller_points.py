@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._files import read_regular, shown
 from loewner.errors import FileError, InputError
-from loewner.robots.curves import CURVE_ROUNDINGS, Curve, form_of
+from loewner.robots.courses import CURVE_ROUNDINGS
+from loewner.robots.curves import Curve, form_of
 from loewner.scene_files.yaml_scenes import yaml_data
 
 # Endings of files with points; the largest file [bytes]; how deeply a trajectory may be nested in other messages.

@@ -18,6 +18,7 @@ from loewner._kernels import codes, columns
 from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import InputError, PlanningError
+from loewner.planners.kept_axes import KeptAxis
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, verdicts
 from loewner.robots.checker import prepared_of
@@ -54,6 +55,8 @@ class Judge:
         Number of samples that the longest motion takes.
     joint_error : ndarray, shape (dof,), or None
         How far values may deviate from motions that are proven; None for no deviation.
+    kept : KeptAxis or None
+        An axis that every motion must keep near a direction.
     """
 
     checker: CollisionChecker
@@ -61,9 +64,12 @@ class Judge:
     resolution: float
     samples: int
     joint_error: Floats | None
+    kept: KeptAxis | None = None
 
     @classmethod
-    def of(cls, checker: CollisionChecker, resolution: float, joint_error: ArrayLike = 0.0) -> Judge:
+    def of(
+        cls, checker: CollisionChecker, resolution: float, joint_error: ArrayLike = 0.0, kept: KeptAxis | None = None
+    ) -> Judge:
         """Make a judge for the scene's current state.
 
         Raises
@@ -74,7 +80,7 @@ class Judge:
         errors = joint_errors(checker.robot, joint_error)
         if resolution and errors.any():
             raise InputError("joint_error: expected certified=True with it, since samples do not cover deviations")
-        return cls(checker, prepared_of(checker), resolution, 1, errors if errors.any() else None)
+        return cls(checker, prepared_of(checker), resolution, 1, errors if errors.any() else None, kept)
 
     def now(self) -> Judge:
         """Return a judge for the scene's current state, otherwise the same."""
@@ -125,16 +131,19 @@ class Judge:
         prepared = ready.motions
         memory = workspace(max(prepared.memory, ready.memory))
         error = 0 if self.joint_error is None else self.joint_error.ctypes.data
-        handles = [ready.packed.handle, ready.handle, prepared.handle, memory, self.samples, error]
+        kept = 0 if self.kept is None else self.kept.handle
+        handles = [ready.packed.handle, ready.handle, prepared.handle, memory, self.samples, error, kept]
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
-        """Return which motions of a batch are free; an unsettled motion is not."""
+        """Return which motions of a batch are free and keep the axis; an unsettled motion is not."""
         if not self.resolution:
             courses = straight(self.ready.robot, Q0, Q1)
-            return self.proven(courses, deviations(courses, self.joint_error))
-        found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
-        return np.asarray(found == codes.FREE)
+            free = self.proven(courses, deviations(courses, self.joint_error))
+        else:
+            found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
+            free = np.asarray(found == codes.FREE)
+        return free if self.kept is None else free & self.kept.on(Q0, Q1)
 
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
         """Return which courses of a batch are proven free, including all deviations of up to `off`."""

@@ -3,59 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels import columns
+from loewner._kernels import codes, columns
+from loewner._native import entries
 from loewner._validate import Floats
-from loewner.errors import InputError, PlanningError
+from loewner.errors import InputError, LoewnerError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
-from loewner.planners.line_bounds import Line, Strays, Turns, strays
+from loewner.planners.kept_axes import KeptAxis
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.proofs import prove_by_rules
-from loewner.robots.reaching import Chain, near, refuse_far, targets_of
-from loewner.robots.robot import chain_to, link_poses
+from loewner.robots.reaching import Chain, refuse_far, refuse_unsteady, targets_of
+from loewner.robots.robot import chain_to
 
-# The first steps along a line, in metres and radians; from one to the next, Newton's method finds the same branch.
-FIRST_STEPS = 0.15, 0.5
-
-# A joint that turns by more than this in a first step [rad] may have jumped to another branch; the step is halved.
-LEAP = 0.75
-
-# Shortest step and shortest motion, as fractions of the line.
-LEAST_STEP, LEAST_MOTION = 2.0**-12, 2.0**-16
-
-# Tolerances below this [m, rad] are near the rounding of poses; an axis is kept by cosines, whose rounding counts more.
-LEAST_TOLERANCE, LEAST_ANGLE = 1e-9, 1e-6
-
-# Parts into which a motion is divided at a time at most, and the share of the tolerance that they may take.
-MOST_PARTS, SHARE = 16, 0.75
-
-# The longest line [m]; motions along a longer one would be shorter than LEAST_MOTION.
-LONGEST = FIRST_STEPS[0] / LEAST_MOTION
-
-# The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
-LARGEST_ANGLE = np.pi - 1e-6
+# Tolerances below this [m, rad] are near the rounding of poses.
+LEAST_TOLERANCE = 1e-9
 
 # Singular values of the Jacobian [m, rad] below this count as singular in messages.
 SINGULAR = 0.02
-
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
-
-class Kept(NamedTuple):
-    """An axis of the link that stays within an angle of a direction of the world."""
-
-    axis: Floats
-    direction: Floats
-    angle: float
 
 
 @guarded
@@ -131,30 +104,18 @@ def straight(
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
     target = targets_of(_validate.pose(T, "T")[None])[0]
     chain = chain_to(robot, link, joints)
-    number = robot.link_names.index(link)
-    if "turns" not in chain.kept:
-        chain.kept["turns"] = Turns.of(chain, link)
-    turns = chain.kept["turns"]
     refuse_far(chain, target, q)
-    line = Line.between(link_poses(robot, q[None])[0, number], target)
-    if line.angle > LARGEST_ANGLE:
-        raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
-    if (length := float(np.linalg.norm(line.way))) > LONGEST:
-        raise InputError(f"T: expected a line of at most {LONGEST:g} m, found {length:g} m; go by a pose in between")
+    _refuse_start(robot, chain, q, link)
     judge = Judge.of(checker, 0.0)
-    u, Q = _followed(robot, chain, line, q, link)
-    if not turns.turning.any():  # joints that slide follow a line in one motion
-        u, Q = u[[0, -1]], Q[[0, -1]]
-    limits = np.array([position, 2 * np.sqrt(2) * np.sin(rotation / 2)])
-    while True:
-        found = strays(robot, chain, turns, line, u, Q, number, None if kept is None else kept[:2])
-        if kept is not None:
-            _refuse_tilt(found, u, kept, link)
-        parts = _parts(found, limits, kept)
-        if (parts == 1).all():
-            break
-        u, Q = _divided(robot, chain, line, u, Q, parts, link)
-    _refuse_collisions(judge, u, Q, link)
+    wanted = np.array([position, 2 * np.sqrt(2) * np.sin(rotation / 2), -np.inf, *np.zeros(6)])
+    if kept is not None:
+        wanted[2:] = np.cos(kept.angle), *kept.axis, *kept.direction
+    outcome, rows = entries.follow_line(*chain[:3], q[chain.columns], target, wanted)
+    if outcome != codes.FOLLOWED:
+        raise _unfollowed(robot, chain, outcome, rows, q, link, kept)
+    Q = np.repeat(q[None], len(rows), axis=0)
+    Q[:, chain.columns] = rows[:, 2:]
+    _refuse_collisions(judge, rows[:, 0], Q, link)
     return Q
 
 
@@ -166,107 +127,42 @@ def _at_least(least: float, x: Any, name: str) -> float:
     return value
 
 
-def _kept(keep: Any) -> Kept:
+def _kept(keep: Any) -> KeptAxis:
     """Check an axis that is to be kept."""
     listed = _validate.listed(keep, "keep", wanted="(axis, direction, angle)")
     if len(listed) != 3:
         raise InputError(f"keep: expected (axis, direction, angle), found {_validate.short(keep)}")
-    axis = AXES[_validate.choice(listed[0], "keep, axis", AXES)] if isinstance(listed[0], str) else listed[0]
-    units = []
-    for vector, name in ((axis, "keep, axis"), (listed[1], "keep, direction")):
-        checked = _validate.finite_array(vector, name, (3,))
-        length = float(np.linalg.norm(checked))
-        if not 0 < length < np.inf:
-            raise InputError(f"{name}: expected a vector with a length, found {_validate.short(vector)}")
-        units.append(checked / length)
-    return Kept(units[0], units[1], min(_at_least(LEAST_ANGLE, listed[2], "keep, angle"), np.pi))
+    return KeptAxis.of(*listed)
 
 
-def _followed(robot: Robot, chain: Chain, line: Line, q: Floats, link: str) -> tuple[Floats, Floats]:
-    """Follow a line in steps, shorter where they fail; return the fractions and configurations."""
-    fractions, rows = [0.0], [q]
-    outside = (q[chain.columns] < chain.ranges[columns.LEAST] - ON_LIMIT) | (
-        q[chain.columns] > chain.ranges[columns.MOST] + ON_LIMIT
-    )
+def _refuse_start(robot: Robot, chain: Chain, q: Floats, link: str) -> None:
+    """Raise an error for joints that do not move along straight lines, and for a start outside the limits."""
+    refuse_unsteady(chain, link)
+    values = q[chain.columns]
+    outside = (values < chain.ranges[columns.LEAST] - ON_LIMIT) | (values > chain.ranges[columns.MOST] + ON_LIMIT)
     if outside.any():
         raise PlanningError(
             f"start: expected a configuration within the limits, found {_named(robot, chain, outside, q)} outside"
         )
-    if not line.way.any() and line.angle == 0:
-        return np.array([0.0, 1.0]), np.stack([q, q])
-    first = 1.0 / max(
-        1.0, np.ceil(float(np.linalg.norm(line.way)) / FIRST_STEPS[0]), np.ceil(line.angle / FIRST_STEPS[1])
-    )
-    step, turning = first, np.isin(chain.ranges[columns.HOW], (columns.PLAIN, columns.WRAPS))
-    rate = np.zeros(len(chain.columns))
-    while fractions[-1] < 1.0:
-        u = min(fractions[-1] + step, 1.0)
-        u = 1.0 if 1.0 - u < LEAST_STEP else u
-        here = rows[-1][chain.columns]
-        guess = (here + (u - fractions[-1]) * rate).clip(chain.ranges[columns.LEAST], chain.ranges[columns.MOST])
-        values, reached = near(chain, line.poses(np.array([u])), guess[None])
-        if reached[0] and np.abs(values[0] - here)[turning].max(initial=0.0) <= LEAP:
-            rate = (values[0] - here) / (u - fractions[-1])
-            row = rows[-1].copy()
-            row[chain.columns] = values[0]
-            rows.append(row)
-            fractions.append(u)
-            step = min(2 * step, first)
-        elif step > LEAST_STEP:
-            step, rate = 0.5 * step, 0.0 * rate
-        else:
-            raise _stopped(robot, chain, fractions[-1], rows[-1], link)
-    return np.array(fractions), np.array(rows)
 
 
-def _parts(found: Strays, limits: Floats, kept: Kept | None) -> Floats:
-    """Return into how many parts to divide each motion, 1 for motions that are proven to be near enough to the line."""
-    good = (found.positions <= limits[0]) & (found.rotations <= limits[1])
-    if kept is not None:
-        good &= found.leasts >= np.cos(kept.angle)
-    # The number m with bends / m² + twists / m³ equal to the tolerance.
-    bends, twists = (part / (SHARE * limits[:, None]) + 1e-9 for part in (found.bends, found.twists))
-    wanted = 1.0 + np.sqrt(bends)
-    for _ in range(4):
-        wanted = np.sqrt(bends + twists / wanted)
-    return np.where(good, 1.0, np.clip(np.ceil(wanted.max(axis=0)), 2, MOST_PARTS))
-
-
-def _refuse_tilt(found: Strays, u: Floats, kept: Kept, link: str) -> None:
-    """Raise an error where the line itself does not keep the axis."""
-    tilted = found.cosines < np.cos(kept.angle)
-    short = (found.leasts < np.cos(kept.angle)) & (np.diff(u) < LEAST_MOTION * MOST_PARTS)
-    if tilted.any() or short.any():
-        k = int(tilted.argmax()) if tilted.any() else int(short.argmax())
-        raise PlanningError(
+def _unfollowed(
+    robot: Robot, chain: Chain, outcome: int, rows: Floats, q: Floats, link: str, kept: KeptAxis | None
+) -> LoewnerError:
+    """Make the error for a line that the kernel cannot follow."""
+    if outcome == codes.HALF_TURN:
+        return InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
+    if outcome == codes.TOO_FAR:
+        return InputError("T: expected a line of at most 10 km; go by a pose in between")
+    if kept is not None and outcome == codes.TILTED:
+        u, cosine = rows[-2:][rows[-2:, 1].argmin(), :2]
+        return PlanningError(
             f"line: expected {link} to keep within {kept.angle:g} rad of the direction on the whole line, found "
-            f"{np.arccos(np.clip(found.cosines[k], -1, 1)):.6g} rad at the fraction {u[k]:.4g}"
+            f"{np.arccos(np.clip(cosine, -1, 1)):.6g} rad at the fraction {u:.4g}"
         )
-
-
-def _divided(
-    robot: Robot, chain: Chain, line: Line, u: Floats, Q: Floats, parts: Floats, link: str
-) -> tuple[Floats, Floats]:
-    """Divide motions into parts, with configurations on the line between them."""
-    counts = parts.astype(np.int64)
-    which = np.repeat(np.arange(len(counts)), counts)
-    share = (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)) / parts[which]
-    new = share > 0
-    at = u[which] + share * (u[which + 1] - u[which])
-    rows = Q[which] + share[:, None] * (Q[which + 1] - Q[which])
-    values, reached = near(chain, line.poses(at[new]), rows[new][:, chain.columns])
-    if not reached.all():
-        k = int(np.flatnonzero(new)[reached.argmin()])
-        raise _stopped(robot, chain, at[k - 1], Q[which[k]], link)
-    whole = rows[new]
-    whole[:, chain.columns] = values
-    rows[new] = whole
-    u, Q = np.append(at, u[-1]), np.concatenate([rows, Q[-1:]])
-    short = np.diff(u) < LEAST_MOTION
-    if short.any():
-        k = int(short.argmax())
-        raise _stopped(robot, chain, u[k], Q[k], link)
-    return u, Q
+    last = q.copy()
+    last[chain.columns] = rows[-2, 2:]
+    return _stopped(robot, chain, rows[-2, 0], last, link)
 
 
 def _named(robot: Robot, chain: Chain, which: Floats, q: Floats) -> str:

@@ -10,16 +10,25 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
+from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
+from loewner.planners.kept_axes import KeptAxis
 from loewner.planners.pose_goals import PoseGoal, joints_of
 from loewner.planners.space import Space, checked_ends
-from loewner.robots import CollisionChecker
+from loewner.robots import CollisionChecker, Robot
 from loewner.robots.edges import checked_path
+from loewner.robots.robot import chain_to
 
 
-class Options(improving.Options, total=False):
+class Rare(improving.Options, total=False):
+    """Options of `plan` that few calls name."""
+
+    keep: tuple[str, str | ArrayLike, ArrayLike, float] | None
+
+
+class Options(Rare, total=False):
     """All options of `plan` except `full`."""
 
     joints: str | Iterable[str] | None
@@ -63,7 +72,7 @@ def plan(
     simplify: bool = True,
     seed: int = 0,
     full: bool = False,
-    **improvement: Unpack[improving.Options],
+    **rare: Unpack[Rare],
 ) -> Floats | improving.Plan:
     """Find a path from start to goal that is proven free of collisions everywhere.
 
@@ -77,6 +86,10 @@ def plan(
         (outside the limits, or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all.
+    keep : (link, axis, direction, angle), optional
+        An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of the world, as
+        of a cup that must not be spilt. This is proven for every motion of the path itself, without joint errors. Only
+        the compiled planner can do it.
     planner : str or callable, optional
         Default: the compiled RRT-Connect. Otherwise the name of a class of ``ompl.geometric``, such as "BITstar" or
         "PRM"; or a function that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
@@ -123,6 +136,7 @@ def plan(
     PlanningError
         If a pose cannot be reached (the message states how near the link came); if the start or all goals are outside
         the limits or collide (the message names joints, or pairs and depths), or
+        do not keep the axis, or
         are not proven free within the joint error (the message states the largest error that is proven); if no short
         motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
         found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
@@ -166,16 +180,19 @@ def plan(
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
     full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
-    better = None
-    if improvement or full:
-        better = improving.Improvement.of(robot, improvement, full, make is None, timeout)
+    better, keep = None, rare.pop("keep", None)
+    if rare or full:
+        better = improving.Improvement.of(robot, rare, full, make is None, timeout)
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
-    q, goals = checked_ends(checker, start, goal, joints)
-    space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error)
+    q, goals, names = checked_ends(checker, start, goal, joints)
+    kept = None if keep is None else _kept(keep, robot, joints, make is None)
+    space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error, kept)
     ends = Departures.of(space, judge, q, goals)
-    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge)
+    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
+    if kept is not None:
+        goals = kept.checked(robot, q, goals)
     rounds = 0
     if make is not None:
         found = ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed)
@@ -186,7 +203,19 @@ def plan(
         if better is not None:
             found, rounds = improving.improved(space, judge, found, goals, better, seed)
     path = ends.joined(found)
+    if kept is not None and not kept.on(path[:-1], path[1:]).all():
+        raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     return path if better is None or not full else better.plan(path, ends, goals, rounds, posed)
+
+
+def _kept(keep: Any, robot: Robot, joints: str | Iterable[str] | None, compiled: bool) -> KeptAxis:
+    """Check the argument `keep`."""
+    listed = _validate.listed(keep, "keep", wanted="(link, axis, direction, angle)")
+    if len(listed) != 4:
+        raise InputError(f"keep: expected (link, axis, direction, angle), found {_validate.short(keep)}")
+    if not compiled:
+        raise InputError("keep: expected the compiled planner with it, found one of OMPL's planners")
+    return KeptAxis.of(*listed[1:]).along(chain_to(robot, listed[0], joints), listed[0])
 
 
 @guarded

@@ -88,6 +88,12 @@ class PoseGoal:
         InputError, UnknownNameError
             As for `Robot.reach`.
         """
+        return self._found(checker, start, joints)[0]
+
+    def _found(
+        self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None
+    ) -> tuple[Floats, list[str]]:
+        """Find the configurations, and name each for messages: its pose, and its number among the pose's solutions."""
         robot, poses = checked_checker(checker).robot, np.asarray(self.T).reshape(-1, 4, 4)
         begin = robot.checked_one(start, "start")
         found = robot.reach(
@@ -112,21 +118,26 @@ class PoseGoal:
             )
         free = np.concatenate([np.arange(len(x)) < n for x, n in zip(found.solutions, found.free, strict=True)])
         order = np.lexsort((np.linalg.norm(Q - begin, axis=1), ~free))
-        return np.asarray(Q[order[:MOST_GOALS]])
+        names = [
+            f"solution {k} of pose {pose}" for pose, of_it in enumerate(found.solutions) for k in range(len(of_it))
+        ]
+        return np.asarray(Q[order[:MOST_GOALS]]), [names[k] for k in order[:MOST_GOALS]]
 
 
-def goals_of(goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None) -> Any:
-    """Return the configurations of a goal that is given by poses, and any other goal as it is."""
+def goals_of(
+    goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None
+) -> tuple[Any, list[str] | None]:
+    """Return the configurations of a goal that is given by poses with their names, and any other goal as it is."""
     robot = checker.robot
     if isinstance(goal, PoseGoal):
-        return goal.configurations(checker, start, joints)
+        return goal._found(checker, start, joints)
     shape = _validate.plain_array(goal, "goal").shape
     if shape[-2:] == (4, 4) and robot.dof != 4:
         raise InputError(
             f"goal: expected configurations, shape ({robot.dof},) or (goals, {robot.dof}), or for poses of a link "
             f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(shape)}"
         )
-    return goal
+    return goal, None
 
 
 def joints_of(goal: PoseGoal, robot: Robot) -> list[str]:

@@ -324,13 +324,13 @@ class Roadmap:
                [2., 0.]])
         """
         simplify = _validate.flag(simplify, "simplify")
-        q, goals = checked_ends(self.checker, start, goal, self.joint_names)
+        q, goals, names = checked_ends(self.checker, start, goal, self.joint_names)
         # Where a joint has no limits, they follow from start and goals.
         space = Space.of(self.checker, self.joint_names, q, goals)
         if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
         judge = Judge.of(self.checker, 0.0, joint_error)
-        goals = space.checked_goals(q, goals, judge)
+        goals = space.checked_goals(q, goals, judge, names)
         while (found := self._found(judge, q, goals)) is None:
             pass  # the verdicts of the motions are outdated
         judge, rows = found

@@ -86,8 +86,8 @@ class Space:
         turns[..., at] = np.rint((Q1[..., at] - Q0[..., at]) / (2 * np.pi))
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
-    def checked_goals(self, q: Floats, goals: Floats, judge: Judge) -> Floats:
-        """Check the start, and return the goals that a quick check does not exclude.
+    def checked_goals(self, q: Floats, goals: Floats, judge: Judge, names: list[str]) -> Floats:
+        """Check the start, and return the goals that a quick check does not exclude; their names are for messages.
 
         Limits are checked first: for values in degrees, any other message would be misleading.
 
@@ -106,7 +106,7 @@ class Space:
             _refuse_start(self.outside(q))
             faults, inside = [self.outside(goal) for goal in goals], within[1:]
         if not inside.any():
-            raise _no_goal(faults)
+            raise _no_goal(faults, names)
         self.check_still(goals[inside], "goal", "the start's value", "the joints that move")
         free = self.free_among(Q[within])
         if judge.joint_error is not None:
@@ -118,7 +118,7 @@ class Space:
             return good
         # Only the goals that the message names are examined closely: there may be thousands.
         named = [fault or self._fault(goal, judge) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
-        raise _no_goal(named + faults[NAMED:])
+        raise _no_goal(named + faults[NAMED:], names)
 
     def _inside(self, Q: Floats) -> Bools:
         """Return which configurations have all moving joints within their limits."""
@@ -211,16 +211,17 @@ def checked_ends(
     start: ArrayLike,
     goal: ArrayLike | PoseGoal,
     joints: str | Iterable[str] | None = None,
-) -> tuple[Floats, Floats]:
-    """Check a user's start and goals; return them with shapes (dof,) and (goals, dof)."""
+) -> tuple[Floats, Floats, list[str]]:
+    """Check a user's start and goals; return them with shapes (dof,) and (goals, dof), and the goals' names."""
     robot = checked_checker(checker).robot
     q = robot.checked_one(start, "start")
-    goals = np.atleast_2d(robot.checked(goals_of(goal, checker, q, joints), "goal"))
+    given, names = goals_of(goal, checker, q, joints)
+    goals = np.atleast_2d(robot.checked(given, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
         raise InputError(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
         )
-    return q, goals
+    return q, goals, names or [f"goal[{k}]" for k in range(len(goals))]
 
 
 def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
@@ -242,11 +243,11 @@ def _by_a_hair(excess: float) -> str:
     return f" (by {excess:.1g}: clip or copy it)" if excess < A_HAIR else ""
 
 
-def _no_goal(faults: list[str]) -> PlanningError:
+def _no_goal(faults: list[str], names: list[str]) -> PlanningError:
     """Make the error for the case that every goal has a fault."""
-    if len(faults) == 1:
+    if names == ["goal[0]"]:
         return PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
-    listed = "; ".join(f"goal[{k}]: {fault}" for k, fault in enumerate(faults[:NAMED]))
+    listed = "; ".join(f"{name}: {fault}" for name, fault in zip(names[:NAMED], faults, strict=False))
     more = f"; and {len(faults) - NAMED} more" if len(faults) > NAMED else ""
     return PlanningError(f"goal: expected a free configuration within the limits, found none: {listed}{more}")
 

@@ -7,6 +7,7 @@ finds pairs that need no check.
 
 from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker
+from loewner.robots.contact_times import TrajectoryContact
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
@@ -25,5 +26,6 @@ __all__ = [
     "Robot",
     "Settled",
     "StateDistance",
+    "TrajectoryContact",
     "pairs_by_sampling",
 ]

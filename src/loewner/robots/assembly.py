@@ -290,6 +290,16 @@ def with_body(
     return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent, _in_world=in_world))
 
 
+def with_moving_bodies(self: R, names: Sequence[str]) -> R:
+    """Return the same robot with a floating joint and a link without a body for each name, after its own ones."""
+    joints = [f"{name} in the scene" for name in names]
+    chains = [_chain(self, f"{joint}/world", [(joint, "floating", [0.0, 0.0, 1.0])]) for joint in joints]
+    robot: Any = self
+    return cast(
+        R, _combined([_Piece("", robot), *(_Piece("", c, None, without_root=True) for c in chains)], robot.name)
+    )
+
+
 def refuse_bodies_in_world(robot: Any, what: str) -> None:
     """Refuse to move a robot with bodies that `with_body` has added in the world, which do not move with it."""
     for name in robot._in_world:

@@ -13,6 +13,7 @@ from loewner._kernels import columns
 from loewner._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Body, Packed, packed_of
 from loewner.errors import InputError, UnknownNameError
+from loewner.robots.assembly import with_moving_bodies
 from loewner.robots.problem import Problem, rigid_with
 from loewner.robots.robot import Robot
 from loewner.scenes import Attachment, Scene
@@ -48,17 +49,21 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     """
     structure_version = scene.structure_version
     _check_names(robot, scene)
+    following = scene.following
+    whole = with_moving_bodies(robot, tuple(following)) if following else robot
     names, packs, link = _bodies(robot, scene)
-    pairs = _pairs(robot, names, link, _allowed_pairs(scene, skipped))
+    pairs = _pairs(whole, names, link, _allowed_pairs(scene, skipped))
+    pairs = pairs[link[pairs[:, 0]] < len(robot.link_names)]  # bodies of the scene are not checked against each other
     leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
     _check_convex(names, packs, pairs[leaving | reaching])
     margins = _margins(scene, names, pairs)
     count = len(link)
     same = before is not None and count == len(before.link) and all(map(is_, packs[:count], before.packs))
-    return Problem.of(
-        robot, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching,
+    made = Problem.of(
+        whole, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching,
         before.moving if same and before is not None else None,
     ).with_poses(scene.static_poses, version)  # fmt: skip
+    return made.with_paths(tuple(following.values())) if following else made
 
 
 # -- names and pairs --------------------------------------------------------------------------
@@ -92,6 +97,7 @@ def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], list[Packed], 
     links = {name: k for k, name in enumerate(robot.link_names)}
     moving = [(name, links[name], packed_of(body)) for name, body in robot.bodies.items()]
     moving += [(name, links[held.link], _on_link(scene[name], held)) for name, held in scene.attachments.items()]
+    moving += [(name, len(links) + k, packed_of(scene[name])) for k, name in enumerate(scene.following)]
     moving = [entry for entry in moving if entry[2].piece_start[-1] > 0]
     standing = scene.static_names
     packs = [*(pack for _, _, pack in moving), *(packed_of(scene[name]) for name in standing)]

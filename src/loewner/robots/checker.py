@@ -19,7 +19,7 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import curves, distances, edges, proofs, tracking, verdicts
+from loewner.robots import contact_times, curves, distances, edges, in_time, proofs, tracking, verdicts
 from loewner.robots.checked_pairs import prepared
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
@@ -141,13 +141,15 @@ class CollisionChecker:
         ready = self._ready()
         return tuple((ready.names[a], ready.names[b]) for a, b in ready.pairs)
 
-    def collide(self, Q: ArrayLike) -> OneOrMany:
+    def collide(self, Q: ArrayLike, t: ArrayLike | None = None) -> OneOrMany:
         """Decide exactly which configurations are in collision.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
             Entries as in `Robot.configuration_names`. Limits are not enforced: see `Robot.lower`.
+        t : float or array_like, shape (...), optional
+            Seconds, broadcast with the configurations; required if bodies of the scene follow motions.
 
         Returns
         -------
@@ -157,7 +159,8 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite, or there are more than 2^24 pairs to check.
+            If the width is not dof, an entry is not finite, there are more than 2^24 pairs to check, or bodies of the
+            scene follow motions (`Scene.follow`) and no time is given.
         UnknownNameError
             If an attachment, an allowed pair or a margin of the scene names a link that the robot does not have.
         ConvergenceError
@@ -169,22 +172,27 @@ class CollisionChecker:
             Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         version, single, ready = self._prepared
-        if version == self._scene.version:
+        if t is None:
+            if version != self._scene.version:
+                ready = self._ready()
+                single = ready.single
             collides = single.collide(Q)
             if collides is not None:
                 self._seen += 1  # a call for each answer would take a tenth of its time
                 if self._seen >= self._next_look:
                     self._learn(ready, 0)
                 return collides
-        checked = self.robot.checked(Q)
-        return verdicts.collisions(self._exact(checked).verdicts, checked)
+        checked, ready = self._at(Q, t)
+        return verdicts.collisions(self._exact(ready, checked).verdicts, checked)
 
-    def classify(self, Q: ArrayLike) -> OneOrMany:
+    def classify(self, Q: ArrayLike, t: ArrayLike | None = None) -> OneOrMany:
         """Compute certified verdicts from the ellipsoids alone.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+        t : float or array_like, shape (...), optional
+            As for `collide`.
 
         Returns
         -------
@@ -197,12 +205,12 @@ class CollisionChecker:
             As for `collide`.
         """
         version, single, ready = self._prepared
-        if version == self._scene.version:
+        if version == self._scene.version and t is None:
             verdict = single.classify(Q)
             if verdict is not None:
                 self._learn(ready, 1)
                 return VERDICTS[verdict]
-        checked, ready = self.robot.checked(Q), self._ready()
+        checked, ready = self._at(Q, t)
         out, _ = verdicts.classified(ready, codes.CERTIFY, edges.flat(checked))
         self._learn(ready, len(out))
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
@@ -237,8 +245,8 @@ class CollisionChecker:
         InputError, UnknownNameError, ConvergenceError
             As for `collide`.
         """
-        checked = self.robot.checked(Q)
-        found = self._exact(checked)
+        checked, ready = self._at(Q, None)
+        found = self._exact(ready, checked)
         return verdicts.collisions(found.verdicts, checked), found.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
@@ -288,7 +296,14 @@ class CollisionChecker:
         return valid.reshape(shape) if shape else bool(valid[0])
 
     def certify_edges(
-        self, Q0: ArrayLike, Q1: ArrayLike, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
+        self,
+        Q0: ArrayLike,
+        Q1: ArrayLike,
+        *,
+        tolerance: float = 1e-5,
+        joint_error: ArrayLike = 0.0,
+        t0: ArrayLike | None = None,
+        t1: ArrayLike | None = None,
     ) -> CertifiedMotions:
         """Prove which straight motions are free of collisions everywhere along the motion.
 
@@ -302,6 +317,9 @@ class CollisionChecker:
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the motion; FREE covers all such deviations. A motion
             that collides only for deviating values is AMBIGUOUS. With an error, contact at the ends is not allowed.
+        t0, t1 : float or array_like, shape (...), optional
+            Seconds at which the motions begin and end, broadcast with them; required if bodies of the scene follow
+            motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
 
         Returns
         -------
@@ -311,8 +329,8 @@ class CollisionChecker:
         ------
         InputError
             If the width is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is not positive
-            and finite, or a joint error is negative; or if a motion is so long that it would take more than 458,752
-            intervals.
+            and finite, or a joint error is negative; if a motion is so long that it would take more than 458,752
+            intervals; or if bodies of the scene follow motions and a time is missing, or t1 is before t0.
         UnknownNameError
             As for `collide`.
 
@@ -330,7 +348,7 @@ class CollisionChecker:
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
         end. A contact at the start gets deeper along the motion by no more than the tolerance; a contact at the end is
-        no deeper than the tolerance.
+        no deeper than the tolerance. With bodies that follow motions, these rules have no effect.
 
         Examples
         --------
@@ -346,8 +364,17 @@ class CollisionChecker:
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         a, b, shape = edges.ends(self.robot, Q0, Q1)
-        ready = self._ready()
-        found = proofs.prove_by_rules(ready, a, b, tolerance, curves.joint_errors(self.robot, joint_error))
+        errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
+        ready = self._ready(timed=times is not None)
+        if times is not None:
+            whole = _validate.broadcast({"motions": shape, "t0, t1": times[0].shape})
+            if whole != shape:
+                a, b = (edges.flat(np.broadcast_to(Q.reshape(*shape, -1), (*whole, Q.shape[1]))) for Q in (a, b))
+            shape, times = whole, (np.broadcast_to(times[0], whole).ravel(), np.broadcast_to(times[1], whole).ravel())
+        if times is not None and ready.paths is not None:
+            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, tolerance, errors)
+        else:
+            found = proofs.prove_by_rules(ready, a, b, tolerance, errors)
         found.expect_short(a, b)
         return found.of_shape(shape, ready)
 
@@ -363,6 +390,8 @@ class CollisionChecker:
         self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
         """Prove that a curve executed by a robot is free of collisions at every instant.
+
+        Bodies of the scene that follow motions (`Scene.follow`) move at the same times.
 
         Parameters
         ----------
@@ -406,25 +435,30 @@ class CollisionChecker:
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         errors = curves.joint_errors(self.robot, joint_error)
-        found = curves.certified(self._ready(), curves.curves_of(self.robot, curve), tolerance, errors)
+        ready = self._ready(timed=True)
+        found = curves.certified(self.robot, ready, curves.curves_of(self.robot, curve), tolerance, errors)
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     joint_error = tracking.joint_error
+    first_contact = contact_times.first_contact
 
-    def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
+    def pairs(self, q: ArrayLike, t: float | None = None) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
 
         Parameters
         ----------
         q : array_like, shape (dof,)
+        t : float, optional
+            As for `collide`.
 
         Returns
         -------
         tuple of Contact
             Each with the exact distance or depth, witness points and normal.
         """
-        checked = self.robot.checked_one(q)
-        found, doubt = verdicts.contacts(self._ready(), checked)
+        time = None if t is None else _validate.finite_array(t, "t", ())
+        checked, ready = self._at(self.robot.checked_one(q), time)
+        found, doubt = verdicts.contacts(ready, checked)
         if doubt:
             raise ConvergenceError(doubt)
         return found
@@ -612,9 +646,20 @@ class CollisionChecker:
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _exact(self, Q: Floats) -> Verdicts:
+    def _at(self, Q: ArrayLike, t: ArrayLike | None) -> tuple[Floats, Problem]:
+        """Check configurations and times; return them with the values of bodies that follow motions, and the pairs."""
+        checked, ready = self.robot.checked(Q), self._ready(timed=t is not None)
+        if t is None:
+            return checked, ready
+        times = _validate.finite_array(t, "t", ("...",))
+        shape = _validate.broadcast({"Q": checked.shape[:-1], "t": times.shape})
+        rows = edges.flat(np.broadcast_to(checked, (*shape, checked.shape[-1])))
+        made = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
+        return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
+
+    def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
         """Decide verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
-        ready, flat = self._ready(), edges.flat(Q)
+        flat = edges.flat(Q)
         found = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))
         verdicts.expect_settled(ready, flat, found.verdicts)
@@ -625,24 +670,61 @@ class CollisionChecker:
         self._seen += count
         if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen
-            ordered = ready.with_order(np.argsort(-ready.hits, kind="stable"))
-            self._prepared = ordered.version, ordered.single, ordered
+            self._keep(ready.with_order(np.argsort(-ready.hits, kind="stable")))
 
-    def _ready(self) -> Problem:
-        """Return the prepared pairs, prepared again if the scene has changed."""
+    def _keep(self, ready: Problem) -> None:
+        # Fast queries of one configuration take no time.
+        timed = ready.paths is not None
+        self._prepared = (-1, None, ready) if timed else (ready.version, ready.single, ready)
+
+    def _ready(self, *, timed: bool = False) -> Problem:
+        """Return the prepared pairs, prepared again if the scene has changed.
+
+        Raises
+        ------
+        InputError
+            If bodies of the scene follow motions and the query is not `timed`.
+        """
+        ready = self._prepared_now()
+        if ready.paths is not None and not timed:
+            names = ", ".join(self._scene.following)
+            raise InputError(
+                f"expected a time, since bodies of the scene follow motions ({names}): give t=, or t0= and t1=, to "
+                "collide, classify, pairs or certify_edges, or prove a curve in time by certify_trajectory; "
+                "Scene.detach stops a body"
+            )
+        return ready
+
+    def _prepared_now(self) -> Problem:
         ready: Problem | None = self._prepared[2]
         if ready is not None and ready.version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
         moved = None if ready is None else poses_since(self._scene, ready.structure_version)
         if ready is not None and moved is not None:
-            ready = ready.with_poses(*moved)
+            poses, paths, version = moved
+            ready = ready.with_poses(poses, version)
+            ready = ready.with_paths(paths) if paths else ready
         else:
             scene = self._scene.snapshot()
             ready = prepared(self._robot, scene, self._skipped, scene.version, ready)
             self._seen, self._next_look = 0, FIRST_LOOK
-        self._prepared = ready.version, ready.single, ready
+        self._keep(ready)
         return ready
+
+
+def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
+    """Check the times at which motions begin and end; None for none."""
+    if t0 is None and t1 is None:
+        return None
+    if t0 is None or t1 is None:
+        raise InputError(f"expected both t0 and t1, found {'t1' if t0 is None else 't0'} only")
+    begin, end = _validate.finite_array(t0, "t0", ("...",)), _validate.finite_array(t1, "t1", ("...",))
+    _validate.broadcast({"t0": begin.shape, "t1": end.shape})
+    begin, end = np.broadcast_arrays(begin, end)
+    for k in np.flatnonzero(~(begin <= end))[:1]:
+        raise InputError(f"t1: expected times at or after t0, found {begin.flat[k]:g} and then {end.flat[k]:g}")
+    return begin, end
 
 
 def prepared_of(checker: CollisionChecker) -> Problem:

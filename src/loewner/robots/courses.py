@@ -6,8 +6,12 @@ import math
 
 import numpy as np
 
+from loewner._kernels import tolerances
 from loewner._validate import Floats
 from loewner.robots.robot import Robot, interpolated, on_the_way
+
+# Bound on the error of control points that are converted from another form, in units of their largest numbers.
+CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B51
 
 
 def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
@@ -28,3 +32,25 @@ def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
     for columns in robot._quaternions.values():
         Q[:, columns] /= np.linalg.norm(Q[:, columns], axis=1, keepdims=True)
     return Q
+
+
+def elevated(points: Floats, by: int) -> Floats:
+    """Raise the degree of courses without changing their motions."""
+    for _ in range(by):
+        degree = points.shape[1] - 1
+        share = (np.arange(1, degree + 1) / (degree + 1))[:, None]
+        inner = share * points[:, :-1] + (1 - share) * points[:, 1:]
+        points = np.concatenate([points[:, :1], inner, points[:, -1:]], axis=1)
+    return points
+
+
+def parts(courses: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the part of each course between two fractions, shape (N,) each, by de Casteljau's scheme."""
+    degree, made = courses.shape[1] - 1, np.empty_like(courses)
+    for k in range(degree + 1):
+        points = courses
+        for step in range(degree):
+            t = (high if step < k else low)[:, None, None]
+            points = (1.0 - t) * points[:, :-1] + t * points[:, 1:]
+        made[:, k] = points[:, 0]
+    return made

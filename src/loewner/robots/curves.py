@@ -9,22 +9,20 @@ from math import comb
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
-from loewner._kernels import codes, tolerances
+from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.queries import Verdict
-from loewner.robots.courses import configurations, straight
+from loewner.robots import in_time
+from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, straight
 from loewner.robots.edges import checked_path
 from loewner.robots.motions import CertifiedMotions, Found
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
 from loewner.robots.robot import Robot
-
-# Bound on the error of control points that are converted from another form, in units of their largest numbers.
-CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B51
 
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
@@ -94,29 +92,55 @@ class CertifiedTrajectory:
     def __repr__(self) -> str:
         return _validate.brief(self)
 
+    @property
+    def first(self) -> float:
+        """The time until which the curve is proven free, at the least: its first segment that is not FREE begins then.
 
-def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error: Floats) -> list[CertifiedTrajectory]:
+        NaN if FREE. With bodies that follow motions, segments also begin where these change their rates.
+        """
+        at = np.flatnonzero(self.segments.verdict != codes.FREE)
+        return float(self.times[at[0]]) if len(at) else np.nan
+
+
+def certified(
+    robot: Robot, ready: Problem, curves: list[Curve], tolerance: float, joint_error: Floats
+) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`."""
+    curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
+    curves = [with_bodies(robot, ready, curve) for curve in curves]
     degrees = np.array([curve.courses.shape[1] for curve in curves])
     found: list[CertifiedTrajectory | None] = [None] * len(curves)
     for degree in np.unique(degrees):
         at = np.flatnonzero(degrees == degree).tolist()
         courses = np.concatenate([curves[k].courses for k in at])
-        off = np.ascontiguousarray(np.concatenate([curves[k].off for k in at]) + joint_error)
+        off = np.concatenate([curves[k].off for k in at])
         proven = prove(ready, courses, tolerance, off)
         first = 0
         for k in at:
             last = first + len(curves[k].courses)
-            for n in np.flatnonzero(proven.verdicts[first:last] == codes.TOO_LONG)[:1]:
-                raise InputError(
-                    f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
-                    f"orientation turns by more than about 80 degrees, found the piece from {curves[k].times[n]:g} s "
-                    f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it, or lower joint_error"
-                )
+            expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)
             found[k] = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             first = last
     return [one for one in found if one is not None]
+
+
+def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
+    """Refuse a curve with a piece that would take too many intervals; `number` is the curve's."""
+    for n in np.flatnonzero(found == codes.TOO_LONG)[:1]:
+        raise InputError(
+            f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
+            f"orientation turns by more than about 80 degrees, found the piece from {times[n]:g} s to "
+            f"{times[n + 1]:g} s of curve {number}; divide it, or lower joint_error"
+        )
+
+
+def with_bodies(robot: Robot, ready: Problem, curve: Curve) -> Curve:
+    """Cut a curve where bodies of the scene change their rates, and append their values."""
+    if ready.paths is None:
+        return curve
+    cut = in_time.pieces(robot, ready.paths, curve.courses, curve.off, curve.times[:-1], curve.times[1:])
+    return Curve(None, np.append(cut.times[:, 0], curve.times[-1]), cut.courses, cut.off)
 
 
 def of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
@@ -195,7 +219,7 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         robot._watch.tell(ends, name)
     if points.shape[1] == 1 or (points.shape[1] == 2 and not robot.runs_straight):
         # A course of degree 1 turns orientations at a constant rate, which a polynomial does not.
-        points = _elevated(points, 3 - points.shape[1])
+        points = elevated(points, 3 - points.shape[1])
     points, off = points.copy(), curve.off.copy()
     for columns in robot._quaternions.values():
         # Deviations are bounded by the angle by which they turn a quaternion of norm 1.
@@ -265,16 +289,6 @@ def _of_b_spline(knots: Floats, c: Floats, degree: int, name: str) -> Curve:
         points.append(D[degree])
     around = np.abs(np.stack([c[spans - degree + i] for i in range(degree + 1)])).max(axis=0)
     return Curve(None, np.append(low, high[-1:]), np.stack(points, axis=1), CURVE_ROUNDINGS * around)
-
-
-def _elevated(points: Floats, by: int) -> Floats:
-    """Raise the degree of courses without changing their motions."""
-    for _ in range(by):
-        degree = points.shape[1] - 1
-        share = (np.arange(1, degree + 1) / (degree + 1))[:, None]
-        inner = share * points[:, :-1] + (1 - share) * points[:, 1:]
-        points = np.concatenate([points[:, :1], inner, points[:, -1:]], axis=1)
-    return points
 
 
 def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_parts
+from loewner.pose_paths import PackedPaths, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
 
@@ -36,17 +37,20 @@ IN_TURN = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# Rows of the table of arrays: where the arrays of `records.MotionTables` begin, the order of the pairs, and the arrays
-# that kernels write.
-_MOTIONS, _ORDER, _WRITTEN = 14, 10, [11, 12, 13, 16, 17, 18, 22]
+# Of the table of arrays: the row of the order of the pairs, and its numbers, which fill whole cache lines.
+_ORDER, _TABLE = 10, 72
+
+
+# Types and shapes of arrays that follow each other in memory.
+Shapes = list[tuple[type, tuple[int, ...]]]
 
 
 class PreparedMotions(NamedTuple):
     """The additional input of the kernel that proves motions."""
 
     tables: MotionTables
-    addresses: Ints  # where these arrays are
-    handle: int  # where the addresses are; valid as long as this object lives
+    block: Floats  # where these arrays are
+    handle: int  # where their table is; valid as long as this object lives
     memory: int  # scratch bytes
 
 
@@ -60,19 +64,16 @@ class OfMargin(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """What kernels write about bodies for their present poses: all in one block of memory, which is copied as a whole.
+    """What kernels write about bodies for their present poses.
 
     Attributes
     ----------
-    memory : ndarray
-        The block.
     reach, exact_rows, sizes, groups : ndarray
         `reach`, `standing_rows`, `sizes` and `groups` of `records.MotionTables`.
     bounds, rows, poses : ndarray
         `standing`, `standing_rows` and `standing_poses` of `records.Problem`.
     """
 
-    memory: Floats
     reach: Floats
     exact_rows: Floats
     sizes: Floats
@@ -82,32 +83,29 @@ class Standing(NamedTuple):
     poses: Floats
 
     @classmethod
-    def of(cls, packed: Packed, moving: int, links: int, groups: int) -> Standing:
-        """Allocate memory; the poses differ from all others."""
+    def shapes(cls, packed: Packed, moving: int, links: int, groups: int) -> Shapes:
+        """Types and shapes of these arrays."""
         bodies, pieces = len(packed.piece_start) - 1, int(packed.piece_start[-1] - packed.piece_start[moving])
         static, f = bodies - moving, np.float32
-        shapes = (
-            ((bodies, links), float), ((pieces, columns.HOT), float), ((static,), float), ((groups,), float),
-            ((static, columns.BOUNDS), f),
-            ((pieces, columns.HOT), f), ((static, 16), float),
-        )  # fmt: skip
-        sizes = [math.prod(shape) * np.dtype(kind).itemsize // 8 for shape, kind in shapes]
-        memory, begin = records.aligned(sum(sizes)), np.cumsum([0, *sizes]).tolist()
-        memory[:] = 0.0
-        parts = (memory[first:last] for first, last in zip(begin[:-1], begin[1:], strict=True))
-        made = cls(memory, *(p.view(kind).reshape(shape) for p, (shape, kind) in zip(parts, shapes, strict=True)))
-        made.poses[:] = np.nan
-        return made
+        return [
+            (float, (bodies, links)), (float, (pieces, columns.HOT)), (float, (static,)), (float, (groups,)),
+            (f, (static, columns.BOUNDS)), (f, (pieces, columns.HOT)), (float, (static, 16)),
+        ]  # fmt: skip
 
-    def copy(self) -> Standing:
-        """Copy the block."""
-        memory = records.aligned(len(self.memory))
-        memory[:] = self.memory
-        first, made = self.memory.ctypes.data, [memory]
-        for array in self[1:]:
-            at = (array.ctypes.data - first) // 8
-            made.append(memory[at : at + array.nbytes // 8].view(array.dtype).reshape(array.shape))
-        return Standing(*made)
+    @classmethod
+    def at(cls, memory: Floats, shapes: Shapes) -> Standing:
+        """View them one after the other in memory."""
+        views: list[Any] = []
+        begin = 0
+        for kind, shape in shapes:
+            end = begin + _words(kind, shape)
+            views.append(memory[begin:end].view(kind).reshape(shape))
+            begin = end
+        return cls(*views)
+
+
+def _words(kind: type, shape: tuple[int, ...]) -> int:
+    return math.prod(shape) * np.dtype(kind).itemsize // 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +115,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
+        Behind its own joints, a floating one for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -129,15 +128,18 @@ class Problem:
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
-    `standing` : `Standing`
-        Arrays that kernels write for the present poses.
     hits : ndarray of int64, shape (pairs,)
         Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
         these affect only the order of the pairs.
     motion_order, group_start, group_pairs, chain : ndarray
         `order`, `group_start`, `group_pairs` and `chain` of `records.MotionTables`.
-    table : ndarray of int64
-        Addresses of the arrays of `records.Problem`, and then of `records.MotionTables`.
+    block : ndarray
+        The table of addresses of the arrays of `records.Problem`, and then of `records.MotionTables`; behind it the
+        arrays of `standing`. Another state of the scene has a block of its own (`place_static`).
+    handle : int
+        Address of the table; valid as long as this object lives.
+    paths : PackedPaths or None
+        The motions that bodies follow; None if none does.
     """
 
     robot: Robot
@@ -154,13 +156,14 @@ class Problem:
     leaving: Bools
     reaching: Bools
     order: Ints
-    standing: Standing
     hits: Ints
     motion_order: Ints
     group_start: Ints
     group_pairs: Ints
     chain: Floats
-    table: Ints
+    block: Floats
+    handle: int
+    paths: PackedPaths | None = None
 
     @classmethod
     def of(
@@ -185,7 +188,12 @@ class Problem:
         packed = join([moving, *packs[len(link) :]]) if packed is None else packed
         chains, balls = chains_of(robot), np.empty((len(link), 5))
         group_start, group_pairs = pairs_in_groups(len(link), pairs)
-        standing = Standing.of(packed, len(link), len(robot.tree.parent), LANES * len(group_pairs))
+        shapes = Standing.shapes(packed, len(link), len(robot.tree.parent), LANES * len(group_pairs))
+        size = _TABLE + sum(_words(*shape) for shape in shapes)
+        block = records.aligned(size + columns.CACHE_LINE // 8)  # with room to begin at a cache line elsewhere
+        block[:] = 0.0
+        standing = Standing.at(block[_TABLE:], shapes)
+        standing.poses[:] = np.nan  # which differs from all poses
         order, chain = np.arange(len(pairs)), chains.chain(packed, link)
         # Bodies far out on the robot move most, and collide most often.
         motion_order = np.argsort(-chains.depth(link)[pairs[:, 0]], kind="stable")
@@ -194,10 +202,11 @@ class Problem:
             chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, motion_order,
             group_start, group_pairs, standing.groups, chain,
         )  # fmt: skip
+        block[:_TABLE].view(np.int64).reshape(-1, records.ENTRIES)[:] = records.table_of(arrays)
         made = cls(
             robot, *versions, names, tuple(packs), moving, packed, link, balls, pairs, margins, leaving, reaching,
-            order, standing, np.zeros(len(pairs), dtype=np.int64), motion_order, group_start, group_pairs, chain,
-            records.table_of(arrays),
+            order, np.zeros(len(pairs), dtype=np.int64), motion_order, group_start, group_pairs, chain, block,
+            block.ctypes.data,
         )  # fmt: skip
         entries.measure_moving(packed.handle, made.handle, made.handle_of_motions)
         return made
@@ -215,24 +224,34 @@ class Problem:
 
     def with_order(self, order: Ints) -> Problem:
         """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
-        table = self.table.copy()
-        table[_ORDER, 0] = order.ctypes.data
-        ordered = replace(self, order=order, table=table)
-        for value in (*_OF_COUNTS, Problem.cut, Problem.motions):
+        ordered = self._placed(self.standing.poses, order=order)
+        ordered._from_handle[records.ENTRIES * _ORDER : _TABLE].view(np.int64)[0] = order.ctypes.data
+        for value in (Problem.cut, Problem.motions):
             value.hand_on(self, ordered)
         return ordered
 
+    def with_paths(self, paths: tuple[PosePath, ...]) -> Problem:
+        """Set the motions that bodies follow; all other data stays valid."""
+        made = object.__new__(Problem)
+        vars(made).update(vars(self), paths=PackedPaths.of(paths))
+        return made
+
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
-        # New memory, since another thread may be reading the old one; most of its entries still hold.
-        standing, table = self.standing.copy(), self.table.copy()
-        table[_WRITTEN, 0] += standing.memory.ctypes.data - self.standing.memory.ctypes.data
-        moved = replace(self, version=version, standing=standing, table=table)
-        entries.place_static(self.packed.handle, moved.handle, moved.handle_of_motions, poses.reshape(-1, 16))
-        for value in _OF_COUNTS:
-            value.hand_on(self, moved)
+        moved = self._placed(poses, version=version)
         Problem.cut.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
         return moved
+
+    def _placed(self, poses: Floats, **changes: Any) -> Problem:
+        """Return a copy with the static bodies at other poses and some attributes changed."""
+        # New memory, since another thread may be reading the old one; most of its entries still hold.
+        block = np.empty(len(self.block))
+        handle = entries.place_static(self.packed.handle, self.handle, block, poses.reshape(-1, 16))
+        # `dataclasses.replace` would take a fifth of the time of the whole change.
+        known, made = vars(self), object.__new__(Problem)
+        lasting = {name: known[name] for name in _LASTING if name in known}
+        vars(made).update(lasting, block=block, handle=handle, **changes)
+        return made
 
     # -- for kernels --------------------------------------------------------------------------
 
@@ -253,15 +272,21 @@ class Problem:
             self.standing.rows, self.standing.poses,
         )  # fmt: skip
 
-    @kept
-    def handle(self) -> int:
-        """Address of their table; valid as long as this object lives."""
-        return int(self.table.ctypes.data)
-
     @property
     def handle_of_motions(self) -> int:
         """Address of the table of `records.MotionTables`, likewise."""
-        return self.handle + 8 * records.ENTRIES * _MOTIONS
+        return self.handle + records.MOTIONS
+
+    @property
+    def _from_handle(self) -> Floats:
+        """The block from the table on."""
+        return self.block[(self.handle - self.block.ctypes.data) // 8 :]
+
+    @kept
+    def standing(self) -> Standing:
+        """What kernels wrote for the present poses."""
+        counts = len(self.link), len(self.robot.tree.parent), LANES * len(self.group_pairs)
+        return Standing.at(self._from_handle[_TABLE:], Standing.shapes(self.packed, *counts))
 
     @kept
     def names_of_pairs(self) -> NDArray[np.str_]:
@@ -299,7 +324,7 @@ class Problem:
         plain = self.robot._watch.range if self.robot.runs_straight else None
         return singles.configurations(
             self.packed.handle, self.handle, self.memory, self.piece_pairs, plain, self.hits,
-            (self.arrays, self.table, self.packed),
+            (self.robot, self.link, self.balls, self.pairs, self.margins, self.order, self.block, self.packed),
         )  # fmt: skip
 
     @kept
@@ -310,7 +335,7 @@ class Problem:
             chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, self.motion_order,
             self.group_start, self.group_pairs, standing.groups, self.chain,
         )  # fmt: skip
-        return PreparedMotions(tables, self.table, self.handle_of_motions, self.memory_of_motions)
+        return PreparedMotions(tables, self.block, self.handle_of_motions, self.memory_of_motions)
 
     # -- parts and subsets --------------------------------------------------------------------
 
@@ -406,8 +431,8 @@ def rigid_with(robot: Robot) -> Ints:
     return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
 
 
-# What depends only on the numbers of bodies, pieces, pairs and links.
-_OF_COUNTS = (
-    Problem.memory, Problem.memory_of_nearest, Problem.memory_of_clearances, Problem.memory_of_motions,
-    Problem.piece_pairs,
+# What depends neither on poses nor on the order of pairs.
+_LASTING = (
+    *Problem.__dataclass_fields__, "bodies", "names_of_pairs", "memory", "memory_of_nearest", "memory_of_clearances",
+    "memory_of_motions", "piece_pairs", "by_margin", "ruled",
 )  # fmt: skip

@@ -32,7 +32,7 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
     """
     found = motions.settle(ready, courses, tolerance, off)
     _confirm(ready, courses, found)
-    _refuse_starts(ready, courses[:, 0], found)
+    refuse_starts(ready, courses[:, 0], found)
     return found
 
 
@@ -90,7 +90,7 @@ def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
         found.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
 
 
-def _refuse_starts(ready: Problem, a: Floats, found: Found) -> None:
+def refuse_starts(ready: Problem, a: Floats, found: Found) -> None:
     """Keep FREE only for motions whose starts are free, if the result of `motions.settle` presupposes that."""
     free = np.flatnonzero(found.verdicts == codes.FREE) if ready.starts_matter else ready.ruled[:0]
     if len(free) == 0:

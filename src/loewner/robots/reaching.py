@@ -33,7 +33,6 @@ LARGEST = 1e50
 FEW = 4
 
 IDENTITY = np.eye(3)
-EXACT, NO_SEEDS = np.zeros(6), np.empty((0, 0))  # tolerances and seeds for lines
 
 # Number of columns of a configuration that a joint reads.
 WIDTHS = {
@@ -102,7 +101,7 @@ class Chain(NamedTuple):
     usual : ndarray, shape (2, K)
         Finite limits within which seeds are drawn.
     kept : dict
-        Values derived from the chain: tables of seeds by their number, and for lines "turns".
+        Values derived from the chain: tables of seeds by their number.
     """
 
     links: Ints
@@ -111,7 +110,7 @@ class Chain(NamedTuple):
     columns: Ints
     path: Ints
     usual: Floats
-    kept: dict[str | int, Any]
+    kept: dict[int, Floats]
 
     @property
     def moving(self) -> Bools:
@@ -192,7 +191,7 @@ def _axis(constants: Floats) -> Floats:
 def seeded(chain: Chain, count: int) -> Floats:
     """Make the table of seeds, shape (count, K), or return the one that was made before."""
     if count in chain.kept:
-        return np.asarray(chain.kept[count])
+        return chain.kept[count]
     how, moving = chain.ranges[columns.HOW], np.flatnonzero(chain.moving)
     drawn = np.zeros((count, len(how)))
     drawn[:, moving] = points(count, len(moving))
@@ -243,6 +242,16 @@ def refuse_far(chain: Chain, T: Floats, starts: Floats) -> None:
             raise InputError(f"{name}: expected lengths and values within ±{LARGEST:g}, found {largest:g}")
 
 
+def refuse_unsteady(chain: Chain, link: str) -> None:
+    """Refuse joints that move, but not along straight lines."""
+    moves, kinds = chain.links[:, columns.MOVES_OF_LINK], chain.links[:, columns.KIND_OF_LINK]
+    if moves[kinds >= columns.FLOATING].any():
+        raise InputError(
+            f"joints: expected joints that turn or slide before {link!r}, found a floating or ball joint; name the "
+            "joints that are to move"
+        )
+
+
 class Answers(NamedTuple):
     """The kernel's results for each pose: distinct solutions, their number, and the first or nearest of all."""
 
@@ -272,20 +281,6 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
     in_shares(run, -(-count // chained), 1)
     return Answers(found, counts, nearest)
-
-
-def near(chain: Chain, T: Floats, starts: Floats) -> tuple[Floats, Bools]:
-    """Seek each pose from its start alone, shape (n, K), as for lines; return the values, and which reach the pose."""
-    count, values = len(T), len(chain.columns)
-    found, counts, nearest = (
-        np.empty((count, 1, values)),
-        np.zeros(count, dtype=np.int64),
-        np.empty((count, values + 3)),
-    )
-    entries.reach_poses(
-        *chain[:3], EXACT, T, np.array(starts, order="C"), NO_SEEDS, 1, 0, count, found, counts, nearest
-    )
-    return nearest[:, :values], counts > 0
 
 
 class Solutions(NamedTuple):

@@ -36,7 +36,7 @@ MOST_ENTRIES = 2_000_000
 TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
-BODY_KEYS = (*POSE_KEYS, "attach", "margin")
+BODY_KEYS = (*POSE_KEYS, "attach", "follow", "margin")
 MARGIN_KEYS = ("of", "margin", "against", "lower")
 SURFACE_KEYS = ("radius", "solid")
 MESH_KEYS = ("scale", "decompose", "model", *SURFACE_KEYS)
@@ -349,6 +349,12 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
             made[recipe] = make()
     T = _pose(entry, keys)
     margin = keys["margin"].length() if "margin" in keys else None
+    if "follow" in keys:
+        for key in (*POSE_KEYS, "attach"):
+            if key in keys:
+                raise keys[key].error(f"expected poses in follow alone, found {key} besides")
+        _add_moving(scene, name, made[recipe], margin, keys["follow"])
+        return
     if "attach" not in keys:
         with entry.blamed():
             scene.add(name, made[recipe], T, margin=margin)
@@ -361,6 +367,18 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     with entry.blamed():
         scene.add(name, made[recipe], margin=margin)
         scene.attach(name, link, T, touch_links=touch, leave=leave, reach=reach)
+
+
+def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry: YamlNode) -> None:
+    """Add a body that follows a motion."""
+    keys = entry.mapping(("poses", "repeat"), required=("poses",))
+    rows = [(row, row.mapping(("time", *POSE_KEYS), required=("time",))) for row in keys["poses"].items()]
+    if not rows:
+        raise keys["poses"].error("expected one row or more, found none")
+    times, poses = [of_row["time"].number() for _, of_row in rows], [_pose(row, of_row) for row, of_row in rows]
+    with entry.blamed():
+        scene.add(name, body, poses[0], margin=margin)
+        scene.follow(name, times, poses, repeat="repeat" in keys and keys["repeat"].flag())
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
@@ -489,7 +507,15 @@ def _same(a: Body, b: Body) -> bool:
 
 
 def _place_of(scene: Scene, name: str) -> dict[str, Any]:
-    """Express pose and attachment without rounding, a pure translation as a position, any other pose as a matrix."""
+    """Express pose and attachment without rounding, a pure translation as a position, any other pose as a matrix.
+
+    Quaternions of a motion are written to the last digit; they are normalised when they are read.
+    """
+    if name in scene.following:
+        path = scene.following[name]
+        rows = zip(path.times.tolist(), path.positions.tolist(), path.quaternions.tolist(), strict=True)
+        poses = [{"time": t, "position": position, "quaternion_wxyz": wxyz} for t, position, wxyz in rows]
+        return {"follow": {"poses": poses, "repeat": True} if path.repeat else {"poses": poses}}
     held = scene.attachments.get(name)
     T = scene.pose(name) if held is None else held.T_link_body
     place: dict[str, Any] = {}

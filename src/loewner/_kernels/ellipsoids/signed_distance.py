@@ -127,7 +127,7 @@ def _model(FA, FB, c, n):
     return h, s1, s2, a11 + b11 - h, a12 + b12, a22 + b22 - h, e, g
 
 
-@njit()
+@njit(forceinline=False)
 def descend(FA, FB, c, n, size):
     """Local minimum of h from the unit vector n on, by damped Newton steps.
 
@@ -280,7 +280,7 @@ def _form(M, V, j, k):
     )
 
 
-@njit()
+@njit(forceinline=False)
 def eigen(M, V):
     """Eigenvalues of a symmetric matrix, unordered, by Jacobi's method.
 
@@ -316,7 +316,7 @@ def eigen(M, V):
     return m00, m11, m22
 
 
-@njit()
+@njit(forceinline=False)
 def boundary_depth(m0, m1, m2, x, y, z):
     """Minimum of √(nᵀMn) - n·c over unit n, for M = diag(m) and c = (x, y, z): the depth of c in the ellipsoid M.
 
@@ -368,7 +368,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     return (least - t) * length, (w0 / length, w1 / length, w2 / length)
 
 
-@njit()
+@njit(forceinline=False)
 def enclosing_depth(p, q, P, Q, c, V):
     """D(p, q), the depth of c in the ellipsoid with shape matrix p P + q Q, and the normal there."""
     m0, m1, m2 = eigen(
@@ -398,7 +398,7 @@ def _ratio(FA, FB, n):
     return np.sqrt((ax * ax + ay * ay + az * az) / (bx * bx + by * by + bz * bz))
 
 
-@njit()
+@njit(forceinline=False)
 def _refined(FA, FB, P, Q, c, n, h, slope, size, V):
     """Continue where a descent has ended with a remaining slope.
 
@@ -416,7 +416,7 @@ def _refined(FA, FB, P, Q, c, n, h, slope, size, V):
     return n, h, slope
 
 
-@njit()
+@njit(forceinline=False)
 def _axes(P, V):
     """Smallest and largest semi-axis of an ellipsoid with shape matrix P."""
     m0, m1, m2 = eigen(P, V)
@@ -424,7 +424,7 @@ def _axes(P, V):
     return np.sqrt(max(min(m0, min(m1, m2)), UNIT_ROUNDOFF * UNIT_ROUNDOFF * most)), np.sqrt(most)
 
 
-@njit()
+@njit(forceinline=False)
 def global_minimum(FA, FB, c, n, size):
     """Least value of h over all unit vectors.
 
@@ -515,7 +515,7 @@ def _rounding(one, two, P, Q, h):
     return 4.0 * UNIT_ROUNDOFF * most / h
 
 
-@njit()
+@njit(forceinline=False)
 def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
     """The lower of the known minimum and the one reached from another vector."""
     other, value, left = descend(FA, FB, c, other, size)
@@ -525,7 +525,7 @@ def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
     return n, h, slope
 
 
-@njit()
+@njit(forceinline=False)
 def least_height(wide_a, FA, wide_b, FB, c, n, size):
     """`global_minimum` for ellipsoids, and for the cores of balls, which are points: not `wide`, with zero factors."""
     if wide_a and wide_b:

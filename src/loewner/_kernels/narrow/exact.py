@@ -1,6 +1,6 @@
 """The exact answer for one piece pair by the fast searches; `pipeline.fallback` settles the pairs that they cannot."""
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, njit
 from loewner._kernels.codes import (
     AMBIGUOUS,
     APART,
@@ -19,19 +19,27 @@ from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surface_meets import surface_pair
 from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
-from loewner._kernels.pieces.pack import shift_between
+from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import radius
 
 SIZE = max(MEMORY.size(), SURFACE_SIZE)  # bytes of memory to which `exact_piece_pair` writes
 
 
-@inline
-def exact_piece_pair(A, B, margin, n, memory):
+@apart
+def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, memory):
     """Settle one piece pair that the ellipsoids left ambiguous.
+
+    It takes handles, since placed pieces would be many arguments of a call that is not inlined.
 
     Parameters
     ----------
-    A, B : Placed
+    pack_a, pack_b : int
+        Handles of the pieces.
+    i, j : int
+        The pieces A and B among these.
+    poses_a, poses_b : ndarray, shape (n, 4, 4)
+    ka, kb : int
+        The rows of their poses.
     margin : float
         Distance that the pieces must keep, >= 0.
     n : tuple of 3 float
@@ -44,6 +52,7 @@ def exact_piece_pair(A, B, margin, n, memory):
     verdict, tier : int
         AMBIGUOUS with tier OPEN if the searches could not settle it.
     """
+    A, B = placed(pieces_of(pack_a), i, poses_a, ka), placed(pieces_of(pack_b), j, poses_b, kb)
     if is_surface(A) or is_surface(B):
         near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
         verdict, _ = surface_pair(A, B, near, far, memory, memory, 0)

@@ -69,7 +69,7 @@ def off_orthonormal(R):
     return np.sqrt(squares)
 
 
-@njit()
+@njit(forceinline=False)
 def stretch(P):
     """Bound on the factor by which a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
     return np.sqrt(1.0 + off_orthonormal(rotation_of(P)) + 16.0 * UNIT_ROUNDOFF)
@@ -83,7 +83,7 @@ def swollen_radii(A, B):
     return A.table[A.piece, ROUNDING] * stretch(A) + B.table[B.piece, ROUNDING] * stretch(B)
 
 
-@njit()
+@njit(forceinline=False)
 def run(A, B, shift, n, limit, settle, S, weights, v, d):
     """Run GJK from the separating direction n (from A to B; any direction is valid).
 
@@ -158,7 +158,7 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
     return status, lower - radii, length - radii, k
 
 
-@njit()
+@njit(forceinline=False)
 def write_simplex(G, k, weights, d, result):
     """Normal and witnesses of the simplex that `run` ended with."""
     for c in range(3):

@@ -54,7 +54,7 @@ def segment_weight(a, b):
     return min(1.0, max(0.0, t))
 
 
-@njit()
+@njit(forceinline=False)
 def triangle_weights(a, b, c):
     """Barycentric weights of the point of a triangle closest to the origin."""
     ab, ac = minus(b, a), minus(c, a)
@@ -89,7 +89,7 @@ def triangle_weights(a, b, c):
     return weight_a / total, weight_b / total, weight_c / total
 
 
-@njit()
+@njit(forceinline=False)
 def _best_edge(a, b, c):
     t, u, w = segment_weight(a, b), segment_weight(b, c), segment_weight(c, a)
     on_ab, on_bc, on_ca = along(a, t, minus(b, a)), along(b, u, minus(c, b)), along(c, w, minus(a, c))
@@ -135,7 +135,7 @@ def _beyond(S, i, j, k, opposite, doubt):
     return not ((inner > doubt and origin > doubt) or (inner < -doubt and origin < -doubt))
 
 
-@njit()
+@njit(forceinline=False)
 def closest(S, k, weights, v):
     """Reduce the simplex to the part that contains its point closest to the origin."""
     if k == 1:
@@ -202,7 +202,7 @@ def _without(d, ex, ey, ez):
             d[2] -= t * ez
 
 
-@njit()
+@njit(forceinline=False)
 def direction(S, k, v, d):
     """Unit normal d of the simplex's feature, on the side away from the origin.
 

@@ -15,7 +15,7 @@ import numpy as np
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_SHAPE, SOLID, SURFACE, SURFACE_AT
 from loewner._kernels.ellipsoids.contact import outward_width
-from loewner._kernels.linalg3 import apply, apply_transposed, dot, negated, plus, product
+from loewner._kernels.linalg3 import apply, apply_transposed, dot, plus, product, scaled
 from loewner._kernels.narrow.gjk_robust import off_orthonormal
 from loewner._kernels.pieces.shapes import placed_support, rotation_of
 from loewner._kernels.simd.memory import reader, record_kind
@@ -322,10 +322,10 @@ def box_in_frame(A, B, shift, far, size):
     """`Box` around a convex piece B, widened by `far`, in the axes of A's frame."""
     R = rotation_of(A)
     slack = _slack(R, far, size)
-    m0, h0 = _extent(B, shift, (R[0], R[3], R[6]), slack)
-    m1, h1 = _extent(B, shift, (R[1], R[4], R[7]), slack)
-    m2, h2 = _extent(B, shift, (R[2], R[5], R[8]), slack)
-    m, h = (m0, m1, m2), (h0, h1, h2)
+    m = h = (0.0, 0.0, 0.0)
+    for axis in range(3):  # loops here and below, since the support function is large and copied wherever it is called
+        middle, half = _extent(B, shift, (R[axis], R[axis + 3], R[axis + 6]), slack)
+        m, h = (m[1], m[2], middle), (h[1], h[2], half)
     return Box(m, h, singles(m), singles(h))
 
 
@@ -361,7 +361,9 @@ def _half_width(Q, n):
 @inline
 def _extent(B, shift, n, slack):
     """Where the middle of a piece is along a direction, and how far it goes from there."""
-    low = dot(n, plus(placed_support(B, negated(n)), shift)) - slack
-    high = dot(n, plus(placed_support(B, n), shift)) + slack
-    middle = 0.5 * (low + high)
-    return middle, high - middle
+    below = above = 0.0
+    for side in range(2):
+        way = scaled(2.0 * side - 1.0, n)
+        below, above = above, dot(way, plus(placed_support(B, way), shift)) + slack
+    middle = 0.5 * (above - below)
+    return middle, above - middle

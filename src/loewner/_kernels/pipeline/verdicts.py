@@ -32,7 +32,7 @@ from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.narrow.surface_parts import has_parts, parts_tier
-from loewner._kernels.pieces.pack import pieces_of, placed
+from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pieces.rigid import fault
 from loewner._kernels.pieces.shapes import prefetch_vertices, prefetch_vertices_far
 from loewner._kernels.pipeline.workspace import (
@@ -258,11 +258,12 @@ def _walk(query, count, work, out, tally):
                 out[k] = COLLIDING
 
 
-@njit()
+@inline
 def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
     """Settle one open piece pair of any kind."""
-    A, B = placed(pieces_of(query.a), i, query.poses_a, ka), placed(pieces_of(query.b), j, query.poses_b, kb)
-    verdict, tier = exact_piece_pair(A, B, query.margin, normal, exact_of(work))
+    verdict, tier = exact_piece_pair(
+        query.a, i, query.poses_a, ka, query.b, j, query.poses_b, kb, query.margin, normal, exact_of(work)
+    )
     tally[tier] += 1
     # In a body with many pieces, another pair may have been found colliding meanwhile.
     if verdict != FREE and out[k] != COLLIDING:

@@ -10,6 +10,7 @@ from loewner._kernels.columns import RANDOM
 from loewner._kernels.pieces.pack import problem_of
 from loewner._kernels.robots.configurations import check_motion
 from loewner._kernels.robots.kinematics import quaternion_of
+from loewner._kernels.robots.lines import keeps_axis
 from loewner._kernels.robots.motions import certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
@@ -33,6 +34,7 @@ class Judge(NamedTuple):
     resolution : largest distance of two samples; 0 if motions are proven instead
     samples : Place of memory for as many samples as the longest motion takes
     error : address of the deviation of each value that a proof allows for; 0 for none
+    kept : handle of a `records.KeptAxis`; 0 for none
     """
 
     pack: Any
@@ -43,6 +45,7 @@ class Judge(NamedTuple):
     resolution: Any
     samples: Any
     error: Any
+    kept: Any
 
 
 class Counts(NamedTuple):
@@ -75,8 +78,8 @@ def judge_of(handles, lengths, dof, samples):
 
     Parameters
     ----------
-    handles : ndarray of int64, shape (6,)
-        Packed bodies, problem, tables, memory: see `Judge`; how many samples the longest motion takes; and `error`.
+    handles : ndarray of int64, shape (7,)
+        Packed bodies, problem, tables, memory: see `Judge`; how many samples the longest motion takes; `error`, `kept`.
     lengths : ndarray, shape (2,)
         Tolerance and resolution.
     dof : int
@@ -86,7 +89,8 @@ def judge_of(handles, lengths, dof, samples):
     pack, problem, tables, memory = handles[0], handles[1], handles[2], handles[3]
     if lengths[1] == 0.0:
         make_ready(pack, problem, tables, dof, memory)
-    return Judge(pack, problem, tables, memory, lengths[0], lengths[1], Place(samples, _counts_of(handles)), handles[5])
+    place = Place(samples, _counts_of(handles))
+    return Judge(pack, problem, tables, memory, lengths[0], lengths[1], place, handles[5], handles[6])
 
 
 @inline
@@ -160,6 +164,8 @@ def is_free(judge, ends, tally):
     tally : ndarray of int64, shape (2,)
         The work of proofs is added here: configurations placed, and searches.
     """
+    if judge.kept != 0 and not keeps_axis(judge.kept, ends):
+        return False
     if judge.resolution > 0.0:
         return _looks_free(judge, ends)
     if not turns_clearly(problem_of(judge.problem).tree, ends):

@@ -45,8 +45,6 @@ from loewner._kernels.records import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
 
-WIDTH = (0, 1, 1, 3, 7, 4)  # columns of a configuration, by kind
-
 POSE = 12  # vectors per link in W
 
 

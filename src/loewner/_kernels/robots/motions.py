@@ -291,11 +291,12 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n):
 
     FREE, COLLIDING, or BY_CARE if only the careful search finds them touching.
     """
-    pieces = pieces_of(motion.pack)
-    A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
-    verdict, _ = exact_piece_pair(A, B, margin, n, _exact_of(motion))
+    verdict, _ = exact_piece_pair(
+        motion.pack, i, poses, row, motion.pack, j, others, other_row, margin, n, _exact_of(motion)
+    )
     if verdict == AMBIGUOUS:
-        V = _vectors_of(motion)
+        pieces, V = pieces_of(motion.pack), _vectors_of(motion)
+        A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
         touching, _, _, _ = run(A, B, shift_between(A, B), n, margin, True, _simplex_of(motion), V[0], V[1], V[2])
         verdict = BY_CARE if touching == TOUCHING else FREE
     return verdict

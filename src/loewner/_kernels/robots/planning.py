@@ -15,6 +15,7 @@ It differs from the papers in the following:
 6. Whole turns are left out of the differences of joints without limits.
 7. If a path must cost less than a bound, configurations are drawn from the ellipsoids of all paths that do [3], one for
    each goal.
+8. If an axis of a link is kept near a direction, every new node is moved until it is.
 
 [1] Kuffner, LaValle: RRT-Connect: An efficient approach to single-query path planning. ICRA 2000.
 [2] Yershova, Jaillet, Siméon, LaValle: Dynamic-domain RRTs. ICRA 2005.
@@ -29,6 +30,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FULL, MET, SPENT
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_START, POSES, STARTS
 from loewner._kernels.robots.free_motions import is_free, judge_of, random, sample_memory
+from loewner._kernels.robots.lines import bring_back
 from loewner._kernels.simd.memory import held
 
 # Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
@@ -161,6 +163,21 @@ def _free(search, a, b):
 
 
 @inline
+def _brought_back(search, q):
+    """Move q until it keeps an axis, if one is to be kept; return whether that worked."""
+    space, row = search.space, search.ends[1]
+    if search.judge.kept == 0:
+        return True
+    for c in range(len(q)):
+        row[space.columns[c]] = q[c]
+    if not bring_back(search.judge.kept, row):
+        return False
+    for c in range(len(q)):
+        q[c] = row[space.columns[c]]
+    return True
+
+
+@inline
 def _add(trees, tree, count, q, parent):
     """Make q a node."""
     for c in range(len(q)):
@@ -243,7 +260,7 @@ def _iterate(search, roots):
         if space.turning[c] == 0:
             there[c] = min(max(there[c], space.lower[c]), space.upper[c])
     domain = trees.domains[tree, near]
-    if not _free(search, here, there):
+    if not (_brought_back(search, there) and _free(search, here, there)):
         less = max(domain * (1.0 - CHANGE), LEAST_DOMAIN * space.range)
         trees.domains[tree, near] = FIRST_DOMAIN * space.range if domain == np.inf else less
         return SPENT
@@ -270,7 +287,7 @@ def _lead(search, tree, last):
             value = trees.nodes[other, c, aim]
             value -= TURN * _turns(space, c, value - first[c])
             there[c] = first[c] + (value - first[c]) * (step / steps) if step < steps else value
-        if not _free(search, here, there):
+        if not ((step == steps or _brought_back(search, there)) and _free(search, here, there)):
             met = False
             break
         if step == steps:

@@ -28,7 +28,7 @@ squared damping is proportional to the squared error, so that the last steps are
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import (
     ACROSS,
     ALONG,
@@ -62,7 +62,6 @@ from loewner._kernels.simd.vectors import (
     absolute,
     broadcast,
     load,
-    mask_of,
     maximum,
     minimum,
     movemask,
@@ -100,8 +99,8 @@ def _add_twist(twists, column, turn, shift):
         store(twists, at + (3 + r) * LANES, load(twists, at + (3 + r) * LANES) + turn[r])
 
 
-@inline
-def _follow(chain, constants, base, q, twists):
+@apart
+def follow(chain, constants, base, q, twists):
     """The pose of the link at eight configurations in the frame of the target, and the twists of the moving values."""
     nothing = broadcast(0.0), broadcast(0.0), broadcast(0.0)
     R, t = base
@@ -162,7 +161,7 @@ def _fault(x, tolerance):
 
 
 @inline
-def _deviation(R, t, tolerance):
+def deviation_of(R, t, tolerance):
     """How far eight poses are from the target: six coordinates, which of them count, and the rows that turn them."""
     one = broadcast(1.0)
     x, y, z = R[2], R[5], R[8]
@@ -283,6 +282,15 @@ def _step(ranges, y, q, twists):
 
 
 @inline
+def move(ranges, t, deviation, error, q, twists, matrix):
+    """Take a damped Newton step at eight configurations, from the results of `follow` and `deviation_of`."""
+    fault, counts, rows = deviation
+    _to_rows(ranges, t, fault, counts, rows, q, twists)
+    damping = DAMPING * error + LEAST_DAMPING
+    _step(ranges, _solved(ranges.shape[1], twists, fault, damping, matrix), q, twists)
+
+
+@inline
 def _turn(q, at, scale, twists):
     """Turn quaternions by three small angles."""
     w, x, y, z = load(q, at), load(q, at + LANES), load(q, at + 2 * LANES), load(q, at + 3 * LANES)
@@ -376,7 +384,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
     accept = REACHED * (1.0 + abs(T[0, 3]) + abs(T[1, 3]) + abs(T[2, 3]))
     for column in range(values):
         store(q, column * LANES, broadcast(start[column]))
-    R, t = _follow(chain, constants, base, q, twists)
+    R, t = follow(chain, constants, base, q, twists)
     store(squares, 0, sqrt(dot(t, t)))
     far = 1.0 + squares[0]
     # The first seed is the start, the second the answer for the previous pose, if there is one in this round.
@@ -385,6 +393,10 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
         for column in range(values):
             if ranges[HOW, column] != HELD:
                 q[column * LANES + 1] = nearest[pose - 1, column]
+    for column in range(values):
+        nearest[pose, column] = start[column]
+    for r in range(3):
+        nearest[pose, values + r] = np.inf
     at, count, least, step = 0, 0, np.inf, 0
     fresh, live = ALL - 1 - 2 * follows, ALL
     store(marks, 0, broadcast(np.inf))
@@ -399,8 +411,9 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
                 live &= ~(1 << lane)
         if live == 0:
             break
-        R, t = _follow(chain, constants, base, q, twists)
-        fault, active, rows = _deviation(R, t, tolerance)
+        R, t = follow(chain, constants, base, q, twists)
+        deviation = deviation_of(R, t, tolerance)
+        fault = deviation[0]
         shift = fault[0] * fault[0] + fault[1] * fault[1] + fault[2] * fault[2]
         tilt, spin = fault[3] * fault[3] + fault[4] * fault[4], fault[5] * fault[5]
         error = shift + tilt + spin
@@ -413,7 +426,8 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
             store(squares, 3 * LANES, error)
             fresh = reached
             if step % PATIENCE == 0:
-                fresh = live & movemask((error > GAIN * load(marks, 0)) | mask_of(reached))
+                # Written so that a seed whose error is not finite is given up, too.
+                fresh = live & (~movemask(error < GAIN * load(marks, 0)) | reached)
                 store(marks, 0, error)
             left = fresh
             while left:
@@ -430,9 +444,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
                     break
             if count == most:
                 break
-        _to_rows(ranges, t, fault, active, rows, q, twists)
-        damping = DAMPING * error + LEAST_DAMPING
-        _step(ranges, _solved(values, twists, fault, damping, matrix), q, twists)
+        move(ranges, t, deviation, error, q, twists, matrix)
     counts[pose] = count
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import (
     BLOCK,
+    CACHE_LINE,
     COSINE,
     FIXED,
     HOT,
@@ -38,6 +39,8 @@ from loewner._kernels.columns import (
 )
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, image, minus, one_norm, plus, rotated_shape, scaled
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, problem_of
+from loewner._kernels.records import ENTRIES, MOTIONS, MotionTables
+from loewner._kernels.simd.memory import held, integers_at
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
@@ -45,6 +48,9 @@ from loewner._kernels.tolerances import LEAST, OFF, ROTATION_TOLERANCE, SHAPE_RO
 # the pose of a base.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 STRETCH_OF_REACHES = 1.0 + 8.0 * ROTATION_TOLERANCE
+
+# Words of a cache line, and rows of the two tables.
+LINE, ROWS = CACHE_LINE // 8, MOTIONS // (8 * ENTRIES) + len(MotionTables._fields)
 
 
 class _Box(NamedTuple):
@@ -213,16 +219,32 @@ def measure_moving(pack, problem_handle, tables_handle):
 
 
 @njit()
-def place_static(pack, problem_handle, tables_handle, poses):
-    """Place the static bodies whose poses differ from the poses in the problem, and write all dependent arrays.
+def place_static(pack, handle, block, poses):
+    """Copy a problem's block of memory, and place the static bodies whose poses differ from the poses in it.
 
     Parameters
     ----------
-    pack, problem_handle, tables_handle : int
-        Handles; the arrays that depend on poses are changed.
+    pack, handle : int
+        Handles of the bodies and of the problem. A block begins there: with the tables of `records.Problem` and
+        `records.MotionTables`, which are followed by all arrays that depend on poses.
+    block : ndarray
+        Receives the new block, from the first cache line on.
     poses : ndarray, shape (static bodies, 16)
+
+    Returns
+    -------
+    int
+        The handle of the new problem.
     """
-    pieces, problem, tables = pieces_of(pack), problem_of(problem_handle), motion_tables_of(tables_handle)
+    words, made = len(block) - LINE, np.int64(block.ctypes.data)
+    made += -made % CACHE_LINE
+    old, new = integers_at(handle, (words,)), integers_at(made, (words,))
+    for k in range(words):
+        new[k] = old[k]
+    for row in range(ROWS):
+        if handle <= new[ENTRIES * row] < handle + 8 * words:
+            new[ENTRIES * row] += made - handle
+    pieces, problem, tables = pieces_of(pack), problem_of(made), motion_tables_of(made + MOTIONS)
     balls = np.empty((len(problem.tree.parent) + 1, 4))
     moving, anything = len(problem.link), False
     for k in range(len(poses)):
@@ -236,6 +258,8 @@ def place_static(pack, problem_handle, tables_handle, poses):
         anything |= moved
     if anything:
         _write_groups(problem, tables, moving)
+    held(block)
+    return made
 
 
 @njit()

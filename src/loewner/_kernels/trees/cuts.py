@@ -1,8 +1,10 @@
 """Surfaces cut into parts, with a box and an ellipsoid around each: proofs of motions replace a surface by its parts.
 
 The part whose box has the most empty space is cut next, across an axis of its box, where the boxes of its halves are
-smallest. Items are sorted into bins along each axis first, and only those next to the best boundary one by one, so that
-a cut takes a time proportional to the items; between two walls there is only one position, and this finds it.
+smallest. Up to some five hundred of its items suggest where: they are sorted into bins along each axis, and only those
+next to the best boundary one by one. Between two walls, the cut is halfway between the items on either side.
+
+Corners are stored by coordinate, and those of a part one after the other, so that eight are processed at a time.
 
 An item is a triangle if its part is a single flat face, and otherwise a face. It has a row of eight numbers: the lower
 corner of its box along the axes, the upper one negated, and two zeros.
@@ -11,8 +13,8 @@ corner of its box along the axes, the upper one negated, and two zeros.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import across, adjugate, apply_symmetric, cross, dot, minus, rotated_shape, scaled
-from loewner._kernels.simd.vectors import broadcast, load, minimum, store
+from loewner._kernels.linalg3 import across, adjugate, apply_symmetric, cross, dot, minus, plus, rotated_shape, scaled
+from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum, movemask, store
 from loewner._kernels.trees.triangle_tree import principal
 
 # Thickness assumed for a flat part, relative to the whole; for a flat box, relative to its longest side, so that the
@@ -28,8 +30,8 @@ LEAST_SHARE = 4
 # its edges, the longest, along which a box is tried.
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
-# Bins along each axis, up to how many items are sorted at once, and about how many are sorted into bins.
-BINS, FEW, MANY = 128, 32, 2048
+# Bins along each axis, up to how many items are sorted at once, and half the number of items that suggest a cut.
+BINS, FEW, MANY = 64, 32, 256
 
 # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
@@ -42,7 +44,7 @@ ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 _WAYS = np.array([(x, y, z) for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)], float)
 
 ROW = 8
-BOX = 16  # numbers of a part: turn, lower corner, upper corner, empty space
+NUMBERS = 16  # numbers of a part: turn, lower corner, upper corner, empty space
 
 
 @njit()
@@ -51,8 +53,9 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
 
     Parameters
     ----------
-    corners : ndarray, shape (n, 3) or (n, 9)
-        Points, or the corners of triangles.
+    corners : ndarray, shape (3 n,) or (9 n,)
+        All x of n points, then all y, then all z; of triangles, the coordinates of the first corners, then of the
+        others. Sorted by face; receives them in the order of the parts.
     faces : ndarray of int64, shape (n,)
         Face of each triangle. A face is cut only if it is alone in its part.
     radius : float
@@ -73,45 +76,46 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
     int
         Number of parts.
     """
-    n, width = corners.shape
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for k in range(n):
-        for c in range(width):
-            low[c % 3], high[c % 3] = min(low[c % 3], corners[k, c]), max(high[c % 3], corners[k, c])
+    n = len(order)
+    same = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    low, high = _box(corners, n, 0, n, same)
     thick = THICKNESS * max(high[0] - low[0], max(high[1] - low[1], high[2] - low[2]))
     grown = 2.0 * radius + thick
-    numbers, ranges, count = np.empty((most, BOX)), np.empty((most, 3), np.int64), 1
-    rows, scratch, marks = np.empty(ROW * n), np.empty((3, n), np.int64), np.empty(n)
+    numbers, ranges, count = np.empty((most, NUMBERS)), np.empty((most, 3), np.int64), 1
+    rest, lists, begin = np.empty(n), np.empty((2, n), np.int64), np.empty(n + 1, np.int64)
+    rows, listed = np.empty(2 * ROW * MANY), np.empty(2 * MANY, np.int64)
     bins, held = np.empty(3 * BINS * ROW), np.empty(3 * BINS, np.int64)
     ranges[0] = 0, n, 0
-    _measure(corners, order, ranges[0], thick, grown, numbers[0])
+    _measure(corners, n, ranges[0], thick, grown, numbers[0])
     age = 1
     while count < most:
         emptiest = 0
         for k in range(1, count):
-            more, same = numbers[k, 15] > numbers[emptiest, 15], numbers[k, 15] == numbers[emptiest, 15]
-            if more or (same and ranges[k, 2] < ranges[emptiest, 2]):
+            more, same_space = numbers[k, 15] > numbers[emptiest, 15], numbers[k, 15] == numbers[emptiest, 15]
+            if more or (same_space and ranges[k, 2] < ranges[emptiest, 2]):
                 emptiest = k
         if not numbers[emptiest, 15] > 0.0:
             break
         first, last = ranges[emptiest, 0], ranges[emptiest, 1]
-        middle = _cut(corners, faces, order, first, last, numbers[emptiest], grown, rows, scratch, marks, bins, held)
+        items = _items(faces, order, first, last, begin)
+        turn = numbers[emptiest]
+        axis, key = _place_of_cut(corners, n, begin, items, turn, grown, rows, listed, bins, held)
+        along = turn[axis], turn[3 + axis], turn[6 + axis]
+        middle = _divided(corners, n, order, begin, items, along, key, rest, lists)
         ranges[emptiest] = first, middle, age
         ranges[count] = middle, last, age + 1
-        _measure(corners, order, ranges[emptiest], thick, grown, numbers[emptiest])
-        _measure(corners, order, ranges[count], thick, grown, numbers[count])
+        _measure(corners, n, ranges[emptiest], thick, grown, numbers[emptiest])
+        _measure(corners, n, ranges[count], thick, grown, numbers[count])
         count, age = count + 1, age + 2
     at = 0
-    moved = scratch[0]
-    for k in range(count):
-        start[k] = at
-        for i in range(ranges[k, 0], ranges[k, 1]):
-            moved[at] = order[i]
-            at += 1
-        _enclose(corners, order, ranges[k], numbers[k], boxes[k], centers[k], shapes[k])
+    for part in range(count):
+        start[part] = at
+        k = 0
+        while ranges[k, 0] != at:
+            k += 1
+        _enclose(corners, n, ranges[k], numbers[k], boxes[part], centers[part], shapes[part])
+        at = ranges[k, 1]
     start[count] = n
-    for k in range(n):
-        order[k] = moved[k]
     return count
 
 
@@ -119,8 +123,19 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
 
 
 @inline
-def _corner(corners, triangle, corner):
-    return corners[triangle, 3 * corner], corners[triangle, 3 * corner + 1], corners[triangle, 3 * corner + 2]
+def _corner(corners, n, triangle, corner):
+    at = 3 * n * corner + triangle
+    return corners[at], corners[at + n], corners[at + 2 * n]
+
+
+@inline
+def _eight(corners, n, triangle, first, last, corner):
+    """A corner of eight triangles of a part, from one on or up to its last; if it has fewer than eight, of that one."""
+    if last - first < LANES:
+        x, y, z = _corner(corners, n, triangle, corner)
+        return broadcast(x), broadcast(y), broadcast(z)
+    at = 3 * n * corner + min(triangle, last - LANES)
+    return load(corners, at), load(corners, at + n), load(corners, at + 2 * n)
 
 
 @inline
@@ -145,14 +160,25 @@ def _frame(a, b):
 
 
 @njit()
-def _area(corners, order, first, last, step, turn):
+def _box(corners, n, first, last, turn):
+    """Corners of the box around some triangles, along the axes of a turn."""
+    least = broadcast(np.inf), broadcast(np.inf), broadcast(np.inf)
+    most = broadcast(-np.inf), broadcast(-np.inf), broadcast(-np.inf)
+    each = len(corners) // (3 * n)
+    for corner in range(each):
+        for k in range(first, last, LANES if last - first >= LANES else 1):
+            p = _turned(turn, _eight(corners, n, k, first, last, corner))
+            least = minimum(least[0], p[0]), minimum(least[1], p[1]), minimum(least[2], p[2])
+            most = maximum(most[0], p[0]), maximum(most[1], p[1]), maximum(most[2], p[2])
+    return (
+        (lowest(least[0]), lowest(least[1]), lowest(least[2])), (highest(most[0]), highest(most[1]), highest(most[2]))
+    )  # fmt: skip
+
+
+@njit()
+def _area(some, count, turn):
     """Half the surface area of a box around some triangles, along the axes of a turn."""
-    low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
-    for k in range(first, last, step):
-        for corner in range(corners.shape[1] // 3):
-            p = _turned(turn, _corner(corners, order[k], corner))
-            low = min(low[0], p[0]), min(low[1], p[1]), min(low[2], p[2])
-            high = max(high[0], p[0]), max(high[1], p[1]), max(high[2], p[2])
+    low, high = _box(some, count, 0, count, turn)
     x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
     flat = FLAT_BOX * max(x, max(y, z))
     x, y, z = x + flat, y + flat, z + flat
@@ -160,42 +186,41 @@ def _area(corners, order, first, last, step, turn):
 
 
 @njit()
-def _measure(corners, order, part, thick, grown, numbers):
+def _measure(corners, n, part, thick, grown, numbers):
     """Write axes with little area of the box around a part, the box, and its empty space."""
-    first, last, width = part[0], part[1], corners.shape[1]
+    first, last, width = part[0], part[1], len(corners) // n
     step = (last - first + MOST_ASKED - 1) // MOST_ASKED
+    count = (last - first + step - 1) // step
+    some = np.empty(width * count)
+    for c in range(width):
+        for k in range(count):
+            some[c * count + k] = corners[c * n + first + step * k]
     best = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    least = _area(corners, order, first, last, step, best)
-    middle, count = (0.0, 0.0, 0.0), 0
-    for k in range(first, last, step):
-        for corner in range(width // 3):
-            p = _corner(corners, order[k], corner)
-            middle = middle[0] + p[0], middle[1] + p[1], middle[2] + p[2]
-            count += 1
-    middle = scaled(1.0 / count, middle)
+    least = _area(some, count, best)
+    middle = 0.0, 0.0, 0.0
+    for corner in range(width // 3):
+        for k in range(count):
+            middle = plus(middle, _corner(some, count, k, corner))
+    middle = scaled(3.0 / len(some), middle)
     xx = xy = xz = yy = yz = zz = 0.0
-    for k in range(first, last, step):
-        for corner in range(width // 3):
-            r = minus(_corner(corners, order[k], corner), middle)
+    for corner in range(width // 3):
+        for k in range(count):
+            r = minus(_corner(some, count, k, corner), middle)
             xx, xy, xz = xx + r[0] * r[0], xy + r[0] * r[1], xz + r[0] * r[2]
             yy, yz, zz = yy + r[1] * r[1], yz + r[1] * r[2], zz + r[2] * r[2]
     U, _ = principal(xx, xy, xz, yy, yz, zz, np.empty((2, 3, 3)))
     turn = _frame((U[0], U[3], U[6]), (U[1], U[4], U[7]))
-    area = _area(corners, order, first, last, step, turn)
+    area = _area(some, count, turn)
     if area < least:
         least, best = area, turn
+    filled = 0.0
     if width == 9:
-        best = _along_faces(corners, order, first, last, step, middle, least, best)
-    low, high, filled = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf), 0.0
-    for k in range(first, last):
-        for corner in range(width // 3):
-            p = _turned(best, _corner(corners, order[k], corner))
-            low = min(low[0], p[0]), min(low[1], p[1]), min(low[2], p[2])
-            high = max(high[0], p[0]), max(high[1], p[1]), max(high[2], p[2])
-        if width == 9:
-            v = _normal(corners, order[k])
+        best = _along_faces(some, count, middle, least, best)
+        for k in range(first, last):
+            v = _normal(corners, n, k)
             # Flat boxes are given a volume too, partly filled by triangles: triangles in one plane may be far apart.
             filled += thick * 0.5 * np.sqrt(dot(v, v))
+    low, high = _box(corners, n, first, last, best)
     for c in range(9):
         numbers[c] = best[c]
     numbers[9], numbers[10], numbers[11] = low
@@ -205,13 +230,13 @@ def _measure(corners, order, part, thick, grown, numbers):
 
 
 @inline
-def _normal(corners, triangle):
-    a = _corner(corners, triangle, 0)
-    return cross(minus(_corner(corners, triangle, 1), a), minus(_corner(corners, triangle, 2), a))
+def _normal(corners, n, triangle):
+    a = _corner(corners, n, triangle, 0)
+    return cross(minus(_corner(corners, n, triangle, 1), a), minus(_corner(corners, n, triangle, 2), a))
 
 
 @njit()
-def _along_faces(corners, order, first, last, step, middle, least, best):
+def _along_faces(some, count, middle, least, best):
     """Axes of a box with less area along the largest triangle and edges of the outline as seen along its normal.
 
     The smallest rectangle around points in a plane has a side along an edge of their hull (Freeman and Shapira:
@@ -219,8 +244,8 @@ def _along_faces(corners, order, first, last, step, middle, least, best):
     the farthest points in some directions.
     """
     normal, squared = (0.0, 0.0, 0.0), 0.0
-    for k in range(first, last, step):
-        v = _normal(corners, order[k])
+    for k in range(count):
+        v = _normal(some, count, k)
         if dot(v, v) > squared:
             normal, squared = v, dot(v, v)
     if not squared > 0.0:
@@ -231,9 +256,9 @@ def _along_faces(corners, order, first, last, step, middle, least, best):
     for look in range(LOOKS):
         angle = look * (2.0 * np.pi / LOOKS)
         x, y, farthest = np.cos(angle), np.sin(angle), -np.inf
-        for k in range(first, last, step):
+        for k in range(count):
             for corner in range(3):
-                r = minus(_corner(corners, order[k], corner), middle)
+                r = minus(_corner(some, count, k, corner), middle)
                 s, t = dot(r, u), dot(r, v)
                 if s * x + t * y > farthest:
                     farthest, rim[look, 0], rim[look, 1] = s * x + t * y, s, t
@@ -251,7 +276,7 @@ def _along_faces(corners, order, first, last, step, middle, least, best):
         squares[at] = 0.0
         s, t = rim[at + 1, 0] - rim[at, 0], rim[at + 1, 1] - rim[at, 1]
         turn = _frame(normal, (s * u[0] + t * v[0], s * u[1] + t * v[1], s * u[2] + t * v[2]))
-        area = _area(corners, order, first, last, step, turn)
+        area = _area(some, count, turn)
         if area < least:
             least, best = area, turn
     return best
@@ -273,46 +298,61 @@ def _middle(rows, item, axis):
 
 
 @njit()
-def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, marks, bins, held):
-    """Cut a part in two: reorder its triangles, and return where the second one begins.
+def _items(faces, order, first, last, begin):
+    """Write where the items of a part begin, and the end; return their number."""
+    if faces[order[first]] == faces[order[last - 1]]:
+        for k in range(first, last + 1):
+            begin[k - first] = k
+        return last - first
+    items = 0
+    for k in range(first, last):
+        if k == first or faces[order[k]] != faces[order[k - 1]]:
+            begin[items] = k
+            items += 1
+    begin[items] = last
+    return items
+
+
+@njit()
+def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, held):
+    """Axis at which a part is cut, and the place there, times two: items whose middles are before it come first.
 
     Parameters
     ----------
     numbers : ndarray
         The part's numbers.
-    rows, scratch, marks, bins, held : ndarray
+    rows, listed, bins, held : ndarray
         Memory.
     """
-    begin, listed = scratch[0], scratch[1]
-    alone, nothing = faces[order[first]] == faces[order[last - 1]], broadcast(np.inf)
-    items = 0
-    for k in range(first, last):
-        if k == first or alone or faces[order[k]] != faces[order[k - 1]]:
-            begin[items] = k
-            store(rows, ROW * items, nothing)
-            items += 1
-        at = ROW * (items - 1)
-        for corner in range(corners.shape[1] // 3):
-            p = _turned(numbers, _corner(corners, order[k], corner))
-            for axis in range(3):
-                rows[at + axis] = min(rows[at + axis], p[axis])
-                rows[at + 3 + axis] = min(rows[at + 3 + axis], -p[axis])
-    least = max(items // LEAST_SHARE, 1)
-    axis, slot, low, scale = -1, 0, 0.0, 0.0
-    if items > FEW:
-        axis, slot, low, scale = _boundary(rows, items, least, grown, bins, held)
-    rank = 0
+    nothing, step = broadcast(np.inf), max(items // MANY, 1)
+    asked = (items + step - 1) // step
+    for item in range(asked):
+        low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
+        for k in range(begin[step * item], begin[step * item + 1]):
+            for corner in range(len(corners) // (3 * n)):
+                p = _turned(numbers, _corner(corners, n, k, corner))
+                low = min(low[0], p[0]), min(low[1], p[1]), min(low[2], p[2])
+                high = max(high[0], p[0]), max(high[1], p[1]), max(high[2], p[2])
+        at = ROW * item
+        rows[at], rows[at + 1], rows[at + 2] = low
+        rows[at + 3], rows[at + 4], rows[at + 5] = -high[0], -high[1], -high[2]
+        rows[at + 6] = rows[at + 7] = 0.0
+    least = max(asked // LEAST_SHARE, 1)
+    axis, slot, start, scale = -1, 0, 0.0, 0.0
+    if asked > FEW:
+        axis, slot, start, scale = _boundary(rows, asked, least, grown, bins, held)
     if axis >= 0:
         # The items in the two bins at the boundary, and boxes around the items in the bins before and after them.
         count, before, ahead, behind = 0, 0, nothing, nothing
-        for item in range(items):
-            own = max(0, min(BINS - 1, int((_middle(rows, item, axis) - low) * scale)))
-            marks[item] = 0.0
+        left, right = -np.inf, np.inf
+        for item in range(asked):
+            middle = _middle(rows, item, axis)
+            own = int((middle - start) * scale)
             if own < slot - 1:
-                marks[item] = 1.0
-                before += 1
+                before, left = before + 1, max(left, middle)
                 ahead = minimum(ahead, load(rows, ROW * item))
             elif own > slot:
+                right = min(right, middle)
                 behind = minimum(behind, load(rows, ROW * item))
             else:
                 listed[count] = item
@@ -320,44 +360,87 @@ def _cut(corners, faces, order, first, last, numbers, grown, rows, scratch, mark
         store(bins, 0, ahead)
         store(bins, ROW, behind)
         _sort(rows, axis, listed, count)
-        _, rank = _sweep(rows, listed, count, before, items, max(least // 2, 1), grown, bins, 0, 1)
-        for k in range(rank - before):
-            marks[listed[k]] = 1.0
-    if rank == 0:
-        store(bins, 0, nothing)
-        smallest = np.inf
-        for axis in range(3):
-            for item in range(items):
-                listed[item] = item
-            _sort(rows, axis, listed, items)
-            volume, rank = _sweep(rows, listed, items, 0, items, least, grown, bins, 0, 0)
-            if axis == 0 or volume < smallest:
-                smallest = volume
-                for k in range(items):
-                    marks[listed[k]] = 1.0 if k < rank else 0.0
-    kept, rest = first, scratch[2]
-    count = 0
-    for item in range(items):
-        stop = begin[item + 1] if item + 1 < items else last
-        for k in range(begin[item], stop):
-            if marks[item] == 1.0:
-                order[kept] = order[k]
-                kept += 1
-            else:
-                rest[count] = order[k]
-                count += 1
+        _, rank = _sweep(rows, listed, count, before, asked, max(least // 2, 1), grown, bins, 0, 1)
+        if rank > 0:
+            return axis, _between(rows, listed, rank - before, count, axis, left, right)
+    store(bins, 0, nothing)
+    smallest, best, key = np.inf, 0, 0.0
+    for axis in range(3):
+        for item in range(asked):
+            listed[item] = item
+        _sort(rows, axis, listed, asked)
+        volume, rank = _sweep(rows, listed, asked, 0, asked, least, grown, bins, 0, 0)
+        if axis == 0 or volume < smallest:
+            smallest, best, key = volume, axis, _between(rows, listed, rank, asked, axis, 0.0, 0.0)
+    return best, key
+
+
+@inline
+def _between(rows, listed, rank, count, axis, left, right):
+    """Halfway between the middles of a listed item and the one before it, times two; `left` and `right` are beyond."""
+    left = _middle(rows, listed[rank - 1], axis) if rank > 0 else left
+    right = _middle(rows, listed[rank], axis) if rank < count else right
+    return 0.5 * (left + right)
+
+
+@njit()
+def _divided(corners, n, order, begin, items, along, key, rest, lists):
+    """Reorder a part's triangles so that the items before a place along an axis come first; return where
+    the others begin.
+
+    Parameters
+    ----------
+    begin : ndarray
+        Where items begin; overwritten.
+    key : float
+        The place, times two.
+    rest, lists : ndarray
+        Memory.
+    """
+    first, middle, last = begin[0], begin[items // 2], begin[items]
+    ahead, behind = lists[0], lists[1]
+    kept, count, one, start, n = np.uint64(0), np.uint64(0), np.uint64(1), np.uint64(first), np.uint64(n)
+    if len(corners) == 3 * n:
+        for k in range(start, np.uint64(last)):  # written to both lists, since no processor can predict which
+            ahead[kept] = behind[count] = np.int64(k)
+            is_first = np.uint64(dot(along, (corners[k], corners[k + n], corners[k + n + n])) < 0.5 * key)
+            kept, count = kept + is_first, count + one - is_first
+    else:
+        for item in range(items):
+            low, high = np.inf, -np.inf
+            for k in range(begin[item], begin[item + 1]):
+                for corner in range(3):
+                    p = dot(along, _corner(corners, len(order), k, corner))
+                    low, high = min(low, p), max(high, p)
+            is_first = np.uint64(low + high < key)
+            for k in range(begin[item], begin[item + 1]):
+                ahead[kept] = behind[count] = k
+                kept, count = kept + is_first, count + one - is_first
+    for c in range(len(corners) // len(order)):
+        at = np.uint64(c) * n
+        for k in range(count):
+            rest[k] = corners[at + np.uint64(behind[k])]
+        for k in range(kept):
+            corners[at + start + k] = corners[at + np.uint64(ahead[k])]
+        for k in range(count):
+            corners[at + start + kept + k] = rest[k]
     for k in range(count):
-        order[kept + k] = rest[k]
-    return kept
+        begin[k] = order[np.uint64(behind[k])]
+    for k in range(kept):
+        order[start + k] = order[np.uint64(ahead[k])]
+    for k in range(count):
+        order[start + kept + k] = begin[k]
+    # Equal items, or middles that differ by rounding, may all be on one side: then any cut is as good.
+    return first + np.int64(kept) if kept > 0 and count > 0 else middle
 
 
 @njit()
 def _boundary(rows, items, least, grown, bins, held):
     """Axis and bin before which a cut leaves the smallest boxes; -1 if there is none. Also the bins along that axis."""
-    low, scale, step = np.empty(3), np.empty(3), max(items // MANY, 1)
+    low, scale = np.empty(3), np.empty(3)
     for axis in range(3):
         least_middle = most_middle = _middle(rows, 0, axis)
-        for item in range(step, items, step):
+        for item in range(1, items):
             middle = _middle(rows, item, axis)
             least_middle, most_middle = min(least_middle, middle), max(most_middle, middle)
         low[axis] = least_middle
@@ -368,12 +451,12 @@ def _boundary(rows, items, least, grown, bins, held):
     for row in range(3 * BINS):
         store(bins, ROW * row, nothing)
         held[row] = 0
-    for item in range(0, items, step):
+    for item in range(items):
         own = load(rows, ROW * item)
         for axis in range(3):
             row = axis * BINS + min(BINS - 1, int((_middle(rows, item, axis) - low[axis]) * scale[axis]))
             store(bins, ROW * row, minimum(own, load(bins, ROW * row)))
-            held[row] += step
+            held[row] += 1
     best_axis, best_slot, smallest = -1, 0, np.inf
     volumes, around = np.empty(BINS), np.empty(ROW)
     for axis in range(3):
@@ -443,13 +526,11 @@ def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind
 
 
 @njit()
-def _enclose(corners, order, part, numbers, box, center, shape):
+def _enclose(corners, n, part, numbers, box, center, shape):
     """Write the corners of the box around a part, and an ellipsoid around it."""
-    first, last, count = part[0], part[1], corners.shape[1] // 3
-    largest = 0.0
-    for k in range(first, last):
-        for c in range(3 * count):
-            largest = max(largest, abs(corners[order[k], c]))
+    first, last, each = part[0], part[1], len(corners) // (3 * n)
+    low, high = _box(corners, n, first, last, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+    largest = max(max(-low[0], high[0]), max(max(-low[1], high[1]), max(-low[2], high[2])))
     same = True
     for c in range(9):
         same &= numbers[c] == (1.0 if c % 4 == 0 else 0.0)
@@ -469,27 +550,23 @@ def _enclose(corners, order, part, numbers, box, center, shape):
     per = 1.0 / half[0], 1.0 / half[1], 1.0 / half[2]
     middle = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
     ways = len(_WAYS)
-    points, ends = np.empty((2 * ways, 3)), np.empty((2, ways))
-    for way in range(ways):
-        ends[0, way] = ends[1, way] = -np.inf
-    for k in range(first, last):
-        for corner in range(count):
-            p = _relative(numbers, _corner(corners, order[k], corner), middle, per)
+    points, ends = np.empty((2 * ways, 3)), np.empty((ways, 2 * LANES))
+    ends[:, :LANES], ends[:, LANES:] = np.inf, -np.inf
+    step = LANES if last - first >= LANES else 1
+    for corner in range(each):
+        for k in range(first, last, step):
+            p = _relative(numbers, _eight(corners, n, k, first, last, corner), middle, per)
             for way in range(ways):
-                along = _WAYS[way, 0] * p[0] + _WAYS[way, 1] * p[1] + _WAYS[way, 2] * p[2]
-                if along > ends[0, way]:
-                    ends[0, way] = along
-                    points[2 * way, 0], points[2 * way, 1], points[2 * way, 2] = p
-                if -along > ends[1, way]:
-                    ends[1, way] = -along
-                    points[2 * way + 1, 0], points[2 * way + 1, 1], points[2 * way + 1, 2] = p
+                along = _along(way, p)
+                if movemask((along < load(ends[way], 0)) | (along > load(ends[way], LANES))) > 0:  # seldom
+                    _extend(corners, n, min(k, last - step), step, corner, numbers, middle, per, way, points, ends)
     c, Q, inverse = _around(points)
-    farthest = 0.0
-    for k in range(first, last):
-        for corner in range(count):
-            r = minus(_relative(numbers, _corner(corners, order[k], corner), middle, per), c)
-            farthest = max(farthest, _form(inverse, r))
-    most = farthest * WIDER * WIDER
+    farthest = broadcast(0.0)
+    for corner in range(each):
+        for k in range(first, last, step):
+            r = minus(_relative(numbers, _eight(corners, n, k, first, last, corner), middle, per), c)
+            farthest = maximum(farthest, _form(inverse, r))
+    most = highest(farthest) * WIDER * WIDER
     F = (
         numbers[0] * half[0], numbers[1] * half[1], numbers[2] * half[2], numbers[3] * half[0], numbers[4] * half[1],
         numbers[5] * half[2], numbers[6] * half[0], numbers[7] * half[1], numbers[8] * half[2],
@@ -502,6 +579,23 @@ def _enclose(corners, order, part, numbers, box, center, shape):
         center[row] = F[3 * row] * c[0] + F[3 * row + 1] * c[1] + F[3 * row + 2] * c[2]
         for axis in range(3):
             center[row] += numbers[3 * row + axis] * middle[axis]
+
+
+@inline
+def _along(way, p):
+    return _WAYS[way, 0] * p[0] + _WAYS[way, 1] * p[1] + _WAYS[way, 2] * p[2]
+
+
+@njit()
+def _extend(corners, n, first, count, corner, numbers, middle, per, way, points, ends):
+    """Keep the farthest of some corners in a direction and its opposite, if they are farther than those before."""
+    for k in range(first, first + count):
+        p = _relative(numbers, _corner(corners, n, k, corner), middle, per)
+        along = _along(way, p)
+        for end in range(2):
+            if along < ends[way, 0] if end == 0 else along > ends[way, LANES]:
+                store(ends[way], LANES * end, broadcast(along))
+                points[2 * way + end, 0], points[2 * way + end, 1], points[2 * way + end, 2] = p
 
 
 @inline

@@ -1,0 +1,229 @@
+"""Let several robots follow paths that are given, such that they never meet: who waits, and when."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from heapq import heappop, heappush
+from itertools import product
+from operator import add, le
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._validate import Floats
+from loewner.errors import InputError, PlanningError
+from loewner.planners.judge import TOLERANCE, Judge, checked_checker
+from loewner.robots import CollisionChecker
+from loewner.robots.proofs import prove_by_rules
+from loewner.robots.robot import interpolated
+
+# States of all robots together that may be visited: some minutes of proofs.
+MOST_STATES = 2**20
+
+# Two motions whose directions differ by less than this share are parts of one straight motion.
+STRAIGHT = 1e-9
+
+# Speed of a value without a limit [rad/s or m/s].
+USUAL_SPEED = 1.0
+
+# A place on each path.
+State = tuple[int, ...]
+
+
+class _Way(NamedTuple):
+    """A path in short steps.
+
+    Attributes
+    ----------
+    columns : slice
+        Its values in a configuration of all robots.
+    rows : ndarray, shape (n, width)
+    times : ndarray, shape (n,)
+        The times at which its robot reaches the rows if it never waits.
+    """
+
+    columns: slice
+    rows: Floats
+    times: Floats
+
+
+@guarded
+def coordinate(
+    checker: CollisionChecker,
+    paths: Mapping[str, ArrayLike],
+    *,
+    steps: int = 50,
+    joint_error: ArrayLike = 0.0,
+) -> Floats:
+    """Find a common path of several robots on which each follows its own path, and they never meet.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Its robot was made by `Robot.join`.
+    paths : mapping from str to array_like, shape (k, dof of the part) or (dof of the part,)
+        For each part (`Robot.part`) the configurations of its path, with straight motions between them; or the one
+        configuration at which it waits.
+    steps : int
+        Number of steps into which the path that takes the longest time is divided. At each of them a robot may wait.
+    joint_error : float or array_like, shape (dof,)
+        As for `CollisionChecker.certify_edges`, for the values of all robots.
+
+    Returns
+    -------
+    ndarray, shape (k, dof)
+        Configurations of all robots together, with straight motions between them, all proven free. It takes the least
+        time of all such paths in these steps, at the joints' largest velocities, where a value without a limit moves at
+        1 rad/s or 1 m/s. `planners.trajectory` times it.
+
+    Raises
+    ------
+    InputError
+        If a path is missing or has the wrong shape, or there would be more than 2^20 states of all robots together.
+    UnknownNameError
+        If there is no such part.
+    PlanningError
+        If the robots cannot pass each other on these paths; the message names the two bodies that are in the way where
+        they got farthest.
+
+    Notes
+    -----
+    The states of all robots form a grid, with a step of any of them along each edge and of several along its
+    diagonals; A* finds the fastest way, and proves the edges that it meets. Robots never go back.
+
+    References
+    ----------
+    O'Donnell and Lozano-Pérez (1989), "Deadlock-free and collision-free coordination of two robot manipulators".
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot, planners
+    >>> arm = Robot.from_urdf("arm.urdf")
+    >>> far = [[1, 0, 0, 0], [0, 1, 0, 5], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> checker = CollisionChecker(Robot.join({"left": arm, "right": arm}, {"right": far}))
+    >>> planners.coordinate(checker, {"left": [[0, 1], [1, 1]], "right": [[1, 1], [0, 1]]})
+    array([[0., 1., 1., 1.],
+           [1., 1., 0., 1.]])
+    """
+    checked_checker(checker)
+    ways = _ways(checker, paths, _validate.whole_number(steps, "steps", 1))
+    judge = Judge.of(checker, 0.0, joint_error)
+    rows = np.array([_configuration(ways, checker.robot.dof, state) for state in _fastest(judge, ways)])
+    return _merged(judge, rows)
+
+
+def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int) -> list[_Way]:
+    """Check the paths and divide them into steps that take about the same time."""
+    parts = checker.robot._parts
+    if not isinstance(paths, Mapping) or not paths:
+        raise InputError(f"paths: expected a mapping from names of parts to paths, found {_validate.short(paths)}")
+    covered, given = np.zeros(checker.robot.dof, dtype=bool), []
+    for name, path in paths.items():
+        part = checker.robot.part(name)
+        rows = np.atleast_2d(part.robot.checked(path, f"path of {name!r}"))
+        if rows.ndim != 2 or len(rows) == 0:
+            raise InputError(f"path of {name!r}: expected shape (k, {part.robot.dof}), found {rows.shape}")
+        if covered[part.columns].any():
+            raise InputError(f"paths: expected one path for each part, found another one for values of {name!r}")
+        covered[part.columns] = True
+        speed = np.where(part.robot.velocity > 0, part.robot.velocity, USUAL_SPEED)
+        lengths = (np.abs(np.diff(rows, axis=0)) / speed).max(axis=1, initial=0.0)
+        given.append((part.columns, part.robot, rows, lengths))
+    if not covered.all():
+        wanted = [name for name, part in parts.items() if not covered[part.columns].any()]
+        raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted) or 'some values'}")
+    if not any(len(lengths) and lengths.any() for *_, lengths in given):
+        raise InputError("paths: expected a robot that moves, found only some that wait")
+    longest = max(float(lengths.sum()) for *_, lengths in given)
+    ways = []
+    for columns, robot, rows, lengths in given:
+        counts = np.maximum(np.ceil(lengths / longest * steps - 1e-9), lengths > 0).astype(np.int64)
+        at = np.repeat(np.arange(len(counts)), counts)
+        share = (np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[at]
+        made = np.concatenate([rows[:1], interpolated(robot, rows[at], rows[at + 1], share[:, None])])
+        ways.append(
+            _Way(columns, made, np.concatenate([[0.0], (np.cumsum(lengths) - lengths)[at] + share * lengths[at]]))
+        )
+    total = math.prod(len(way.rows) for way in ways)
+    if total > MOST_STATES:
+        raise InputError(f"steps: expected at most {MOST_STATES} states of all robots together, found {total}")
+    return ways
+
+
+def _configuration(ways: list[_Way], dof: int, state: State) -> Floats:
+    q = np.empty(dof)
+    for way, k in zip(ways, state, strict=True):
+        q[way.columns] = way.rows[k]
+    return q
+
+
+def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
+    """Find the states of the fastest way from all first rows to all last ones, by A*."""
+    dof, ends = judge.checker.robot.dof, tuple(len(way.rows) - 1 for way in ways)
+    moves = [move for move in product((0, 1), repeat=len(ways)) if any(move)]
+
+    def left(state: State) -> float:
+        return max(float(way.times[-1] - way.times[k]) for way, k in zip(ways, state, strict=True))
+
+    start: State = (0,) * len(ways)
+    waiting, costs, above, done = [(left(start), 0, start)], {start: 0.0}, {start: start}, set()
+    while waiting:
+        _, _, state = heappop(waiting)
+        if state == ends:
+            found = [state]
+            while found[-1] != start:
+                found.append(above[found[-1]])
+            return found[::-1]
+        if state in done:
+            continue
+        done.add(state)
+        nexts = [tuple(map(add, state, move)) for move in moves]
+        nexts = [new for new in nexts if new not in done and all(map(le, new, ends))]
+        if not nexts:
+            continue
+        b = np.array([_configuration(ways, dof, new) for new in nexts])
+        free = judge.free(np.repeat(_configuration(ways, dof, state)[None], len(b), axis=0), b)
+        for new, is_free in zip(nexts, free.tolist(), strict=True):
+            took = max(float(way.times[n] - way.times[k]) for way, k, n in zip(ways, state, new, strict=True))
+            cost = costs[state] + took
+            if is_free and cost < costs.get(new, math.inf):
+                costs[new], above[new] = cost, state
+                heappush(waiting, (cost + left(new), -sum(new), new))
+    raise PlanningError(_why(judge, ways, done, ends))
+
+
+def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
+    """Make the message: where the robots got farthest, and which bodies meet on the next step of all robots."""
+    farthest = max(done, key=sum)
+    dof = judge.checker.robot.dof
+    a, b = (
+        _configuration(ways, dof, farthest),
+        _configuration(ways, dof, tuple(map(min, map(add, farthest, (1,) * len(ends)), ends))),
+    )
+    found = prove_by_rules(judge.ready, a[None], b[None], TOLERANCE, judge.joint_error).of_shape((), judge.ready)
+    shares = ", ".join(
+        f"{way.times[k] / max(way.times[-1], 1e-300):.0%}" for way, k in zip(ways, farthest, strict=True)
+    )
+    between = f": there {found.names[0]} and {found.names[1]} meet" if any(found.names) else ""
+    return (
+        f"expected paths on which the robots can pass each other, found none among {len(done)} states, beyond {shares} "
+        f"of the paths{between}; give other paths, or more steps"
+    )
+
+
+def _merged(judge: Judge, rows: Floats) -> Floats:
+    """Leave out rows amid motions that are straight, if the longer motions are proven as well."""
+    steps = np.diff(rows, axis=0)
+    turns = np.abs(np.diff(steps, axis=0)).max(axis=1, initial=0.0) > STRAIGHT * np.abs(steps[1:]).max(
+        axis=1, initial=0.0
+    )
+    corners = np.concatenate([[0], np.flatnonzero(turns) + 1, [len(rows) - 1]])
+    free = judge.free(rows[corners[:-1]], rows[corners[1:]])
+    kept = [corners[:1]]
+    for first, last, is_free in zip(corners[:-1], corners[1:], free.tolist(), strict=True):
+        kept.append(np.array([last]) if is_free else np.arange(first + 1, last + 1))
+    return np.asarray(rows[np.concatenate(kept)])

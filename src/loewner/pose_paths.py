@@ -1,0 +1,233 @@
+"""Motions of bodies in time: poses at given times, straight in position and turning at a constant rate between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._kept import kept
+from loewner._native import entries
+from loewner._rotations import quaternions_of
+from loewner._validate import Floats, Ints
+from loewner.errors import InputError
+
+# Turns between two poses stay this far [rad] below half a turn, where the direction of the shorter turn is open.
+NEARLY_HALF = 1e-3
+
+# Largest turn [rad], in terms of quaternions, of a piece whose quaternion is approximated by a cubic curve.
+MOST_ARC = 0.05
+
+# The first and the last pose of a motion that repeats agree to this share of its positions, or this angle [rad].
+CLOSED = 1e-9
+
+# Repetitions and parts of turns that a query may run through.
+MOST_KNOTS = 2**22
+
+
+@dataclass(frozen=True, eq=False)
+class PosePath:
+    """How a body moves in time; see `Scene.follow`.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Seconds, increasing.
+    positions : ndarray, shape (n, 3)
+        Metres. Between two times the position changes linearly.
+    quaternions : ndarray, shape (n, 4)
+        Real part first. Between two times the body turns at a constant rate, the shorter way.
+    repeat : bool
+        Whether the motion begins again when it ends. Otherwise the body waits at the first pose before the motion, and
+        at the last pose after it.
+
+    Examples
+    --------
+    >>> from loewner import Body, Scene
+    >>> scene = Scene()
+    >>> scene.add("box", Body.box([0.2, 0.2, 0.2]))
+    >>> T = np.tile(np.eye(4), (2, 1, 1))
+    >>> T[1, 0, 3] = 2.0
+    >>> scene.follow("box", [0.0, 10.0], T)
+    >>> scene.following["box"].poses(2.5)[:3, 3]
+    array([0.5, 0. , 0. ])
+    """
+
+    times: Floats
+    positions: Floats
+    quaternions: Floats
+    repeat: bool
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+    def poses(self, t: ArrayLike) -> Floats:
+        """Compute the poses at times.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Seconds.
+
+        Returns
+        -------
+        ndarray, shape (..., 4, 4)
+            T_world_body; translation in metres.
+        """
+        at = _validate.finite_array(t, "t", ("...",))
+        values = PackedPaths.of((self,)).values(at.ravel())[:, 0]
+        w, x, y, z = values[:, 3:].T
+        T = np.zeros((len(values), 4, 4))
+        T[:, 0, 0], T[:, 0, 1], T[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        T[:, 1, 0], T[:, 1, 1], T[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+        T[:, 2, 0], T[:, 2, 1], T[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+        T[:, :3, 3], T[:, 3, 3] = values[:, :3], 1.0
+        return T.reshape(*at.shape, 4, 4)
+
+    @kept
+    def period(self) -> float:
+        """Time from the first pose to the last [s]."""
+        return float(self.times[-1] - self.times[0])
+
+    @kept
+    def arcs(self) -> Floats:
+        """Angles between successive quaternions [rad]: half of the turns."""
+        chords = np.linalg.norm(np.diff(self.quaternions, axis=0), axis=1)
+        return np.asarray(2.0 * np.arcsin(np.minimum(chords / 2.0, 1.0)))
+
+    @kept
+    def _fine(self) -> Floats:
+        """The times, and more of them, so that turns between two are at most `MOST_ARC`."""
+        parts: Ints = np.maximum(np.ceil(self.arcs / MOST_ARC), 1).astype(np.int64)
+        first = np.repeat(np.arange(len(parts)), parts)
+        share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
+        steps = np.diff(self.times)
+        return np.append(self.times[first] + share * steps[first], self.times[-1])
+
+
+def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
+    """Check a motion's times and poses.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two times, times do not increase, the numbers of times and poses differ, two
+        successive poses differ by half a turn, or a motion that repeats does not end where it begins.
+    PoseError
+        If a pose is not a rigid motion.
+    """
+    at = _validate.finite_array(times, "times", (None,))
+    T = _validate.poses(poses, "poses")
+    repeat = _validate.flag(repeat, "repeat")
+    if len(at) < 2 or T.shape != (len(at), 4, 4):
+        raise InputError(
+            f"expected two times or more and a pose for each, shape (n, 4, 4), found {len(at)} and poses of shape "
+            f"{_validate.shape_text(T.shape)}"
+        )
+    for k in np.flatnonzero(~(np.diff(at) > 0))[:1]:
+        raise InputError(f"times: expected times that increase, found {at[k]:g} and then {at[k + 1]:g}")
+    quaternions = quaternions_of(T[:, :3, :3])
+    signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    quaternions[1:] *= np.cumprod(signs)[:, None]
+    made = PosePath(at, T[:, :3, 3].copy(), quaternions, repeat)
+    for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
+        raise InputError(
+            f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
+            f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:g} and {at[k + 1]:g}; add poses in between"
+        )
+    if repeat:
+        jump = float(np.linalg.norm(made.positions[-1] - made.positions[0]))
+        turn = 2.0 * np.arccos(min(abs(float(quaternions[0] @ quaternions[-1])), 1.0))
+        if jump > CLOSED * max(1.0, float(np.abs(made.positions).max())) or turn > 1e-6:
+            raise InputError(
+                f"poses: expected a motion that ends where it begins, to repeat it, found a jump of {jump:g} m "
+                f"and {turn:g} rad"
+            )
+        made.positions[-1] = made.positions[0]
+        made.quaternions[-1] = made.quaternions[0] * np.sign(quaternions[0] @ quaternions[-1])
+    return made
+
+
+def _knots(path: PosePath, low: float, high: float, fine: bool) -> Floats:
+    """List the times between two others at which the rates change, and with `fine`, times between short turns.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_KNOTS`.
+    """
+    at = path._fine if fine else path.times
+    if not path.repeat:
+        return at[(at > low) & (at < high)]
+    if not low <= high:
+        return at[:0]
+    first, last = (int(np.floor((t - at[0]) / path.period)) for t in (low, high))
+    if (last - first + 1) * len(at) > MOST_KNOTS:
+        raise InputError(
+            f"expected at most {MOST_KNOTS} knots of moving bodies, found {(last - first + 1) * len(at)} between "
+            f"the times {low:g} and {high:g}; ask for less time at once"
+        )
+    every = (at[:-1] + path.period * np.arange(first, last + 1)[:, None]).ravel()
+    return every[(every > low) & (every < high)]
+
+
+class PackedPaths(NamedTuple):
+    """The motions of several bodies, as arrays for the kernel `pose_values`.
+
+    Attributes
+    ----------
+    paths : tuple of PosePath
+    start, times, rows, arcs, periods
+        See `loewner._kernels.robots.pose_paths`.
+    far, speeds, turns : ndarray, shape (bodies,)
+        Bounds on the entries of positions [m], on speeds [m/s] and on rates of quaternions [1/s].
+    spans : ndarray, shape (bodies,)
+        Largest numbers that are added to a time to find its place in the motion [s].
+    """
+
+    paths: tuple[PosePath, ...]
+    start: Ints
+    times: Floats
+    rows: Floats
+    arcs: Floats
+    periods: Floats
+    far: Floats
+    speeds: Floats
+    turns: Floats
+    spans: Floats
+
+    @classmethod
+    def of(cls, paths: tuple[PosePath, ...]) -> PackedPaths:
+        """Pack at least one motion."""
+        steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
+        lengths = [np.diff(path.times) for path in paths]
+        return cls(
+            paths, np.cumsum([0, *(len(path.times) for path in paths)]),
+            np.concatenate([path.times for path in paths]),
+            np.concatenate([np.concatenate([path.positions, path.quaternions], axis=1) for path in paths]),
+            np.concatenate([np.append(path.arcs, 0.0) for path in paths]),
+            np.array([path.period * path.repeat for path in paths]),
+            np.array([np.abs(path.positions).max() for path in paths]),
+            np.array([(step / length).max() for step, length in zip(steps, lengths, strict=True)]),
+            np.array([(path.arcs / length).max() for path, length in zip(paths, lengths, strict=True)]),
+            np.array([abs(path.times[0]) + path.period for path in paths]),
+        )  # fmt: skip
+
+    def values(self, t: Floats) -> Floats:
+        """Compute positions and quaternions at times, shape (N, bodies, 7); signs of quaternions are arbitrary."""
+        out = np.empty((len(t), len(self.paths), 7))
+        entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
+        return out
+
+    def knots(self, low: float, high: float, fine: bool) -> Floats:
+        """List the times between two others at which any body changes its rates, in order; see `_knots` for `fine`.
+
+        Raises
+        ------
+        InputError
+            If there are more than `MOST_KNOTS`.
+        """
+        return np.unique(np.concatenate([_knots(path, low, high, fine) for path in self.paths]))

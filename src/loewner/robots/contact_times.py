@@ -1,0 +1,192 @@
+"""Find when a robot on a curve first touches something: free until then, with proof, and touching, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+
+from loewner import _validate, queries
+from loewner._kernels import codes
+from loewner._validate import Floats
+from loewner.queries import Verdict
+from loewner.robots import verdicts
+from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, parts
+from loewner.robots.curves import Curve, curves_of, expect_short, with_bodies
+from loewner.robots.problem import Problem
+from loewner.robots.proofs import prove
+
+# Parts into which a piece that is not proven free is cut, and the number of times that this is done.
+PARTS = 8
+MOST_CUTS = 17  # after which two fractions of a piece may be the same number
+
+# Share of the tolerance that is left to the proof.
+FOR_PROOF = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryContact:
+    """When a robot on a curve first touches something.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, by the exact
+        test. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
+    free_until : float
+        Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
+        proven to be farther apart than its margin; inf if FREE. At this time, the pair is within the tolerance of its
+        margin.
+    touching_at : float
+        Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair takes
+        for the tolerance, unless it grazes before it collides. inf if there is none.
+    names : tuple of str
+        The pair; empty strings if FREE.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> from scipy.interpolate import CubicSpline
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> contact = checker.first_contact(CubicSpline([0.0, 1.0], [[0.0, 1.57], [1.0, 1.57]]))
+    >>> contact.names, round(contact.touching_at, 5)
+    (('cart', 'post'), 0.7)
+    """
+
+    verdict: Verdict
+    free_until: float
+    touching_at: float
+    names: tuple[str, str]
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+@overload
+def first_contact(
+    self: Any, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ...
+) -> tuple[TrajectoryContact, ...]: ...
+@overload
+def first_contact(self: Any, curve: Any, *, tolerance: float = ...) -> TrajectoryContact: ...
+def first_contact(
+    self: Any, curve: Any, *, tolerance: float = 1e-6
+) -> TrajectoryContact | tuple[TrajectoryContact, ...]:
+    """Find when a robot on a curve first touches something, and prove that it is free until then.
+
+    Parameters
+    ----------
+    curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
+        As for `certify_trajectory`. Bodies that follow motions move at the same times.
+    tolerance : float
+        Metres. Where it is proven free no longer, a pair is within this distance of its margin.
+
+    Returns
+    -------
+    TrajectoryContact
+        One result, or a tuple of results for a list of curves. The time until which the curve is free is never late.
+
+    Raises
+    ------
+    InputError
+        As for `certify_trajectory`.
+
+    See Also
+    --------
+    certify_trajectory : Only whether the curve is free, in less time. loewner.first_contact : Two bodies.
+
+    Notes
+    -----
+    The first piece that is not proven free is cut into eight parts, again and again, until the pair is near enough
+    where the proof ends. Static surfaces and clouds are replaced by boxes around their parts, as for `certify_edges`,
+    and may end the proof earlier.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> from scipy.interpolate import CubicSpline
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> checker.first_contact(CubicSpline([0.0, 1.0], [[0.0, 0.0], [1.0, 0.5]])).verdict
+    <Verdict.FREE: 0>
+    """
+    tolerance = _validate.positive_scalar(tolerance, "tolerance")
+    ready: Problem = self._ready(timed=True)
+    found = []
+    for k, one in enumerate(curves_of(self.robot, curve)):
+        # On courses of degree 1, parts of a body's turn would have to be made otherwise.
+        cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
+        found.append(_first(ready, with_bodies(self.robot, ready, cubic), tolerance, k))
+    return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
+
+
+def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
+    """Find the first contact of one curve, on whose courses the moving bodies have their places."""
+    waiting = [(curve, 0)]  # pieces that are not proven yet, the earliest last, and the numbers of cuts
+    touching, doubt = np.inf, None  # the earliest collision, and the first place that is too near
+    while waiting:
+        piece, cuts = waiting.pop()
+        proven = prove(ready, piece.courses, FOR_PROOF * tolerance, piece.off)
+        expect_short(proven.verdicts, piece.times, number)
+        hit = np.flatnonzero(proven.verdicts == codes.COLLIDING)[:1]
+        if len(hit):
+            k = int(hit[0])
+            touching = min(touching, piece.times[k] + proven.fractions[k] * (piece.times[k + 1] - piece.times[k]))
+        unproven = np.flatnonzero(proven.verdicts != codes.FREE)
+        if len(unproven) == 0:
+            continue
+        k = int(unproven[0])
+        pair = int(proven.pairs[k])
+        if cuts == MOST_CUTS or _gap(ready, pair, piece.courses[k, 0]) <= tolerance:
+            doubt = float(piece.times[k]), pair
+            break
+        if k + 1 < len(piece.courses):
+            waiting.append((_of(piece, slice(k + 1, None)), cuts))
+        waiting.append((_cut(_of(piece, slice(k, k + 1))), cuts + 1))
+    if doubt is None:
+        return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
+    a, b = (ready.names[n] for n in ready.pairs[doubt[1]])
+    # Times of parts are rounded.
+    free = max(doubt[0] - CURVE_ROUNDINGS * float(np.abs(curve.times).max()), float(curve.times[0]))
+    if touching == np.inf:
+        return TrajectoryContact(Verdict.AMBIGUOUS, free, np.inf, (a, b))
+    return TrajectoryContact(Verdict.COLLIDING, free, _earlier(ready, curve, free, touching), (a, b))
+
+
+def _of(curve: Curve, rows: slice) -> Curve:
+    last = len(curve.times) if rows.stop is None else rows.stop + 1
+    return Curve(None, curve.times[rows.start : last], curve.courses[rows], curve.off[rows])
+
+
+def _cut(piece: Curve) -> Curve:
+    """Cut one piece into parts."""
+    shares = np.arange(PARTS + 1) / PARTS
+    courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
+    begin, end = piece.times
+    times = np.where(shares == 1.0, end, begin + shares * (end - begin))
+    off = piece.off + CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1)
+    return Curve(None, times, courses, np.repeat(off, PARTS, axis=0))
+
+
+def _gap(ready: Problem, pair: int, q: Floats) -> float:
+    """Compute by how much the distance of a pair exceeds its margin at a configuration."""
+    i, j = (int(k) for k in ready.pairs[pair])
+    T = ready.poses(q[None])[0]
+    distance = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance
+    return float(distance) - float(ready.margins[pair])
+
+
+def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> float:
+    """Return a time of collision with a free one just before it, between a free time and a time of collision."""
+    while True:
+        times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
+        times = times[(times > free) & (times < touching)]
+        if len(times) == 0:
+            return touching
+        k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
+        shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
+        Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
+        hit = np.flatnonzero(verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)
+        at = int(hit[0]) if len(hit) else len(times)
+        free, touching = float(times[at - 1]) if at else free, float(times[at]) if at < len(times) else touching

@@ -1,0 +1,192 @@
+"""Motions of a robot among bodies that follow motions of their own: both together, as motions of one robot.
+
+A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two of its times it
+moves straight and turns at a constant rate, as such a joint does. So a motion of the robot is cut at these times, and
+each piece is proven as usual. Ends of pieces are rounded; the bounds below are derived in docs/certified.md, "Motions
+in time".
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner import _validate
+from loewner._kernels import codes, tolerances
+from loewner._validate import Floats, Ints
+from loewner.pose_paths import PackedPaths
+from loewner.robots import motions, verdicts
+from loewner.robots.courses import CURVE_ROUNDINGS, elevated, parts, straight
+from loewner.robots.motions import Found
+from loewner.robots.problem import Problem
+from loewner.robots.proofs import deviations, refuse_starts
+from loewner.robots.robot import Robot, interpolated
+
+# Values of a floating joint.
+WIDTH = 7
+
+# Bounds on the rounding of positions and quaternions, in units of their largest numbers, and of times.
+VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 100, certified.md B56
+TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 12, certified.md B57
+
+# A cubic curve through an arc of a unit circle, with its tangents at both ends, misses it by φ⁴ / 384 at most.
+ARC_ERROR = 1.0 / 384.0
+
+
+class Pieces(NamedTuple):
+    """Motions cut where bodies change their rates.
+
+    Attributes
+    ----------
+    owner : ndarray of int64, shape (M,)
+        The motion to which each piece belongs.
+    low, high : ndarray, shape (M,)
+        The fractions of that motion at which the piece begins and ends.
+    times : ndarray, shape (M, 2)
+        Seconds.
+    courses : ndarray, shape (M, degree + 1, dof + 7 bodies)
+    off : ndarray, shape (M, dof + 7 bodies)
+        How far values may deviate from the courses.
+    """
+
+    owner: Ints
+    low: Floats
+    high: Floats
+    times: Floats
+    courses: Floats
+    off: Floats
+
+
+def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
+    """Append the values of all moving bodies at times, shape (N,), to configurations, shape (N, dof)."""
+    return (
+        Q
+        if ready.paths is None
+        else np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
+    )
+
+
+def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
+    """Cut courses of a robot, from t0 to t1, and append the courses of moving bodies.
+
+    Parameters
+    ----------
+    robot : Robot
+        Without moving bodies.
+    paths : PackedPaths
+        The motions of the bodies.
+    courses : ndarray, shape (N, degree + 1, dof)
+    off : ndarray, shape (N, dof)
+        How far values may deviate from the courses.
+    t0, t1 : ndarray, shape (N,)
+        Times at which they begin and end.
+
+    Raises
+    ------
+    InputError
+        If there are more than `pose_paths.MOST_KNOTS` knots, or the pieces do not fit into memory.
+    """
+    curved = courses.shape[1] > 2
+    if curved and paths.turns.any():
+        courses = elevated(courses, max(0, 4 - courses.shape[1]))
+    low, high = float(t0.min(initial=np.inf)), float(t1.max(initial=-np.inf))
+    knots = paths.knots(low, high, curved)
+    first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
+    counts = np.maximum(last - first, 0) + 1
+    total, width = int(counts.sum()), courses.shape[2] + WIDTH * len(paths.far)
+    _validate.fits_memory(8 * total * width * (2 * courses.shape[1] + 2), f"{total} pieces of motions")
+    owner = np.repeat(np.arange(len(courses)), counts)
+    number = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
+    behind = number == counts[owner] - 1
+    padded = np.concatenate([knots, [np.nan]])
+    begin = np.where(number == 0, t0[owner], padded[np.minimum(first[owner] + number - 1, len(knots))])
+    end = np.where(behind, t1[owner], padded[np.minimum(first[owner] + number, len(knots))])
+    length = (t1 - t0)[owner]
+    length = np.where(length > 0.0, length, 1.0)
+    starts = np.where(number == 0, 0.0, (begin - t0[owner]) / length)
+    ends = np.where(behind, 1.0, (end - t0[owner]) / length)
+    of_robot, strays = courses[owner], off[owner]
+    cut = np.flatnonzero(counts[owner] > 1)
+    if len(cut):
+        whole = of_robot[cut]
+        if curved:
+            of_robot[cut] = parts(whole, starts[cut], ends[cut])
+        else:
+            of_robot[cut, 0], of_robot[cut, 1] = (
+                interpolated(robot, whole[:, 0], whole[:, 1], f[cut, None]) for f in (starts, ends)
+            )
+        strays[cut] += CURVE_ROUNDINGS * np.abs(whole).max(axis=1)
+    shape, bent = _courses(paths.values(begin), paths.values(end), courses.shape[1])
+    ticks = TIME_ROUNDINGS * (np.abs([begin, end]).max(axis=0)[:, None] + paths.spans)  # (M, bodies)
+    errors = np.empty((total, len(paths.far), WIDTH))
+    errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
+    errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
+    joined = (
+        np.concatenate([of_robot, shape], axis=2),
+        np.concatenate([strays, errors.reshape(total, WIDTH * len(paths.far))], axis=1),
+    )
+    return Pieces(owner, starts, ends, np.stack([begin, end], axis=1), *joined)
+
+
+def _courses(a: Floats, b: Floats, points: int) -> tuple[Floats, Floats]:
+    """Make courses of bodies between their values a and b, shape (M, bodies, 7), side by side.
+
+    Returns
+    -------
+    courses : ndarray, shape (M, points, 7 bodies)
+    bent : ndarray, shape (M, bodies)
+        How far the quaternions of courses miss a turn at a constant rate.
+    """
+    share = np.linspace(0.0, 1.0, points)[:, None, None]
+    p, q = a[..., 3:], b[..., 3:]
+    q = np.where((p * q).sum(axis=-1, keepdims=True) < 0.0, -q, q)
+    out, flat = np.empty((len(a), points, *a.shape[1:])), (len(a), points, WIDTH * a.shape[1])
+    out[..., :3] = (1.0 - share) * a[:, None, :, :3] + share * b[:, None, :, :3]
+    if points <= 3:  # motions of degree 1 turn at a constant rate, and in others of so few points nothing turns
+        out[:, 0, :, 3:], out[:, 1:, :, 3:] = p, q[:, None]
+        return out.reshape(flat), np.zeros(a.shape[:2])
+    arc = 2.0 * np.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
+    cosine, third = np.cos(arc), np.where(arc < 1e-6, 1.0, arc / np.maximum(np.sin(arc), 1e-12)) / 3.0
+    cubic = np.stack([p, p + third * (q - cosine * p), q + third * (p - cosine * q), q], axis=1)
+    out[..., 3:] = elevated(cubic.reshape(len(a), 4, 4 * a.shape[1]), points - 4).reshape(len(a), points, *p.shape[1:])
+    return out.reshape(flat), ARC_ERROR * (1.0 + 1e-9) * arc[..., 0] ** 4
+
+
+def prove_edges(
+    robot: Robot,
+    ready: Problem,
+    paths: PackedPaths,
+    ends: tuple[Floats, Floats],
+    times: tuple[Floats, Floats],
+    tolerance: float,
+    joint_error: Floats,
+) -> Found:
+    """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
+
+    COLLIDING is confirmed at the configuration and the time that a user computes from the fraction.
+    """
+    (a, b), (t0, t1) = ends, times
+    courses = straight(robot, a, b)
+    off = deviations(courses, joint_error)
+    cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
+    found = motions.settle(ready, cut.courses, tolerance, cut.off)
+    refuse_starts(ready, cut.courses[:, 0], found)
+    found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
+    begin = np.flatnonzero(np.diff(cut.owner, prepend=-1))
+    work = np.add.reduceat(found.work, begin) if len(begin) else found.work
+    made = Found(np.full(len(a), codes.FREE, dtype=np.int8), np.full(len(a), np.nan), np.full(len(a), -1), work)
+    for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # the later ones count more
+        at = np.flatnonzero(found.verdicts == verdict)[::-1]  # of a motion's pieces, the first is written last
+        at_owner = cut.owner[at]
+        made.verdicts[at_owner], made.pairs[at_owner] = verdict, found.pairs[at]
+        made.fractions[at_owner] = cut.low[at] + found.fractions[at] * (cut.high[at] - cut.low[at])
+    at = np.flatnonzero(made.verdicts == codes.COLLIDING)
+    if len(at):
+        fractions = made.fractions[at]
+        Q = with_bodies(
+            ready, interpolated(robot, a[at], b[at], fractions[:, None]), t0[at] + fractions * (t1 - t0)[at]
+        )
+        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING
+        made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
+    return made
