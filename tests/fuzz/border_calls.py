@@ -838,7 +838,7 @@ CALLS: dict[str, Call] = {
         loewner.first_contact,
         {
             "a": OPERANDS["a"],
-            "motion_a": poses(),
+            "motion_a": pose(0.0, BATCHES),
             "b": OPERANDS["b"],
             "motion_b": arg(lambda: (translation(3.0), translation(0.5)), NONE),
             "tolerance": positive(),
@@ -1592,7 +1592,7 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
+    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact",
     "Overlaps", "PairDistances",
