@@ -31,7 +31,7 @@ LEAST_SHARE = 4
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
 # Bins along each axis, up to how many items are sorted at once, and half the number of items that suggest a cut.
-BINS, FEW, MANY = 64, 32, 256
+BINS, FEW, MANY = 128, 32, 512
 
 # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
