@@ -1592,8 +1592,8 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
-    "Robot",
+    "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Part", "Piece", "Polytope", "Problem",
+    "FirstContact", "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact",
     "Overlaps", "PairDistances",
     "PosePath", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
