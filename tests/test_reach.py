@@ -5,6 +5,7 @@ import pytest
 
 from loewner import Body, CollisionChecker, InputError, PoseError, Robot, Scene, UnknownNameError
 from loewner.robots import reaching
+from loewner.robots.robot import chain_to
 from loewner.robots.urdf import read_urdf
 from robot_oracle import pinocchio_configuration, robots_folder
 
@@ -138,6 +139,75 @@ def test_all_solutions(ur5):
     assert np.abs(found.solutions[0][0] - start).max() < 1e-9
     one = ur5.reach("tool0", T[0], start=start, all=True, seeds=256)
     assert np.array_equal(one.solutions, found.solutions[0])
+
+
+# The UR5's dimensions [m] and twists, by Denavit and Hartenberg.
+HEIGHTS, LENGTHS = (0.089159, 0, 0, 0.10915, 0.09465, 0.0823), (0, -0.425, -0.39225, 0, 0, 0)
+TWISTS = np.array([1, 0, 0, 1, -1, 0]) * np.pi / 2
+
+
+def ur5_joint(k, angle):
+    """Pose of a UR5's link in the frame of the link before it."""
+    c, s, across, along = np.cos(angle), np.sin(angle), np.cos(TWISTS[k]), np.sin(TWISTS[k])
+    return np.array(
+        [
+            [c, -s * across, s * along, LENGTHS[k] * c],
+            [s, c * across, -c * along, LENGTHS[k] * s],
+            [0, along, across, HEIGHTS[k]],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+def ur5_closed_form(T):
+    """All configurations, up to whole turns, at which a UR5's tool has a pose.
+
+    The wrist's center gives two angles of the shoulder, and its height above the arm's plane two of the fifth joint.
+    These leave three parallel joints, two of which span a triangle with the arm's length.
+    """
+    T = np.diag([-1.0, -1, 1, 1]) @ T  # the model's base is turned by half a turn
+    found = []
+    x, y = T[:2, 3] - HEIGHTS[5] * T[:2, 2]
+    for shoulder in (1, -1):
+        q1 = np.arctan2(y, x) + np.pi / 2 + shoulder * np.arccos(HEIGHTS[3] / np.hypot(x, y))
+        T1 = np.linalg.inv(ur5_joint(0, q1)) @ T
+        for wrist in (1, -1):
+            q5 = wrist * np.arccos((T1[2, 3] - HEIGHTS[3]) / HEIGHTS[5])
+            q6 = np.arctan2(-wrist * T1[2, 1], wrist * T1[2, 0])
+            T4 = T1 @ np.linalg.inv(ur5_joint(4, q5) @ ur5_joint(5, q6))
+            a, b, (px, py) = LENGTHS[1], LENGTHS[2], T4[:2, 3]
+            cosine = (px * px + py * py - a * a - b * b) / (2 * a * b)
+            for elbow in (1, -1) if abs(cosine) < 1 else ():
+                q3 = elbow * np.arccos(cosine)
+                q2 = np.arctan2(py, px) - np.arctan2(b * np.sin(q3), a + b * np.cos(q3))
+                found.append([q1, q2, q3, np.arctan2(T4[1, 0], T4[0, 0]) - q2 - q3, q5, q6])
+    return np.array(found)
+
+
+def test_all_solutions_are_those_of_the_closed_form(ur5):
+    """For 300 poses, a UR5's solutions are those of its closed form, up to eight, each found and no others."""
+    T = poses_of(ur5, "tool0", ur5.random_configurations(300, 5))
+    counts = []
+    for target, solutions in zip(T, ur5.reach("tool0", T, all=True, seeds=256).solutions, strict=True):
+        expected = ur5_closed_form(target)
+        assert np.abs(poses_of(ur5, "tool0", expected) - target).max() < 1e-9
+        apart = np.abs(np.remainder(expected[:, None] - solutions + np.pi, 2 * np.pi) - np.pi).max(axis=2)
+        assert apart.min(axis=1).max() < 1e-6
+        assert apart.min(axis=0).max() < 1e-6
+        counts.append(len(expected))
+    assert set(counts) >= {4, 8}
+
+
+@pytest.mark.parametrize("far", [1e200, np.nan, np.inf])
+def test_the_kernel_gives_up_what_is_not_finite(ur5, far):
+    """Seeds whose error overflows or is not a number end the search, which reports no solution and no nearness."""
+    chain = chain_to(ur5, "tool0")
+    T, starts = np.eye(4)[None].copy(), np.full((1, 6), 0.3)
+    T[0, 0, 3] = far
+    found = reaching.solve(chain, T, starts, reaching.seeded(chain, 20), 22, np.zeros(6))
+    assert found.counts.tolist() == [0]
+    assert np.array_equal(found.nearest[0, :6], starts[0])
+    assert np.isinf(found.nearest[0, 6:]).all()
 
 
 def test_tolerances(panda):

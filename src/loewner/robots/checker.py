@@ -182,7 +182,9 @@ class CollisionChecker:
                 if self._seen >= self._next_look:
                     self._learn(ready, 0)
                 return collides
-        checked, ready = self._at(Q, t)
+            checked = self.robot.checked(Q)
+        else:
+            checked, ready = self._at(Q, t)
         return verdicts.collisions(self._exact(ready, checked).verdicts, checked)
 
     def classify(self, Q: ArrayLike, t: ArrayLike | None = None) -> OneOrMany:

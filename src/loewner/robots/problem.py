@@ -37,7 +37,7 @@ IN_TURN = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# Of the table of arrays: the row of the order of the pairs, and its numbers, which fill whole cache lines.
+# The row of the order of the pairs in the table of arrays, and how many numbers the table has: whole cache lines.
 _ORDER, _TABLE = 10, 72
 
 
@@ -84,7 +84,7 @@ class Standing(NamedTuple):
 
     @classmethod
     def shapes(cls, packed: Packed, moving: int, links: int, groups: int) -> Shapes:
-        """Types and shapes of these arrays."""
+        """Types and shapes of the arrays."""
         bodies, pieces = len(packed.piece_start) - 1, int(packed.piece_start[-1] - packed.piece_start[moving])
         static, f = bodies - moving, np.float32
         return [

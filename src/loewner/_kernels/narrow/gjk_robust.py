@@ -69,7 +69,7 @@ def off_orthonormal(R):
     return np.sqrt(squares)
 
 
-@njit(forceinline=False)
+@njit()
 def stretch(P):
     """Bound on the factor by which a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
     return np.sqrt(1.0 + off_orthonormal(rotation_of(P)) + 16.0 * UNIT_ROUNDOFF)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import FOLLOWED, HALF_TURN, STOPPED, TILTED, TOO_FAR
 from loewner._kernels.columns import (
     ACROSS,
@@ -148,7 +148,7 @@ def _swung(m, axis, rate):
     return Moved(m.t, plus(m.turn, b), bend, m.pull, m.third, m.angle + absolute(rate), m.length)
 
 
-@inline
+@apart
 def _followed(chain, constants, q, d):
     """The rotation and the motion of the link at eight configurations q that move at the rates d, both by columns."""
     zero, one = broadcast(0.0), broadcast(1.0)

@@ -154,10 +154,10 @@ def follow(chain, constants, base, q, twists):
 
 @inline
 def _fault(x, tolerance):
-    """Excess of a coordinate over its tolerance, and 1 if it counts."""
-    counts = absolute(x) >= tolerance
+    """Excess of a coordinate over its tolerance, and 1 if it counts, as NaN does."""
+    within = absolute(x) < tolerance
     beyond = x - select(x > 0.0, broadcast(tolerance), broadcast(-tolerance))
-    return select(counts, beyond, 0.0), select(counts, broadcast(1.0), 0.0)
+    return select(within, 0.0, beyond), select(within, broadcast(0.0), broadcast(1.0))
 
 
 @inline

@@ -4,7 +4,7 @@ The part whose box has the most empty space is cut next, across an axis of its b
 smallest. Up to some five hundred of its items suggest where: they are sorted into bins along each axis, and only those
 next to the best boundary one by one. Between two walls, the cut is halfway between the items on either side.
 
-Corners are stored by coordinate, and those of a part one after the other, so that eight are processed at a time.
+Corners are stored by coordinate, and all corners of a part one after the other, so that eight are processed at a time.
 
 An item is a triangle if its part is a single flat face, and otherwise a face. It has a row of eight numbers: the lower
 corner of its box along the axes, the upper one negated, and two zeros.
