@@ -52,8 +52,6 @@ UPWARD = 1.0 + STRETCH
 # which way is the shorter one.
 HALF_TURN = 1e-6
 
-ENOUGH = 0.9  # of the gap that is expected
-
 ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
 
 # Steps are chosen for this share of the curvature that the bounds allow; with 0.3, pairs take a tenth more rounds. A
@@ -199,12 +197,6 @@ def _touch_with_care(A, B, shift, n, margin):
     return status == TOUCHING
 
 
-@inline
-def _is_bent(P):
-    """Whether a core is curved."""
-    return POLYTOPE < P.layout[P.piece, KIND] < SEGMENT
-
-
 @njit()
 def _gap_along(A, B, shift, n, error):
     """Proven lower bound on the gap between two cores along a unit vector, and the points that attain it."""
@@ -233,7 +225,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
 
 
 @njit()
-def _look(A, B, n, margin, far, enough, memory):
+def _look(A, B, n, margin, far, memory):
     """Whether two pieces come within the margin, and a plane between them.
 
     Parameters
@@ -243,8 +235,6 @@ def _look(A, B, n, margin, far, enough, memory):
         First direction, from A to B.
     margin, far : float
         The margin, and the distance of cores that is certainly more than it.
-    enough : float
-        Gap at which a search between curved pieces, which converges linearly, may end.
 
     Returns
     -------
@@ -270,8 +260,7 @@ def _look(A, B, n, margin, far, enough, memory):
         meets, above, n = value + gap <= margin, value + gap - margin, _three(result, 0)
     else:
         ends = begin(A, B, shift, W)
-        last = far + enough if _is_bent(A) or _is_bent(B) else np.inf
-        status, _, length, n = measure_along(A, B, shift, W, ends, n, error, margin + radii, last, result)
+        status, _, length, n = measure_along(A, B, shift, W, ends, n, error, margin + radii, np.inf, result)
         meets, above = status in (TOUCHING, OVERLAPPING), length - radii - margin
         if status == NEAREST:
             gap, _, _ = _gap_along(A, B, shift, n, error)
@@ -326,8 +315,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 if min(gap, low - far) > lost_between(speed, bend, 0.0, w):
                     return FREE, horizon, np.inf, r
             n = normal
-        enough = ENOUGH * (gap - nearing * w)
-        meets, n, low, top, at_a, at_b = _look(A, B, n, margin, far, enough if enough > 0.0 else np.inf, memory)
+        meets, n, low, top, at_a, at_b = _look(A, B, n, margin, far, memory)
         proven, curve = False, 0.0
         if meets:
             hit = at
