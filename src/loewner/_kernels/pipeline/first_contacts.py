@@ -9,7 +9,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, NEAREST, OVERLAPPING, TOUCHING
-from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_RADIUS, POLYTOPE, REACH, SEGMENT
+from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, REACH
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
 from loewner._kernels.linalg3 import (
     apply,
