@@ -1,0 +1,84 @@
+"""A hundred thousand motions among moving bodies: samples refute no free one, and confirm all collisions."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from families import translation
+from loewner import Body, CollisionChecker, Scene, Verdict
+from motion_oracle import example
+from test_moving_bodies import moving_scene, turned
+
+pytestmark = pytest.mark.verify
+
+MOTIONS = 2_000
+
+
+def conveyors(rng):
+    """Ten parts on two belts in front of the robot, again and again."""
+    scene = Scene(margin=0.005)
+    for k in range(10):
+        scene.add(f"part {k}", Body.box(rng.uniform(0.03, 0.15, 3)))
+        x, z = 0.35 + 0.25 * (k % 2), rng.uniform(0.1, 0.6)
+        first, last = translation(x=x, y=-1.5, z=z), translation(x=x, y=1.5, z=z)
+        shift = rng.uniform(0.0, 10.0)
+        times = np.array([0.0, 5.0, 10.0]) + shift
+        scene.follow(f"part {k}", times, [first, last, first], repeat=True)
+    return scene
+
+
+def turning_rods(rng):
+    """Three rods that turn about axes in the reach of the robot."""
+    scene = Scene()
+    for k in range(3):
+        scene.add(f"rod {k}", Body.box([0.9, 0.02, 0.02]).transformed(translation(x=0.3)))
+        at = rng.normal(size=3) * 0.4 + [0.0, 0.0, 0.5]
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        T = np.tile(np.eye(4), (5, 1, 1))
+        T[:, :3, :3] = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, 5)[:, None] * axis).as_matrix()
+        T[:, :3, 3] = at
+        T[-1] = T[0]
+        scene.follow(f"rod {k}", np.linspace(0.0, rng.uniform(0.5, 4.0), 5), T, repeat=True)
+    return scene
+
+
+def anything(rng):
+    scene = moving_scene(rng, 8)
+    for name in ("a", "b"):
+        scene.add(name, Body.capsule(0.05, 0.4))
+        T = turned(rng, 5, 0.5)
+        scene.follow(name, np.cumsum(rng.uniform(0.1, 1.0, 5)), T)
+    return scene
+
+
+@pytest.mark.parametrize("kind", [conveyors, turning_rods, anything])
+def test_a_hundred_thousand_motions_in_time(kind):
+    panda = example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
+    counts, samples, f = np.zeros(3, dtype=int), 0, np.linspace(0.0, 1.0, 65)
+    for seed in range(17):
+        rng = np.random.default_rng(seed)
+        checker = CollisionChecker(panda, kind(rng))
+        a = panda.random_configurations(MOTIONS, seed)
+        b = np.clip(
+            a + rng.normal(size=a.shape) * rng.choice([0.0, 0.05, 0.3], size=(MOTIONS, 1)), panda.lower, panda.upper
+        )
+        t0 = rng.uniform(-2.0, 20.0, MOTIONS)
+        t1 = t0 + rng.uniform(0.0, 1.5, MOTIONS)
+        found = checker.certify_edges(a, b, t0=t0, t1=t1)
+        counts += np.bincount(found.verdict, minlength=3)
+        free = np.flatnonzero(found.verdict == Verdict.FREE)
+        Q = panda.between(a[free, None], b[free, None], f)
+        t = t0[free, None] + f * (t1 - t0)[free, None]
+        assert not checker.collide(Q, t).any()
+        samples += t.size
+        fine = np.linspace(0.0, 1.0, 10_001)
+        for k in free[:6]:
+            assert not checker.collide(panda.between(a[k], b[k], fine), t0[k] + fine * (t1[k] - t0[k])).any()
+        hit = np.flatnonzero(found.verdict == Verdict.COLLIDING)
+        at = found.fraction[hit]
+        assert checker.collide(panda.between(a[hit], b[hit], at), t0[hit] + at * (t1 - t0)[hit]).all()
+    free, colliding, ambiguous = counts.tolist()
+    print(f"{kind.__name__}: {free} free, {colliding} colliding, {ambiguous} ambiguous; {samples} samples of free ones")
+    assert ambiguous <= counts.sum() / 1000
+    assert min(free, colliding) > 1000
