@@ -187,6 +187,9 @@ def test_bodies_are_where_their_motions_say(slider, rng):
             for pairs in (checker.pairs(Q[0], t), same.pairs(Q[0]))
         )
         assert found == pytest.approx(wanted, abs=1e-9)
+        found, wanted = checker.distance(Q, t, exact=True, gradient=True), same.distance(Q, exact=True, gradient=True)
+        np.testing.assert_allclose(found.distance, wanted.distance, atol=1e-9)
+        assert found.gradient.shape == (40, 3)
         hits += expected.sum()
     assert 15 < hits < 950
 
@@ -455,6 +458,7 @@ def test_bad_motions_are_refused(slider):
     for call, message in (
         (lambda: checker.certify_edges(LEFT, LEFT), "expected a time"),
         (lambda: checker.distance(LEFT), "expected a time"),
+        (lambda: checker.clearance(LEFT), "expected a time"),
         (lambda: checker.joint_error([LEFT, LEFT]), "expected a time"),
         (lambda: checker.certify_edges(LEFT, LEFT, t0=0.0), "expected both t0 and t1, found t0 only"),
         (lambda: checker.certify_edges(LEFT, LEFT, t0=1.0, t1=0.0), "t1: expected times at or after t0"),

@@ -1078,7 +1078,7 @@ CALLS: dict[str, Call] = {
     "CollisionChecker.pairs": Call(on(checker_in_time, "pairs"), {"q": ONE, "t": arg(0.5, NUMBERS, ZERO, NEGATIVE)}),
     "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.distance": Call(
-        on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag(), "gradient": flag()}
+        on(checker_in_time, "distance"), {"Q": CONFIGURATIONS, "t": AT, "exact": flag(), "gradient": flag()}
     ),
     "CollisionChecker.clearance": Call(
         on(checker, "clearance"),

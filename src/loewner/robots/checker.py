@@ -7,6 +7,7 @@ wraps the results of `verdicts`, `proofs` and `distances`. Only this module rais
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -138,7 +139,7 @@ class CollisionChecker:
     @property
     def checked_pairs(self) -> tuple[Pair, ...]:
         """Names of the pairs that are checked."""
-        ready = self._ready()
+        ready = self._ready(timed=True)
         return tuple((ready.names[a], ready.names[b]) for a, b in ready.pairs)
 
     def collide(self, Q: ArrayLike, t: ArrayLike | None = None) -> OneOrMany:
@@ -487,20 +488,26 @@ class CollisionChecker:
 
     @overload
     def distance(
-        self, Q: ArrayLike, *, exact: Literal[False] = ..., gradient: Literal[False] = ...
+        self, Q: ArrayLike, t: ArrayLike | None = ..., *, exact: Literal[False] = ..., gradient: Literal[False] = ...
     ) -> StateDistance[None, None]: ...
     @overload
     def distance(
-        self, Q: ArrayLike, *, exact: Literal[True], gradient: bool = ...
+        self, Q: ArrayLike, t: ArrayLike | None = ..., *, exact: Literal[True], gradient: bool = ...
     ) -> StateDistance[OneOrMany, Floats]: ...
     @overload
-    def distance(self, Q: ArrayLike, *, exact: bool, gradient: bool = ...) -> StateDistance: ...
-    def distance(self, Q: ArrayLike, *, exact: bool = False, gradient: bool = False) -> StateDistance:
+    def distance(
+        self, Q: ArrayLike, t: ArrayLike | None = ..., *, exact: bool, gradient: bool = ...
+    ) -> StateDistance: ...
+    def distance(
+        self, Q: ArrayLike, t: ArrayLike | None = None, *, exact: bool = False, gradient: bool = False
+    ) -> StateDistance:
         """Bound the distance of the nearest pair and, on request, compute it exactly; margins are ignored.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+        t : float or array_like, shape (...), optional
+            As for `collide`.
         exact : bool
             Also compute the exact distance or depth, with its pair, witnesses and normal.
         gradient : bool
@@ -535,11 +542,14 @@ class CollisionChecker:
         >>> checker.distance([2.0, 3.0], exact=True, gradient=True).gradient.round(9) + 0.0
         array([-1.,  0.])
         """
-        checked, ready = self.robot.checked(Q), self._ready()
+        checked, ready = self._at(Q, t)
         exact, gradient = _validate.flag(exact, "exact"), _validate.flag(gradient, "gradient")
         if gradient and not exact:
             raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
-        return distances.nearest(ready, checked, exact, gradient)
+        found = distances.nearest(ready, checked, exact, gradient)
+        if ready.paths is None or not gradient:
+            return found
+        return replace(found, gradient=np.ascontiguousarray(found.gradient[..., : self.robot.dof]))
 
     @overload
     def clearance(self, Q: ArrayLike, *, softness: float = ..., gradient: Literal[False] = ...) -> OneOrMany: ...
@@ -692,7 +702,7 @@ class CollisionChecker:
             names = ", ".join(self._scene.following)
             raise InputError(
                 f"expected a time, since bodies of the scene follow motions ({names}): give t=, or t0= and t1=, to "
-                "collide, classify, pairs or certify_edges, or prove a curve in time by certify_trajectory; "
+                "collide, classify, pairs, distance or certify_edges, or prove a curve in time by certify_trajectory; "
                 "Scene.detach stops a body"
             )
         return ready
@@ -729,6 +739,12 @@ def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
     return begin, end
 
 
-def prepared_of(checker: CollisionChecker) -> Problem:
-    """Return a checker's pairs, prepared for the current state of its scene, for several queries of that state."""
-    return checker._ready()
+def prepared_of(checker: CollisionChecker, *, timed: bool = False) -> Problem:
+    """Return a checker's pairs, prepared for the current state of its scene, for several queries of that state.
+
+    Raises
+    ------
+    InputError
+        If bodies of the scene follow motions and the queries are not `timed`.
+    """
+    return checker._ready(timed=timed)

@@ -15,6 +15,7 @@ from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of
 from loewner.robots.edges import checked_path
+from loewner.robots.in_time import with_bodies
 from loewner.robots.verdicts import classified
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
 from loewner.viewer.page import TEXT
@@ -99,8 +100,9 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory:
 
 def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
     """Return FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spaced from start to end."""
-    Q = way.positions(np.linspace(0.0, way.duration, LOOKS))
-    found, _ = classified(prepared_of(checker), codes.EXACT, np.ascontiguousarray(Q))
+    times = np.linspace(0.0, way.duration, LOOKS)
+    ready = prepared_of(checker, timed=True)
+    found, _ = classified(ready, codes.EXACT, np.ascontiguousarray(with_bodies(ready, way.positions(times), times)))
     return SEEN[found]
 
 

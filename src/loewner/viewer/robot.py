@@ -543,20 +543,29 @@ class RobotViewer(Viewer):
             node.wxyz, node.position = wxyz, T[:3, 3]
         self._match_scene()
         self._look_along()
-        self.verdict = self.checker.classify(self._q)
-        self.colliding = self.checker.collide(self._q)
-        self.contacts = self.checker.pairs(self._q) if self.colliding else ()
+        t = self._now()
+        self.verdict = self.checker.classify(self._q, t)
+        self.colliding = self.checker.collide(self._q, t)
+        self.contacts = self.checker.pairs(self._q, t) if self.colliding else ()
         self.bounds = self._distance()
         self._paint({name for contact in self.contacts for name in (contact.name_a, contact.name_b)})
         exactly = Verdict.COLLIDING if self.colliding else Verdict.FREE
         self._show_verdict(exactly.name, VERDICT_COLOURS[exactly], list(self._rows()), self._contact_lines())
         self._show_near()
 
+    def _now(self) -> float | None:
+        """Return the time on the path, after bodies that follow motions are where they are then; None without any."""
+        following = self.checker.scene.following
+        for name, motion in following.items():
+            if name in self._shown:
+                self._mover(name).move(motion.poses(self._time))
+        return self._time if following else None
+
     def _distance(self) -> StateDistance:
         try:
-            return self.checker.distance(self._q, exact=True)
+            return self.checker.distance(self._q, self._now(), exact=True)
         except ConvergenceError:  # the collision verdict is known nevertheless
-            return self.checker.distance(self._q)
+            return self.checker.distance(self._q, self._now())
 
     def _look_along(self) -> None:
         """Colour the path again if the scene has changed."""
