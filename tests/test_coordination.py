@@ -48,6 +48,7 @@ def test_two_robots_cross_one_after_the_other(two):
 
 
 def test_paths_that_do_not_meet_take_one_motion(two):
+    """Where nobody has to wait, the path is the two straight motions at once."""
     a = np.array([[-0.8, -0.8, 0.0], [0.8, -0.8, 0.0]])
     b = np.array([[-0.8, 0.8, 0.0], [0.8, 0.8, 0.0]])
     np.testing.assert_array_equal(planners.coordinate(two, {"a": a, "b": b}), np.concatenate([a, b], axis=1))
@@ -56,6 +57,7 @@ def test_paths_that_do_not_meet_take_one_motion(two):
 
 
 def test_robots_that_block_each_other_are_an_error(two):
+    """Head on, no waiting helps; the message names the two bodies."""
     a = np.array([[-0.8, 0.0, np.pi], [0.8, 0.0, np.pi]])
     b = np.array([[0.8, 0.0, 0.0], [-0.8, 0.0, 0.0]])
     with pytest.raises(PlanningError, match=r"beyond .*%, .*% of the paths: there [ab]/ball and [ab]/ball meet"):
@@ -63,6 +65,7 @@ def test_robots_that_block_each_other_are_an_error(two):
 
 
 def test_bad_paths_are_refused(two):
+    """Each with what was expected."""
     a = np.array([[-0.8, 0.0, np.pi], [0.8, 0.0, np.pi]])
     for paths, message in (
         ({"a": a}, "one for each part, found none for b"),

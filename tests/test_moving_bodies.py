@@ -112,6 +112,7 @@ def test_a_turning_rod_is_seen_between_its_poses(slider):
 
 
 def test_a_motion_repeats(slider):
+    """At any repetition, long ago or far ahead, contact is found and time without it is proven."""
     scene = Scene()
     scene.add("other", Body.sphere(0.1))
     scene.follow("other", [0.0, 1.0, 2.0], [translation(y=1.0), translation(y=0.0), translation(y=1.0)], repeat=True)
@@ -131,6 +132,7 @@ def test_a_motion_repeats(slider):
 
 @given(st.integers(0, 2**31), st.booleans())
 def test_no_free_motion_is_refuted_by_samples(slider, seed, far):
+    """Nor at large times; collisions are confirmed at the time that a user computes."""
     rng = np.random.default_rng(seed)
     checker = CollisionChecker(slider, moving_scene(rng, 3))
     N, shift = 12, 1e5 * far
@@ -154,6 +156,7 @@ def test_no_free_motion_is_refuted_by_samples(slider, seed, far):
 
 @given(st.integers(0, 2**31), st.sampled_from([1, 2, 3, 5, 7]))
 def test_no_free_curve_is_refuted_by_samples(slider, seed, degree):
+    """Polynomials of every degree, and until `first` at least."""
     rng = np.random.default_rng(seed)
     checker = CollisionChecker(slider, moving_scene(rng, 3))
     coefficients = rng.normal(size=(degree + 1, 1, 3)) * 0.3
@@ -163,7 +166,7 @@ def test_no_free_curve_is_refuted_by_samples(slider, seed, degree):
     hit = sampled(checker, curve, t)
     if found.verdict == Verdict.FREE:
         assert not hit.any()
-        assert np.isnan(found.first)
+        assert found.first == np.inf
     else:
         assert not hit[t < found.first].any()
         assert found.first <= found.time
@@ -195,6 +198,7 @@ def test_bodies_are_where_their_motions_say(slider, rng):
 
 
 def test_no_motions_and_no_configurations(slider, rng):
+    """Empty batches have empty answers."""
     checker = CollisionChecker(slider, moving_scene(rng, 2))
     none = np.empty((0, 3))
     assert checker.collide(none, 1.0).shape == (0,)
@@ -256,6 +260,7 @@ def slerp(path, t):
 @pytest.mark.parametrize("points", [2, 4, 6, 8])
 @pytest.mark.parametrize("seed", range(3))
 def test_courses_of_bodies_stay_within_their_bounds(points, seed, monkeypatch):
+    """Positions and turns of each piece, against higher precision; with a smaller bound on arcs they do not."""
     rng = np.random.default_rng(seed)
     path = path_of(np.cumsum(rng.uniform(0.1, 1, 4)), turned(rng, 4, 100.0), False)
     packed, robot = PackedPaths.of((path,)), Robot.from_urdf(text='<robot name="none"><link name="a"/></robot>')
@@ -293,6 +298,7 @@ def in_time_slerp(course, f):
 
 
 def test_parts_of_courses_are_exact_but_for_rounding(rng):
+    """De Casteljau in fractions."""
     courses = rng.normal(size=(5, 6, 2))
     low, high = np.sort(rng.uniform(0, 1, (2, 5)), axis=0)
     found = in_time.parts(courses, low, high)
@@ -354,6 +360,7 @@ def test_mutants_are_caught(slider, mutant, monkeypatch):
 
 
 def test_a_body_follows_and_stops(slider):
+    """It leaves the bodies that stand, and comes back by detach, attach or remove."""
     scene = Scene()
     scene.add("a", Body.sphere(0.1), translation(x=0.5))
     scene.add("b", Body.sphere(0.1), translation(x=0.5))
@@ -380,6 +387,7 @@ def test_a_body_follows_and_stops(slider):
 
 
 def test_a_new_motion_counts_at_once(slider):
+    """Answers belong to the present motion, also after other bodies have moved."""
     scene = Scene()
     scene.add("a", Body.sphere(0.1))
     scene.follow("a", [0.0, 1.0], [translation(x=5.0), translation(x=6.0)])
@@ -395,6 +403,7 @@ def test_a_new_motion_counts_at_once(slider):
 
 
 def test_motions_are_kept_in_files(rng, tmp_path):
+    """Times and positions to the last bit; wrong files are named with their line."""
     scene = moving_scene(rng, 3)
     scene.add("still", Body.box([1, 1, 1]), translation(x=3.0))
     save_scene(scene, tmp_path / "scene.yaml")
@@ -421,6 +430,7 @@ def test_motions_are_kept_in_files(rng, tmp_path):
 
 
 def test_bad_motions_are_refused(slider):
+    """Motions, times and queries without a time."""
     scene = Scene()
     scene.add("a", Body.sphere(0.1))
     scene.add("held", Body.sphere(0.1))
@@ -498,6 +508,7 @@ def test_first_contact_of_two_balls_is_known(slider, speed):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_first_contact_is_never_late(slider, seed):
+    """Samples until `free_until` are free, and a collision follows."""
     rng = np.random.default_rng(seed)
     checker = CollisionChecker(slider, moving_scene(rng, 3))
     curves = [PPoly(rng.normal(size=(4, 2, 3)) * [0.3, 0.3, 1.0], [0.0, 1.0, 1.5]) for _ in range(6)]

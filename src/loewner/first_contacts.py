@@ -62,6 +62,7 @@ class FirstContact:
         return _validate.brief(self)
 
 
+@guarded
 def first_contact(
     a: Body | Bodies,
     motion_a: Motion,
@@ -130,7 +131,6 @@ def first_contact(
     return _followed(a, motion_a, b, motion_b, within, keep)
 
 
-@guarded
 def _followed(a: Any, motion_a: Any, b: Any, motion_b: Any, tolerance: float, margin: float) -> FirstContact:
     expect_bodies(a, b)
     Ta, Tb = _ends(motion_a, "motion_a"), _ends(motion_b, "motion_b")
@@ -162,6 +162,8 @@ def _ends(motion: Any, name: str) -> tuple[Floats, Floats]:
     """Check the poses at both ends of a motion, and broadcast them."""
     if isinstance(motion, list) and len(motion) == 2:
         raise PoseError(f"{name}: expected a tuple (T0, T1), one pose or None, found a list of two")
+    if isinstance(motion, tuple) and len(motion) != 2 and any(np.ndim(T) == 2 for T in motion):
+        raise PoseError(f"{name}: expected a tuple (T0, T1), one pose or None, found a tuple of {len(motion)} poses")
     if not isinstance(motion, tuple) or len(motion) != 2:
         T = _validate.poses(motion, name)
         return T, T

@@ -532,7 +532,12 @@ class Scene:
                 self._poses.pop(self._placed(name))
                 self._structure_version += 1
             self._following[name] = path
+            body = self._bodies[name]
             self._version += 1
+        if not self._doubted:
+            farthest = np.eye(4)
+            farthest[:3, 3] = np.abs(path.positions).max(axis=0)
+            self._doubt(name, body, farthest)
 
     def attach(
         self,
@@ -914,8 +919,8 @@ class Scene:
         Returns
         -------
         tuple of Contact
-            Each pair once, in the order in which the bodies were added. Pairs that are not listed are allowed or proven
-            free.
+            Each pair once, in the order in which the bodies were added. Pairs of static bodies that are not listed are
+            allowed or proven free. Attached bodies, and bodies that follow motions, are left out.
 
         Raises
         ------

@@ -54,6 +54,7 @@ def anything(rng):
 
 @pytest.mark.parametrize("kind", [conveyors, turning_rods, anything])
 def test_a_hundred_thousand_motions_in_time(kind):
+    """Free motions are sampled, some of them ten thousand times; collisions are confirmed."""
     panda = example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
     counts, samples, f = np.zeros(3, dtype=int), 0, np.linspace(0.0, 1.0, 65)
     for seed in range(17):

@@ -151,10 +151,11 @@ def _answer(
     curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory))
     times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     ticks, piece, Q = curves.sampled(checker.robot, curve, found)
-    measured = checker.distance(Q, exact=True)
+    t = curves.at_times(checker, ticks)
+    measured = checker.distance(Q, t, exact=True)
     nearest = measured.distance.argmin()
     names = found.segments.names
-    least = _nearest_of(checker, names, piece, Q)
+    least = _nearest_of(checker, names, piece, Q, t)
     pieces = [
         {
             "number": int(k),
@@ -191,14 +192,16 @@ def _answer(
     }
 
 
-def _nearest_of(checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats) -> dict[int, tuple[float, int]]:
+def _nearest_of(
+    checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats, t: Floats | None
+) -> dict[int, tuple[float, int]]:
     """Return the least distance of each unproven piece's pair at the samples of the piece, and that sample."""
     least: dict[int, tuple[float, int]] = {}
     for within in WITHIN:  # nearer pairs are found first
         rows = np.flatnonzero(names.any(axis=1)[piece] & ~np.isin(piece, list(least)))
         if len(rows) == 0:
             break
-        near = checker.distance_by_pair(Q[rows], within=within)
+        near = checker.distance_by_pair(Q[rows], None if t is None else t[rows], within=within)
         samples = rows[near.configuration]
         own = np.flatnonzero((near.names == names[piece[samples]]).all(axis=1))
         for n in own[np.argsort(near.distance[own], kind="stable")]:

@@ -17,7 +17,9 @@ from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
+from loewner.queries import Verdict
 from loewner.robots import CollisionChecker
+from loewner.robots.assembly import parts_of
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.robot import interpolated
 
@@ -87,8 +89,8 @@ def coordinate(
     UnknownNameError
         If there is no such part.
     PlanningError
-        If the robots cannot pass each other on these paths; the message names the two bodies that are in the way where
-        they got farthest.
+        If the starts or the ends are not free, or the robots cannot pass each other on these paths; the message names
+        the two bodies that meet where they got farthest.
 
     Notes
     -----
@@ -112,13 +114,20 @@ def coordinate(
     checked_checker(checker)
     ways = _ways(checker, paths, _validate.whole_number(steps, "steps", 1))
     judge = Judge.of(checker, 0.0, joint_error)
+    for place, state in (("starts", (0,) * len(ways)), ("ends", tuple(len(way.rows) - 1 for way in ways))):
+        q = _configuration(ways, checker.robot.dof, state)[None]
+        found = prove_by_rules(judge.ready, q, q, TOLERANCE, judge.joint_error).of_shape((), judge.ready)
+        if found.verdict != Verdict.FREE:
+            a, b = found.names
+            raise PlanningError(
+                f"paths: expected {place} that are free together, found {a} and {b} too near each other"
+            )
     rows = np.array([_configuration(ways, checker.robot.dof, state) for state in _fastest(judge, ways)])
     return _merged(judge, rows)
 
 
 def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int) -> list[_Way]:
     """Check the paths and divide them into steps that take about the same time."""
-    parts = checker.robot._parts
     if not isinstance(paths, Mapping) or not paths:
         raise InputError(f"paths: expected a mapping from names of parts to paths, found {_validate.short(paths)}")
     covered, given = np.zeros(checker.robot.dof, dtype=bool), []
@@ -134,7 +143,7 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         lengths = (np.abs(np.diff(rows, axis=0)) / speed).max(axis=1, initial=0.0)
         given.append((part.columns, part.robot, rows, lengths))
     if not covered.all():
-        wanted = [name for name, part in parts.items() if not covered[part.columns].any()]
+        wanted = [name for name, part in parts_of(checker.robot).items() if not covered[part.columns].any()]
         raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted) or 'some values'}")
     if not any(len(lengths) and lengths.any() for *_, lengths in given):
         raise InputError("paths: expected a robot that moves, found only some that wait")
@@ -209,6 +218,9 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
         f"{way.times[k] / max(way.times[-1], 1e-300):.0%}" for way, k in zip(ways, farthest, strict=True)
     )
     between = f": there {found.names[0]} and {found.names[1]} meet" if any(found.names) else ""
+    same = {name.split("/")[0] for name in found.names}
+    if any(found.names) and len(same) == 1:
+        between += f" (two bodies of {same.pop()!r} itself)"
     return (
         f"expected paths on which the robots can pass each other, found none among {len(done)} states, beyond {shares} "
         f"of the paths{between}; give other paths, or more steps"

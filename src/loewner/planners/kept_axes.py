@@ -64,6 +64,8 @@ class KeptAxis:
         size = _validate.positive_scalar(angle, "keep, angle")
         if size < LEAST_ANGLE:
             raise InputError(f"keep, angle: expected at least {LEAST_ANGLE:g}, which rounding allows, found {size:g}")
+        if size > np.pi:
+            raise InputError(f"keep, angle: expected radians, at most π, found {size:g}; is it in degrees?")
         return cls(units[0], units[1], min(size, np.pi))
 
     def along(self, chain: Chain, link: str) -> KeptAxis:

@@ -100,7 +100,9 @@ def straight(
     """
     robot = checked_checker(checker).robot
     position = _at_least(LEAST_TOLERANCE, position, "position")
-    rotation = min(_at_least(LEAST_TOLERANCE, rotation, "rotation"), np.pi)
+    rotation = _at_least(LEAST_TOLERANCE, rotation, "rotation")
+    if rotation > np.pi:
+        raise InputError(f"rotation: expected radians, at most π, found {rotation:g}; is it in degrees?")
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
     target = targets_of(_validate.pose(T, "T")[None])[0]
     chain = chain_to(robot, link, joints)

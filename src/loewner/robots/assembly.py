@@ -15,7 +15,7 @@ from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._validate import Floats, Named
 from loewner.bodies import Body
-from loewner.errors import InputError
+from loewner.errors import InputError, UnknownNameError
 from loewner.robots.srdf import Semantics
 from loewner.robots.tree import placed_tree
 from loewner.robots.urdf import SHORTEST_AXIS, VALUES, Description, Joint
@@ -126,7 +126,7 @@ def part(self: R, name: str) -> Part[R]:
     Raises
     ------
     UnknownNameError
-        If there is no such part.
+        If there is no such part, or the robot was not made by `Robot.join`.
 
     Examples
     --------
@@ -139,6 +139,8 @@ def part(self: R, name: str) -> Part[R]:
     array([0. , 0. , 0.5, 1. ])
     """
     parts: dict[str, Part[R]] = cast(Any, self)._parts
+    if not parts and isinstance(name, str):
+        raise UnknownNameError(f"part {name!r}: expected a robot that Robot.join has made, found another one")
     if not isinstance(name, str) or name not in parts:
         raise _validate.unknown_name("part", name, parts)
     return parts[name]
@@ -306,6 +308,12 @@ def refuse_bodies_in_world(robot: Any, what: str) -> None:
         raise InputError(
             f"expected a robot without bodies in the world, to be {what}, found {name!r}; call with_body afterwards"
         )
+
+
+def parts_of(robot: Any) -> Mapping[str, Part[Any]]:
+    """Return the robots that were joined, by their names; empty for other robots."""
+    parts: Mapping[str, Part[Any]] = robot._parts
+    return parts
 
 
 def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[Any]]:

@@ -383,14 +383,19 @@ class CollisionChecker:
 
     @overload
     def certify_trajectory(
-        self, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., joint_error: ArrayLike = ...
+        self,
+        curve: list[Any] | tuple[Any, ...],
+        *,
+        tolerance: float = ...,
+        joint_error: ArrayLike = ...,
+        t0: float = ...,
     ) -> tuple[CertifiedTrajectory, ...]: ...
     @overload
     def certify_trajectory(
-        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ...
+        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ..., t0: float = ...
     ) -> CertifiedTrajectory: ...
     def certify_trajectory(
-        self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
+        self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0, t0: float = 0.0
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
         """Prove that a curve executed by a robot is free of collisions at every instant.
 
@@ -406,6 +411,9 @@ class CollisionChecker:
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the curve; FREE covers all such deviations.
+        t0 : float
+            Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
+            bodies that follow motions, and the times of the result include it.
 
         Returns
         -------
@@ -439,7 +447,7 @@ class CollisionChecker:
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         errors = curves.joint_errors(self.robot, joint_error)
         ready = self._ready(timed=True)
-        found = curves.certified(self.robot, ready, curves.curves_of(self.robot, curve), tolerance, errors)
+        found = curves.certified(self.robot, ready, curves.curves_of(self.robot, curve, t0), tolerance, errors)
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     joint_error = tracking.joint_error
@@ -466,12 +474,14 @@ class CollisionChecker:
             raise ConvergenceError(doubt)
         return found
 
-    def collide_by_pair(self, Q: ArrayLike) -> Bools:
+    def collide_by_pair(self, Q: ArrayLike, t: ArrayLike | None = None) -> Bools:
         """Decide exactly which pairs collide at each configuration; `collide` is faster if the pairs do not matter.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+        t : float or array_like, shape (...), optional
+            As for `collide`.
 
         Returns
         -------
@@ -483,7 +493,7 @@ class CollisionChecker:
         InputError, UnknownNameError, ConvergenceError
             As for `collide`.
         """
-        checked, ready = self.robot.checked(Q), self._ready()
+        checked, ready = self._at(Q, t)
         return verdicts.collisions_by_pair(ready, edges.flat(checked)).reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
@@ -547,9 +557,7 @@ class CollisionChecker:
         if gradient and not exact:
             raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
         found = distances.nearest(ready, checked, exact, gradient)
-        if ready.paths is None or not gradient:
-            return found
-        return replace(found, gradient=np.ascontiguousarray(found.gradient[..., : self.robot.dof]))
+        return found if ready.paths is None or found.gradient is None else replace(found, gradient=self._own(found))
 
     @overload
     def clearance(self, Q: ArrayLike, *, softness: float = ..., gradient: Literal[False] = ...) -> OneOrMany: ...
@@ -616,12 +624,16 @@ class CollisionChecker:
         values: OneOrMany = lower.reshape(batch) if batch else float(lower[0])
         return (values, slopes.reshape(checked.shape)) if gradient else values
 
-    def distance_by_pair(self, Q: ArrayLike, *, within: float, gradient: bool = False) -> PairDistances:
+    def distance_by_pair(
+        self, Q: ArrayLike, t: ArrayLike | None = None, *, within: float, gradient: bool = False
+    ) -> PairDistances:
         """Compute the exact distance of every pair whose bodies are within a given distance of each other.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+        t : float or array_like, shape (...), optional
+            As for `collide`.
         within : float
             The given distance, in metres, >= 0; pairs in contact are always listed. Margins are ignored.
         gradient : bool
@@ -652,9 +664,10 @@ class CollisionChecker:
         0 cart post 0.7
         1 rail forearm 0.481015
         """
-        checked = self.robot.checked(Q)
+        checked, ready = self._at(Q, t)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
-        return distances.by_pair(self._ready(), edges.flat(checked), within, gradient)
+        found = distances.by_pair(ready, edges.flat(checked), within, gradient)
+        return found if ready.paths is None or found.gradient is None else replace(found, gradient=self._own(found))
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -668,6 +681,10 @@ class CollisionChecker:
         rows = edges.flat(np.broadcast_to(checked, (*shape, checked.shape[-1])))
         made = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
         return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
+
+    def _own(self, found: StateDistance[Any, Any] | PairDistances) -> Floats:
+        """Return a gradient without the columns of bodies that follow motions."""
+        return np.ascontiguousarray(np.asarray(found.gradient)[..., : self.robot.dof])
 
     def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
         """Decide verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
@@ -701,9 +718,10 @@ class CollisionChecker:
         if ready.paths is not None and not timed:
             names = ", ".join(self._scene.following)
             raise InputError(
-                f"expected a time, since bodies of the scene follow motions ({names}): give t=, or t0= and t1=, to "
-                "collide, classify, pairs, distance or certify_edges, or prove a curve in time by certify_trajectory; "
-                "Scene.detach stops a body"
+                f"expected a time, since bodies of the scene follow motions ({names}). Planners and other queries "
+                "without a time do not take such bodies into account: plan without them (Scene.detach, Scene.remove), "
+                "then prove the trajectory by certify_trajectory; or give t= to collide, classify, pairs, distance and "
+                "their kin, or t0= and t1= to certify_edges"
             )
         return ready
 

@@ -67,12 +67,12 @@ class TrajectoryContact:
 
 @overload
 def first_contact(
-    self: Any, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ...
+    self: Any, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., t0: float = ...
 ) -> tuple[TrajectoryContact, ...]: ...
 @overload
-def first_contact(self: Any, curve: Any, *, tolerance: float = ...) -> TrajectoryContact: ...
+def first_contact(self: Any, curve: Any, *, tolerance: float = ..., t0: float = ...) -> TrajectoryContact: ...
 def first_contact(
-    self: Any, curve: Any, *, tolerance: float = 1e-6
+    self: Any, curve: Any, *, tolerance: float = 1e-6, t0: float = 0.0
 ) -> TrajectoryContact | tuple[TrajectoryContact, ...]:
     """Find when a robot on a curve first touches something, and prove that it is free until then.
 
@@ -82,6 +82,8 @@ def first_contact(
         As for `certify_trajectory`. Bodies that follow motions move at the same times.
     tolerance : float
         Metres. Where it is proven free no longer, a pair is within this distance of its margin.
+    t0 : float
+        Seconds that are added to the curve's times, as for `certify_trajectory`.
 
     Returns
     -------
@@ -114,7 +116,7 @@ def first_contact(
     tolerance = _validate.positive_scalar(tolerance, "tolerance")
     ready: Problem = self._ready(timed=True)
     found = []
-    for k, one in enumerate(curves_of(self.robot, curve)):
+    for k, one in enumerate(curves_of(self.robot, curve, t0)):
         # On courses of degree 1, parts of a body's turn would have to be made otherwise.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
         found.append(_first(ready, with_bodies(self.robot, ready, cubic), tolerance, k))

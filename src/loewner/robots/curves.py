@@ -68,6 +68,8 @@ class CertifiedTrajectory:
         Seconds; NaN if FREE. If COLLIDING, the robot may also collide earlier.
     names : tuple of str
         The pair of bodies; empty strings if FREE.
+    first : float
+        Seconds; the curve is proven free until then, at the least. inf if FREE.
     times : ndarray, shape (n + 1,)
         Times at which the segments begin and end.
     segments : CertifiedMotions
@@ -94,12 +96,13 @@ class CertifiedTrajectory:
 
     @property
     def first(self) -> float:
-        """The time until which the curve is proven free, at the least: its first segment that is not FREE begins then.
+        """Time until which the curve is proven free, at the least: its first segment that is not FREE begins then.
 
-        NaN if FREE. With bodies that follow motions, segments also begin where these change their rates.
+        inf if FREE. With bodies that follow motions, segments also begin where these change their rates;
+        `CollisionChecker.first_contact` is more precise.
         """
         at = np.flatnonzero(self.segments.verdict != codes.FREE)
-        return float(self.times[at[0]]) if len(at) else np.nan
+        return float(self.times[at[0]]) if len(at) else np.inf
 
 
 def certified(
@@ -159,7 +162,9 @@ def proven(checker: Any, given: Any, joint_error: ArrayLike, name: str = "curve"
     An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
     """
     if not isinstance(given, np.ndarray):
-        return curve_of(checker.robot, given, name), checker.certify_trajectory(given, joint_error=joint_error)
+        curve = with_bodies(checker.robot, checker._ready(timed=True), curve_of(checker.robot, given, name))
+        own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., : checker.robot.dof]))
+        return own, checker.certify_trajectory(given, joint_error=joint_error)
     rows = checked_path(checker.robot, given)
     a, b = rows[:-1], rows[1:]
     curve = Curve(None, np.arange(len(rows), dtype=np.float64), straight(checker.robot, a, b), np.zeros_like(a))
@@ -185,14 +190,27 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
     return ticks, numbers, configurations(robot, curve.courses[numbers], shares)
 
 
+def at_times(checker: Any, ticks: Floats) -> Floats | None:
+    """Return the times of samples for queries of a checker; None if no body of its scene moves."""
+    return ticks if checker.scene.following else None
+
+
 # -- forms of curves ----------------------------------------------------------------------------
 
 
-def curves_of(robot: Robot, given: Any) -> list[Curve]:
-    """Return the courses of one curve, or of each curve in a list; errors as for `curve_of`."""
+def curves_of(robot: Robot, given: Any, t0: float = 0.0) -> list[Curve]:
+    """Return the courses of one curve, or of each curve in a list, t0 seconds later; errors as for `curve_of`."""
     if isinstance(given, (list, tuple)):
-        return [curve_of(robot, one, f"curve {k}") for k, one in enumerate(given)]
-    return [curve_of(robot, given, "curve")]
+        made = [curve_of(robot, one, f"curve {k}") for k, one in enumerate(given)]
+    else:
+        made = [curve_of(robot, given, "curve")]
+    later = _validate.real(t0, "t0")
+    if later:
+        made = [curve._replace(times=curve.times + later) for curve in made]
+        for curve in made:
+            if not (np.diff(curve.times) > 0).all():
+                raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:g}")
+    return made
 
 
 def curve_of(robot: Robot, given: Any, name: str) -> Curve:

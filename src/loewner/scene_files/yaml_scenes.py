@@ -376,9 +376,10 @@ def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry
     if not rows:
         raise keys["poses"].error("expected one row or more, found none")
     times, poses = [of_row["time"].number() for _, of_row in rows], [_pose(row, of_row) for row, of_row in rows]
+    repeat = "repeat" in keys and keys["repeat"].flag()
     with entry.blamed():
         scene.add(name, body, poses[0], margin=margin)
-        scene.follow(name, times, poses, repeat="repeat" in keys and keys["repeat"].flag())
+        scene.follow(name, times, poses, repeat=repeat)
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
@@ -514,7 +515,10 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
     if name in scene.following:
         path = scene.following[name]
         rows = zip(path.times.tolist(), path.positions.tolist(), path.quaternions.tolist(), strict=True)
-        poses = [{"time": t, "position": position, "quaternion_wxyz": wxyz} for t, position, wxyz in rows]
+        poses = [
+            {"time": t, "position": position} | ({} if wxyz == [1.0, 0.0, 0.0, 0.0] else {"quaternion_wxyz": wxyz})
+            for t, position, wxyz in rows
+        ]
         return {"follow": {"poses": poses, "repeat": True} if path.repeat else {"poses": poses}}
     held = scene.attachments.get(name)
     T = scene.pose(name) if held is None else held.T_link_body

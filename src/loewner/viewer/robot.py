@@ -359,7 +359,9 @@ class RobotViewer(Viewer):
         node, self._numbers = f"/body/{self._numbers}", self._numbers + 1
         mover, handle = None, None
         if link is None:
-            mover = Mover(self, node, name, self.checker.scene.pose(name))
+            scene = self.checker.scene
+            T = scene.following[name].poses(self._time) if name in scene.following else scene.pose(name)
+            mover = Mover(self, node, name, T)
             mover.show(False)
             handle = mover.gizmo
         else:

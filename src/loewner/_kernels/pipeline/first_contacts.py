@@ -50,7 +50,7 @@ UPWARD = 1.0 + STRETCH
 
 # A turn is refused if the cosine of its half is below this: poses, which may have gone through float32, do not show
 # which way is the shorter one.
-HALF_TURN = 1e-6
+NEARLY_HALF_TURN = 1e-6
 
 ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
 
@@ -114,7 +114,7 @@ def write_motion(first, last, poses, row, motion):
     if w < 0.0:
         w, v = -w, negated(v)
     sine = np.sqrt(dot(v, v))
-    if not w > HALF_TURN * np.sqrt(sine * sine + w * w):
+    if not w > NEARLY_HALF_TURN * np.sqrt(sine * sine + w * w):
         return False
     axis, angle = (0.0, 0.0, 1.0), 0.0
     if sine > 0.0 and not same:

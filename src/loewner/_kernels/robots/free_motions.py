@@ -16,7 +16,7 @@ from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_o
 
 # Cosine of a quarter of the turn between two orientations that are half a turn apart, up to rounding: the last bit then
 # decides the direction of `Robot.between`.
-HALF_TURN = 1e-9
+NEARLY_HALF_TURN = 1e-9
 
 # splitmix64, which passes the usual tests of randomness and has one word of state
 _GAMMA, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -146,7 +146,7 @@ def turns_clearly(tree, ends):
         if at >= 0:
             for k in range(at, at + 4):
                 cosine += ends[0, k] * ends[1, k]
-            clear = clear and abs(cosine) > HALF_TURN
+            clear = clear and abs(cosine) > NEARLY_HALF_TURN
             if cosine < 0.0:
                 for k in range(at, at + 4):
                     ends[1, k] = -ends[1, k]
