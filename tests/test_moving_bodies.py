@@ -356,6 +356,43 @@ def test_mutants_are_caught(slider, mutant, monkeypatch):
     assert refuted() > 0
 
 
+def test_a_motion_that_is_closed_turns_as_its_poses_say():
+    """Its last pose is set to its first one, which is up to 1e-6 rad away; rates belong to what is stored."""
+    T = np.tile(np.eye(4), (4, 1, 1))
+    for row, angle in zip(T, (0.0, 1.0, 3.0, -9.5e-7), strict=True):
+        row[:3, :3] = Rotation.from_rotvec([0, 0, angle]).as_matrix()
+    path = path_of(np.arange(4.0), T, True)
+    chords = np.linalg.norm(np.diff(path.quaternions, axis=0), axis=1)
+    np.testing.assert_allclose(path.arcs, 2 * np.arcsin(chords / 2), rtol=1e-15)
+    for t in (2.25, 2.5, 2.9):
+        np.testing.assert_allclose(
+            slerp(path, t)[3:].astype(float), PackedPaths.of((path,)).values(np.array([t]))[0, 0, 3:], atol=1e-14
+        )
+
+
+def test_knots_are_listed_where_motions_are(slider):
+    """Two short motions long after each other are answered together as they are alone."""
+    scene = Scene()
+    scene.add("a", Body.sphere(0.1))
+    scene.follow("a", [0.0, 0.1, 0.2], [translation(x=5.0), translation(x=6.0), translation(x=5.0)], repeat=True)
+    checker = CollisionChecker(slider, scene)
+    t0 = np.array([1e6, 0.0, 0.5, 3.0])
+    found = checker.certify_edges(np.tile(LEFT, (4, 1)), LEFT, t0=t0, t1=t0 + 1.0)
+    assert (found.verdict == Verdict.FREE).all()
+
+
+@pytest.mark.parametrize("gap", [3e-6, 1e-4])
+def test_a_body_that_turns_near_a_plate_is_free(slider, gap):
+    """The rod's end passes the ball at a constant distance, above the tolerance: turns are approximated finely enough."""
+    scene = Scene()
+    scene.add("plate", Body.cylinder(40.0, 0.2).transformed(translation(z=-0.1)))
+    spin = np.tile(translation(x=-0.5, y=-0.5, z=-0.1 - gap), (5, 1, 1))
+    spin[:, :3, :3] = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, 5)[:, None] * [0, 0, 1.0]).as_matrix()
+    scene.follow("plate", np.arange(5.0), spin, repeat=True)
+    found = CollisionChecker(slider, scene).first_contact(CubicSpline([0.0, 1.0], [LEFT, LEFT]))
+    assert (found.verdict, found.free_until) == (Verdict.FREE, np.inf)
+
+
 # -- scenes -----------------------------------------------------------------------------------
 
 
@@ -447,6 +484,8 @@ def test_bad_motions_are_refused(slider):
         ([0.0, 1.0], [translation(), half], {}, "less than half a turn"),
         ([0.0, 1.0], [translation(), translation(x=1.0)], {"repeat": True}, "a jump of 1 m"),
         ([0.0, 1.0], still, {"repeat": "yes"}, "repeat"),
+        ([0.0, 1e-300], still, {}, "times at least 1e-12 s apart"),
+        ([0.0, 1.0], [translation(), translation(x=1e13)], {}, "speeds below"),
     ):
         with pytest.raises(InputError, match=message):
             scene.follow("a", times, poses, **options)
@@ -484,7 +523,10 @@ def test_bad_motions_are_refused(slider):
             call()
     scene.follow("a", [0.0, 1.0], still, repeat=True)
     with pytest.raises(InputError, match="at most 4194304 knots"):
-        checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1e12)
+        checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1e10)
+    for late in (1e14, 1e300, 1.7e308):
+        with pytest.raises(InputError, match="repetitions of a motion"):
+            checker.certify_edges(LEFT, LEFT, t0=late, t1=late)
 
 
 # -- first contact on a curve -----------------------------------------------------------------

@@ -21,8 +21,14 @@ NEARLY_HALF = 1e-3
 # Largest turn [rad], in terms of quaternions, of a piece whose quaternion is approximated by a cubic curve.
 MOST_ARC = 0.05
 
-# The first and the last pose of a motion that repeats agree to this share of its positions, or this angle [rad].
-CLOSED = 1e-9
+# The first and the last pose of a motion that repeats agree to this share of its positions, and to this angle [rad].
+CLOSED, CLOSED_TURN = 1e-9, 1e-6
+
+# Largest speed [m/s] and shortest time between two poses [s]; bounds on rounding overflow far beyond.
+FASTEST, SHORTEST = 1e12, 1e-12
+
+# Repetitions after which a time in a motion is lost in rounding.
+MOST_REPEATED = 2.0**40
 
 # Repetitions and parts of turns that a query may run through.
 MOST_KNOTS = 2**22
@@ -129,49 +135,61 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
         )
     for k in np.flatnonzero(~(np.diff(at) > 0))[:1]:
         raise InputError(f"times: expected times that increase, found {at[k]:g} and then {at[k + 1]:g}")
-    quaternions = quaternions_of(T[:, :3, :3])
+    positions, quaternions = T[:, :3, 3].copy(), quaternions_of(T[:, :3, :3])
+    if repeat:
+        cosine = float(quaternions[0] @ quaternions[-1])
+        jump, turn = float(np.linalg.norm(positions[-1] - positions[0])), 2.0 * np.arccos(min(abs(cosine), 1.0))
+        if jump > CLOSED * max(1.0, float(np.abs(positions).max())) or turn > CLOSED_TURN:
+            raise InputError(
+                f"poses: expected a motion that ends where it begins, to repeat it, found a jump of {jump:g} m "
+                f"and {turn:g} rad"
+            )
+        positions[-1], quaternions[-1] = positions[0], quaternions[0]
     signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(signs)[:, None]
-    made = PosePath(at, T[:, :3, 3].copy(), quaternions, repeat)
+    made = PosePath(at, positions, quaternions, repeat)
     for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(
             f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
             f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:g} and {at[k + 1]:g}; add poses in between"
         )
-    if repeat:
-        jump = float(np.linalg.norm(made.positions[-1] - made.positions[0]))
-        turn = 2.0 * np.arccos(min(abs(float(quaternions[0] @ quaternions[-1])), 1.0))
-        if jump > CLOSED * max(1.0, float(np.abs(made.positions).max())) or turn > 1e-6:
-            raise InputError(
-                f"poses: expected a motion that ends where it begins, to repeat it, found a jump of {jump:g} m "
-                f"and {turn:g} rad"
-            )
-        made.positions[-1] = made.positions[0]
-        made.quaternions[-1] = made.quaternions[0] * np.sign(quaternions[0] @ quaternions[-1])
+    with np.errstate(over="ignore"):
+        fast = np.flatnonzero(~(np.abs(np.diff(positions, axis=0)).max(axis=1) / np.diff(at) <= FASTEST))[:1]
+    for k in np.append(fast, np.flatnonzero(np.diff(at) < SHORTEST))[:1]:
+        raise InputError(
+            f"times: expected speeds below {FASTEST:g} m/s and times at least {SHORTEST:g} s apart, found "
+            f"{np.diff(at)[k]:g} s from {at[k]:g} s on"
+        )
     return made
 
 
-def _knots(path: PosePath, low: float, high: float, fine: bool) -> Floats:
-    """List the times between two others at which the rates change, and with `fine`, times between short turns.
+def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
+    """List times between each `low` and `high` at which the rates change, and with `fine`, times between short turns.
 
     Raises
     ------
     InputError
-        If there are more than `MOST_KNOTS`.
+        If there are more than `MOST_KNOTS`, or a motion has repeated too often to tell when.
     """
     at = path._fine if fine else path.times
     if not path.repeat:
-        return at[(at > low) & (at < high)]
-    if not low <= high:
-        return at[:0]
-    first, last = (int(np.floor((t - at[0]) / path.period)) for t in (low, high))
-    if (last - first + 1) * len(at) > MOST_KNOTS:
+        return at
+    with np.errstate(over="ignore"):
+        first, last = (np.floor((t - at[0]) / path.period) for t in (low, high))
+    if not (np.abs([first, last]) < MOST_REPEATED).all():
         raise InputError(
-            f"expected at most {MOST_KNOTS} knots of moving bodies, found {(last - first + 1) * len(at)} between "
-            f"the times {low:g} and {high:g}; ask for less time at once"
+            f"expected times within {MOST_REPEATED:g} repetitions of a motion of {path.period:g} s, found "
+            f"{low.min():g} .. {high.max():g} s"
         )
-    every = (at[:-1] + path.period * np.arange(first, last + 1)[:, None]).ravel()
-    return every[(every > low) & (every < high)]
+    counts = (last - first).astype(np.int64) + 1
+    total = int(counts.sum())
+    if total * len(at) > MOST_KNOTS:
+        raise InputError(
+            f"expected at most {MOST_KNOTS} knots of moving bodies, found {total * len(at)} between the times "
+            f"{low.min():g} and {high.max():g}; ask for less time at once"
+        )
+    number = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
+    return np.asarray(at[:-1] + path.period * number[:, None]).ravel()
 
 
 class PackedPaths(NamedTuple):
@@ -222,12 +240,15 @@ class PackedPaths(NamedTuple):
         entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
 
-    def knots(self, low: float, high: float, fine: bool) -> Floats:
-        """List the times between two others at which any body changes its rates, in order; see `_knots` for `fine`.
+    def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
+        """List all times at which any body changes its rates between t0 and t1, shape (N,) each, and some others.
 
-        Raises
-        ------
-        InputError
-            If there are more than `MOST_KNOTS`.
+        The list is in order; see `_knots` for `fine` and for errors.
         """
+        if len(t0) == 0:
+            return t0
+        order = np.argsort(t0)
+        low, until = t0[order], np.maximum.accumulate(t1[order])
+        apart = np.flatnonzero(low[1:] > until[:-1])  # where times begin that no earlier motion reaches
+        low, high = low[np.append(0, apart + 1)], until[np.append(apart, len(t0) - 1)]
         return np.unique(np.concatenate([_knots(path, low, high, fine) for path in self.paths]))

@@ -182,7 +182,7 @@ class Space:
         rules = judge.joint_error is not None and len(judge.ready.ruled)
         return (
             f"a collision of {named}"
-            + (f", and {len(contacts) - NAMED} more pairs" if len(contacts) > NAMED else "")
+            + (f", and {len(contacts) - NAMED} more" if len(contacts) > NAMED else "")
             + ("; with a joint error, contact at the ends is not allowed" if rules else "")
         )
 

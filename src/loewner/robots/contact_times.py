@@ -9,9 +9,9 @@ import numpy as np
 
 from loewner import _validate, queries
 from loewner._kernels import codes
-from loewner._validate import Floats
+from loewner._validate import Floats, Ints
 from loewner.queries import Verdict
-from loewner.robots import verdicts
+from loewner.robots import in_time, verdicts
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, parts
 from loewner.robots.curves import Curve, curves_of, expect_short, with_bodies
 from loewner.robots.problem import Problem
@@ -32,8 +32,8 @@ class TrajectoryContact:
     Attributes
     ----------
     verdict : Verdict
-        FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, by the exact
-        test. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
+        FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, which may be
+        rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
     free_until : float
         Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
         proven to be farther apart than its margin; inf if FREE. At this time, the pair is within the tolerance of its
@@ -145,15 +145,15 @@ def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> Traje
             break
         if k + 1 < len(piece.courses):
             waiting.append((_of(piece, slice(k + 1, None)), cuts))
-        waiting.append((_cut(_of(piece, slice(k, k + 1))), cuts + 1))
+        waiting.append((_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1))
     if doubt is None:
         return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
     a, b = (ready.names[n] for n in ready.pairs[doubt[1]])
     # Times of parts are rounded.
     free = max(doubt[0] - CURVE_ROUNDINGS * float(np.abs(curve.times).max()), float(curve.times[0]))
-    if touching == np.inf:
-        return TrajectoryContact(Verdict.AMBIGUOUS, free, np.inf, (a, b))
-    return TrajectoryContact(Verdict.COLLIDING, free, _earlier(ready, curve, free, touching), (a, b))
+    touching = touching if touching == np.inf else _earlier(ready, curve, free, touching)
+    verdict = Verdict.AMBIGUOUS if touching == np.inf else Verdict.COLLIDING
+    return TrajectoryContact(verdict, free, touching, (a, b))
 
 
 def _of(curve: Curve, rows: slice) -> Curve:
@@ -161,14 +161,19 @@ def _of(curve: Curve, rows: slice) -> Curve:
     return Curve(None, curve.times[rows.start : last], curve.courses[rows], curve.off[rows])
 
 
-def _cut(piece: Curve) -> Curve:
-    """Cut one piece into parts."""
+def _cut(ready: Problem, piece: Curve) -> Curve:
+    """Cut one piece into parts; bodies that move get courses of their own, since a shorter turn is missed by less."""
     shares = np.arange(PARTS + 1) / PARTS
     courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
+    off = np.repeat(piece.off + CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1), PARTS, axis=0)
     begin, end = piece.times
     times = np.where(shares == 1.0, end, begin + shares * (end - begin))
-    off = piece.off + CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1)
-    return Curve(None, times, courses, np.repeat(off, PARTS, axis=0))
+    if ready.paths is not None:
+        own = courses.shape[2] - in_time.WIDTH * len(ready.paths.far)
+        courses[..., own:], off[..., own:] = in_time.courses_of_bodies(
+            ready.paths, times[:-1], times[1:], courses.shape[1]
+        )
+    return Curve(None, times, courses, off)
 
 
 def _gap(ready: Problem, pair: int, q: Floats) -> float:
@@ -180,15 +185,27 @@ def _gap(ready: Problem, pair: int, q: Floats) -> float:
 
 
 def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> float:
-    """Return a time of collision with a free one just before it, between a free time and a time of collision."""
+    """Return a time of collision with a free one just before it, after a free time and at most at `touching`.
+
+    inf if there is no collision at `touching`, where it is known up to rounding only.
+    """
+    if not len(_hits(ready, curve, np.array([touching]))):
+        return np.inf
     while True:
         times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
         times = times[(times > free) & (times < touching)]
         if len(times) == 0:
             return touching
-        k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
-        shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
-        Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
-        hit = np.flatnonzero(verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)
+        hit = _hits(ready, curve, times)
         at = int(hit[0]) if len(hit) else len(times)
         free, touching = float(times[at - 1]) if at else free, float(times[at]) if at < len(times) else touching
+
+
+def _hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
+    """Return which of some times collide, with the moving bodies where their motions say."""
+    k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
+    shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
+    Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
+    if ready.paths is not None:
+        Q = in_time.with_bodies(ready, Q[:, : Q.shape[1] - in_time.WIDTH * len(ready.paths.far)], times)
+    return np.flatnonzero(verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)

@@ -28,7 +28,7 @@ WIDTH = 7
 
 # Bounds on the rounding of positions and quaternions, in units of their largest numbers, and of times.
 VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 100, certified.md B56
-TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 12, certified.md B57
+TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B57
 
 # A cubic curve through an arc of a unit circle, with its tangents at both ends, misses it by φ⁴ / 384 at most.
 ARC_ERROR = 1.0 / 384.0
@@ -90,8 +90,7 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     curved = courses.shape[1] > 2
     if curved and paths.turns.any():
         courses = elevated(courses, max(0, 4 - courses.shape[1]))
-    low, high = float(t0.min(initial=np.inf)), float(t1.max(initial=-np.inf))
-    knots = paths.knots(low, high, curved)
+    knots = paths.knots(t0, t1, curved)
     first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
     counts = np.maximum(last - first, 0) + 1
     total, width = int(counts.sum()), courses.shape[2] + WIDTH * len(paths.far)
@@ -117,16 +116,26 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
                 interpolated(robot, whole[:, 0], whole[:, 1], f[cut, None]) for f in (starts, ends)
             )
         strays[cut] += CURVE_ROUNDINGS * np.abs(whole).max(axis=1)
-    shape, bent = _courses(paths.values(begin), paths.values(end), courses.shape[1])
+    bodies, errors = courses_of_bodies(paths, begin, end, courses.shape[1])
+    joined = np.concatenate([of_robot, bodies], axis=2), np.concatenate([strays, errors], axis=1)
+    return Pieces(owner, starts, ends, np.stack([begin, end], axis=1), *joined)
+
+
+def courses_of_bodies(paths: PackedPaths, begin: Floats, end: Floats, points: int) -> tuple[Floats, Floats]:
+    """Make courses of all bodies between times, shape (M,) each, between which no body changes its rates.
+
+    Returns
+    -------
+    courses : ndarray, shape (M, points, 7 bodies)
+    off : ndarray, shape (M, 7 bodies)
+        How far values may deviate from the courses.
+    """
+    made, bent = _courses(paths.values(begin), paths.values(end), points)
     ticks = TIME_ROUNDINGS * (np.abs([begin, end]).max(axis=0)[:, None] + paths.spans)  # (M, bodies)
-    errors = np.empty((total, len(paths.far), WIDTH))
+    errors = np.empty((len(begin), len(paths.far), WIDTH))
     errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
     errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
-    joined = (
-        np.concatenate([of_robot, shape], axis=2),
-        np.concatenate([strays, errors.reshape(total, WIDTH * len(paths.far))], axis=1),
-    )
-    return Pieces(owner, starts, ends, np.stack([begin, end], axis=1), *joined)
+    return made, errors.reshape(len(begin), WIDTH * len(paths.far))
 
 
 def _courses(a: Floats, b: Floats, points: int) -> tuple[Floats, Floats]:

@@ -40,6 +40,9 @@ TURN_ROUNDINGS = 128 * 2.0**-53
 # coordinates relative to the box are off by 1e-7 at most.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
+# Least factor of the ellipsoid's shape: all points of a part may coincide.
+LEAST_OVAL = 1e-3
+
 # Directions in which the extreme points determine the ellipsoid.
 _WAYS = np.array([(x, y, z) for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)], float)
 
@@ -566,7 +569,7 @@ def _enclose(corners, n, part, numbers, box, center, shape):
         for k in range(first, last, step):
             r = minus(_relative(numbers, _eight(corners, n, k, first, last, corner), middle, per), c)
             farthest = maximum(farthest, _form(inverse, r))
-    most = highest(farthest) * WIDER * WIDER
+    most = max(highest(farthest), LEAST_OVAL) * WIDER * WIDER
     F = (
         numbers[0] * half[0], numbers[1] * half[1], numbers[2] * half[2], numbers[3] * half[0], numbers[4] * half[1],
         numbers[5] * half[2], numbers[6] * half[0], numbers[7] * half[1], numbers[8] * half[2],
