@@ -383,7 +383,7 @@ def test_knots_are_listed_where_motions_are(slider):
 
 @pytest.mark.parametrize("gap", [3e-6, 1e-4])
 def test_a_body_that_turns_near_a_plate_is_free(slider, gap):
-    """The rod's end passes the ball at a constant distance, above the tolerance: turns are approximated finely enough."""
+    """It passes the ball at a constant distance above the tolerance: turns are approximated finely enough."""
     scene = Scene()
     scene.add("plate", Body.cylinder(40.0, 0.2).transformed(translation(z=-0.1)))
     spin = np.tile(translation(x=-0.5, y=-0.5, z=-0.1 - gap), (5, 1, 1))
