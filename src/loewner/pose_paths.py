@@ -169,7 +169,7 @@ def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
     Raises
     ------
     InputError
-        If there are more than `MOST_KNOTS`, or a motion has repeated too often to tell when.
+        If there are more than `MOST_KNOTS`, or a motion has repeated so often that rounding exceeds its period.
     """
     at = path._fine if fine else path.times
     if not path.repeat:

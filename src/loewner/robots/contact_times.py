@@ -202,7 +202,7 @@ def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> floa
 
 
 def _hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
-    """Return which of some times collide, with the moving bodies where their motions say."""
+    """Return which of some times collide, with the moving bodies at their poses then."""
     k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
     shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
     Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
