@@ -1056,7 +1056,11 @@ CALLS: dict[str, Call] = {
     ),
     "CollisionChecker.first_contact": Call(
         on(checker_in_time, "first_contact"),
-        {"curve": arg(moved, "empty list", "empty tuple"), "tolerance": positive(1e-6)},
+        {
+            "curve": arg(moved, "empty list", "empty tuple"),
+            "tolerance": positive(1e-6),
+            "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+        },
     ),
     "CollisionChecker.joint_error": Call(
         on(checker, "joint_error"),
@@ -1068,15 +1072,16 @@ CALLS: dict[str, Call] = {
         },
     ),
     "CollisionChecker.certify_trajectory": Call(
-        on(checker, "certify_trajectory"),
+        on(checker_in_time, "certify_trajectory"),
         {
             "curve": arg(moved, "empty list", "empty tuple"),
             "tolerance": positive(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE),
         },
     ),
     "CollisionChecker.pairs": Call(on(checker_in_time, "pairs"), {"q": ONE, "t": arg(0.5, NUMBERS, ZERO, NEGATIVE)}),
-    "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.collide_by_pair": Call(on(checker_in_time, "collide_by_pair"), {"Q": CONFIGURATIONS, "t": AT}),
     "CollisionChecker.distance": Call(
         on(checker_in_time, "distance"), {"Q": CONFIGURATIONS, "t": AT, "exact": flag(), "gradient": flag()}
     ),
@@ -1085,8 +1090,8 @@ CALLS: dict[str, Call] = {
         {"Q": CONFIGURATIONS, "softness": positive(0.005), "gradient": flag()},
     ),
     "CollisionChecker.distance_by_pair": Call(
-        on(checker, "distance_by_pair"),
-        {"Q": CONFIGURATIONS, "within": margin(0.5), "gradient": flag()},
+        on(checker_in_time, "distance_by_pair"),
+        {"Q": CONFIGURATIONS, "t": AT, "within": margin(0.5), "gradient": flag()},
     ),
     "pairs_by_sampling": Call(
         loewner.pairs_by_sampling,
