@@ -213,6 +213,14 @@ def test_example_plan_with_grasped_object(tmp_path):
     assert min(apart) >= 10
 
 
+def test_example_conveyor(tmp_path):
+    """Most starts are free, and one touches a part."""
+    out = example("conveyor.py", "--out", "late.svg", cwd=tmp_path)
+    assert "proven free if started at 0, 1, 2" in out
+    assert re.search(r"started at 7 s: .* touch at 8\.1090\d+ s, free until 8\.1090\d+ s", out)
+    assert (tmp_path / "late.svg").is_file()
+
+
 def test_example_pick_and_place(tmp_path):
     """Every motion from the table to the shelf and back is proven; a millimetre into the table is a collision."""
     out = example("pick_and_place.py", "--out", "carry.csv", cwd=tmp_path)
