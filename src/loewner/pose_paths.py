@@ -164,7 +164,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
 
 
 def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
-    """List times between each `low` and `high` at which the rates change, and with `fine`, times between short turns.
+    """List times of a motion that repeats between each `low` and `high`, with `fine` also times between short turns.
 
     Raises
     ------
@@ -172,8 +172,6 @@ def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
         If there are more than `MOST_KNOTS`, or a motion has repeated so often that rounding exceeds its period.
     """
     at = path._fine if fine else path.times
-    if not path.repeat:
-        return at
     with np.errstate(over="ignore"):
         first, last = (np.floor((t - at[0]) / path.period) for t in (low, high))
     if not (np.abs([first, last]) < MOST_REPEATED).all():
@@ -204,6 +202,8 @@ class PackedPaths(NamedTuple):
         Bounds on the entries of positions [m], on speeds [m/s] and on rates of quaternions [1/s].
     spans : ndarray, shape (bodies,)
         Largest numbers that are added to a time to find its place in the motion [s].
+    once : tuple of 2 ndarray
+        The times of all motions that do not repeat, in order; and with those between short turns.
     """
 
     paths: tuple[PosePath, ...]
@@ -216,6 +216,7 @@ class PackedPaths(NamedTuple):
     speeds: Floats
     turns: Floats
     spans: Floats
+    once: tuple[Floats, Floats]
 
     @classmethod
     def of(cls, paths: tuple[PosePath, ...]) -> PackedPaths:
@@ -232,6 +233,10 @@ class PackedPaths(NamedTuple):
             np.array([(step / length).max() for step, length in zip(steps, lengths, strict=True)]),
             np.array([(path.arcs / length).max() for path, length in zip(paths, lengths, strict=True)]),
             np.array([abs(path.times[0]) + path.period for path in paths]),
+            (
+                np.unique(np.concatenate([[], *(path.times for path in paths if not path.repeat)])),
+                np.unique(np.concatenate([[], *(path._fine for path in paths if not path.repeat)])),
+            ),
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:
@@ -245,10 +250,11 @@ class PackedPaths(NamedTuple):
 
         The list is in order; see `_knots` for `fine` and for errors.
         """
-        if len(t0) == 0:
-            return t0
+        if len(t0) == 0 or not self.periods.any():
+            return self.once[fine]
         order = np.argsort(t0)
         low, until = t0[order], np.maximum.accumulate(t1[order])
         apart = np.flatnonzero(low[1:] > until[:-1])  # where times begin that no earlier motion reaches
         low, high = low[np.append(0, apart + 1)], until[np.append(apart, len(t0) - 1)]
-        return np.unique(np.concatenate([_knots(path, low, high, fine) for path in self.paths]))
+        again = [_knots(path, low, high, fine) for path in self.paths if path.repeat]
+        return np.unique(np.concatenate([self.once[fine], *again]))

@@ -93,6 +93,10 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     knots = paths.knots(t0, t1, curved)
     first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
     counts = np.maximum(last - first, 0) + 1
+    if counts.max(initial=1) == 1:
+        bodies, errors = courses_of_bodies(paths, t0, t1, courses.shape[1])
+        uncut = np.arange(len(t0)), np.zeros(len(t0)), np.ones(len(t0)), np.stack([t0, t1], axis=1)
+        return Pieces(*uncut, np.concatenate([courses, bodies], axis=2), np.concatenate([off, errors], axis=1))
     total, width = int(counts.sum()), courses.shape[2] + WIDTH * len(paths.far)
     _validate.fits_memory(8 * total * width * (2 * courses.shape[1] + 2), f"{total} pieces of motions")
     owner = np.repeat(np.arange(len(courses)), counts)
