@@ -485,6 +485,7 @@ def test_bad_motions_are_refused(slider):
         ([0.0, 1.0], [translation(), translation(x=1.0)], {"repeat": True}, "a jump of 1 m"),
         ([0.0, 1.0], still, {"repeat": "yes"}, "repeat"),
         ([0.0, 1e-300], still, {}, "times at least 1e-12 s apart"),
+        ([-1.7e308, 1.7e308], still, {}, "a finite duration"),
         ([0.0, 1.0], [translation(), translation(x=1e13)], {}, "speeds below"),
     ):
         with pytest.raises(InputError, match=message):
@@ -513,6 +514,7 @@ def test_bad_motions_are_refused(slider):
         (lambda: checker.certify_edges(LEFT, LEFT, t0=1.0, t1=0.0), "t1: expected times at or after t0"),
         (lambda: checker.certify_edges([LEFT] * 3, LEFT, t0=[0.0, 1.0], t1=2.0), "broadcast"),
         (lambda: checker.collide(LEFT, np.inf), "t: expected finite"),
+        (lambda: checker.certify_edges(LEFT, LEFT, t0=-1.7e308, t1=1.7e308), "finite durations"),
         (lambda: checker.collide([LEFT, LEFT], [0.0, 1.0, 2.0]), "broadcast"),
         (lambda: checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1e12), None),
     ):

@@ -35,8 +35,8 @@ class FirstContact:
     ----------
     verdict : Verdict, or ndarray of int8
         FREE: proven not to touch, nor to come within the margin, at any time from 0 to 1. COLLIDING: they touch at
-        `touching_at`, by the exact test of `collide`. AMBIGUOUS: they graze, or the search did not converge; only
-        `free_until` is proven.
+        `touching_at`, by the exact test of `collide`; pieces with curved faces up to about 1e-9 m. AMBIGUOUS: they
+        graze, or the search did not converge; only `free_until` is proven.
     free_until : float or ndarray
         At every real time from 0 to this time, except the time itself, the bodies are proven to be farther apart than
         the margin; inf if FREE.

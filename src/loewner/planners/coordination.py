@@ -148,18 +148,20 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
     if not any(len(lengths) and lengths.any() for *_, lengths in given):
         raise InputError("paths: expected a robot that moves, found only some that wait")
     longest = max(float(lengths.sum()) for *_, lengths in given)
+    numbers = [np.maximum(np.ceil(lengths / longest * steps - 1e-9), lengths > 0) for *_, lengths in given]
+    total = math.prod(float(counts.sum()) + 1.0 for counts in numbers)
+    if total > MOST_STATES:
+        raise InputError(f"steps: expected at most {MOST_STATES} states of all robots together, found {total:.0f}")
     ways = []
-    for columns, robot, rows, lengths in given:
-        counts = np.maximum(np.ceil(lengths / longest * steps - 1e-9), lengths > 0).astype(np.int64)
+    for (columns, robot, rows, lengths), of_motions in zip(given, numbers, strict=True):
+        counts = of_motions.astype(np.int64)
         at = np.repeat(np.arange(len(counts)), counts)
         share = (np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[at]
         made = np.concatenate([rows[:1], interpolated(robot, rows[at], rows[at + 1], share[:, None])])
+        made[1:][share == 1.0] = rows[at[share == 1.0] + 1]  # quaternions and all, to the last bit
         ways.append(
             _Way(columns, made, np.concatenate([[0.0], (np.cumsum(lengths) - lengths)[at] + share * lengths[at]]))
         )
-    total = math.prod(len(way.rows) for way in ways)
-    if total > MOST_STATES:
-        raise InputError(f"steps: expected at most {MOST_STATES} states of all robots together, found {total}")
     return ways
 
 

@@ -102,8 +102,9 @@ def first_contact(
     Notes
     -----
     The first piece that is not proven free is cut into eight parts, again and again, until the pair is near enough
-    where the proof ends. Static surfaces and clouds are replaced by boxes around their parts, as for `certify_edges`,
-    and may end the proof earlier.
+    where the proof ends. Three things end the proof earlier. Static surfaces and clouds are replaced by boxes around
+    their parts, as for `certify_edges`, and moving ones by a single ellipsoid; give bodies that follow motions convex
+    pieces. Rounding takes about 1e-11 of the lengths involved, and 2e-14 of the times, in the way of the bodies then.
 
     Examples
     --------
@@ -135,17 +136,15 @@ def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> Traje
         if len(hit):
             k = int(hit[0])
             touching = min(touching, piece.times[k] + proven.fractions[k] * (piece.times[k + 1] - piece.times[k]))
-        unproven = np.flatnonzero(proven.verdicts != codes.FREE)
-        if len(unproven) == 0:
+        unproven = np.flatnonzero(proven.verdicts != codes.FREE).tolist()
+        if not unproven:
             continue
-        k = int(unproven[0])
-        pair = int(proven.pairs[k])
-        if cuts == MOST_CUTS or _gap(ready, pair, piece.courses[k, 0]) <= tolerance:
-            doubt = float(piece.times[k]), pair
+        # The others are proven only if the first one turns out to be free.
+        first, pair = unproven[0], int(proven.pairs[unproven[0]])
+        if cuts == MOST_CUTS or _gap(ready, pair, piece.courses[first, 0]) <= tolerance:
+            doubt = float(piece.times[first]), pair
             break
-        if k + 1 < len(piece.courses):
-            waiting.append((_of(piece, slice(k + 1, None)), cuts))
-        waiting.append((_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1))
+        waiting += [(_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1) for k in reversed(unproven)]
     if doubt is None:
         return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
     a, b = (ready.names[n] for n in ready.pairs[doubt[1]])
@@ -157,8 +156,7 @@ def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> Traje
 
 
 def _of(curve: Curve, rows: slice) -> Curve:
-    last = len(curve.times) if rows.stop is None else rows.stop + 1
-    return Curve(None, curve.times[rows.start : last], curve.courses[rows], curve.off[rows])
+    return Curve(None, curve.times[rows.start : rows.stop + 1], curve.courses[rows], curve.off[rows])
 
 
 def _cut(ready: Problem, piece: Curve) -> Curve:
