@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from families import translation
 from loewner import Body, CollisionChecker, Scene, Verdict
 from motion_oracle import example
-from test_moving_bodies import moving_scene, turned
+from test_moving_bodies import turned
 
 pytestmark = pytest.mark.verify
 
@@ -44,11 +44,16 @@ def turning_rods(rng):
 
 
 def anything(rng):
-    scene = moving_scene(rng, 8)
-    for name in ("a", "b"):
-        scene.add(name, Body.capsule(0.05, 0.4))
-        T = turned(rng, 5, 0.5)
-        scene.follow(name, np.cumsum(rng.uniform(0.1, 1.0, 5)), T)
+    """Boxes and capsules that turn and wander about the robot, some of them again and again."""
+    scene = Scene()
+    for k in range(6):
+        scene.add(f"body {k}", Body.capsule(0.04, 0.3) if k % 2 else Body.box(rng.uniform(0.05, 0.25, 3)))
+        T = turned(rng, 4, 0.3)
+        way = rng.normal(size=3) * [1.0, 1.0, 0.3]
+        T[:, :3, 3] += way / np.linalg.norm(way) * rng.uniform(0.7, 1.1) + [0.0, 0.0, 0.4]
+        if k >= 3:
+            T = np.concatenate([T, T[::-1]])
+        scene.follow(f"body {k}", np.cumsum(rng.uniform(0.1, 1.5, len(T))), T, repeat=k >= 3)
     return scene
 
 
