@@ -583,7 +583,8 @@ ROWS = array(
 Q = [[0.5, 0.25, 0.125], [-0.5, 0.25, 0.0]]
 CONFIGURATIONS = array(Q, FINITE, BATCHES, "empty (0, 3)", "turned over")
 ONE = array(Q[0], FINITE)
-AT = array([0.25, 0.5], FINITE, NONE, NUMBERS, ZERO, NEGATIVE, "a number alone")
+AT = array([0.25, 0.5], FINITE, NONE, NUMBERS, ZERO, NEGATIVE, BATCHES, "a number alone", "5 axes",
+           "without the last column", "without the first row", "two axes more")  # fmt: skip
 
 
 def _one_ellipsoid() -> Ellipsoids:
@@ -885,7 +886,7 @@ CALLS: dict[str, Call] = {
             "repeat": flag(),
         },
     ),
-    "PosePath.poses": Call(on(pose_path, "poses"), {"t": TIMES}),
+    "PosePath.poses": Call(on(pose_path, "poses"), {"t": AT}),
     "Scene.attach": Call(
         on(scene, "attach"),
         {
@@ -1051,7 +1052,17 @@ CALLS: dict[str, Call] = {
             "tolerance": positive(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "t0": AT,
-            "t1": array([1.25, 1.5], FINITE, NUMBERS, "a number alone"),
+            "t1": array(
+                [1.25, 1.5],
+                FINITE,
+                NUMBERS,
+                BATCHES,
+                "a number alone",
+                "5 axes",
+                "without the last column",
+                "without the first row",
+                "two axes more",
+            ),
         },
     ),
     "CollisionChecker.first_contact": Call(

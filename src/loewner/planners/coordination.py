@@ -116,7 +116,9 @@ def coordinate(
     judge = Judge.of(checker, 0.0, joint_error)
     for place, state in (("starts", (0,) * len(ways)), ("ends", tuple(len(way.rows) - 1 for way in ways))):
         q = _configuration(ways, checker.robot.dof, state)[None]
-        found = prove_by_rules(judge.ready, q, q, TOLERANCE, judge.joint_error).of_shape((), judge.ready)
+        proven = prove_by_rules(judge.ready, q, q, TOLERANCE, judge.joint_error)
+        proven.expect_short(q, q)
+        found = proven.of_shape((), judge.ready)
         if found.verdict != Verdict.FREE:
             a, b = found.names
             raise PlanningError(
@@ -215,7 +217,9 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
         _configuration(ways, dof, farthest),
         _configuration(ways, dof, tuple(map(min, map(add, farthest, (1,) * len(ends)), ends))),
     )
-    found = prove_by_rules(judge.ready, a[None], b[None], TOLERANCE, judge.joint_error).of_shape((), judge.ready)
+    proven = prove_by_rules(judge.ready, a[None], b[None], TOLERANCE, judge.joint_error)
+    proven.expect_short(a[None], b[None])
+    found = proven.of_shape((), judge.ready)
     shares = ", ".join(
         f"{way.times[k] / max(way.times[-1], 1e-300):.0%}" for way, k in zip(ways, farthest, strict=True)
     )
