@@ -886,7 +886,7 @@ CALLS: dict[str, Call] = {
             "repeat": flag(),
         },
     ),
-    "PosePath.poses": Call(on(pose_path, "poses"), {"t": AT}),
+    "PosePath.poses": Call(on(pose_path, "poses"), {"t": Arg(TIMES.make, TIMES.takes | AT.takes - NONE, array=True)}),
     "Scene.attach": Call(
         on(scene, "attach"),
         {
