@@ -423,6 +423,21 @@ def test_a_body_follows_and_stops(slider):
     assert "a" not in copy
 
 
+def test_a_motion_is_the_scenes_own(slider):
+    """What becomes of the caller's arrays afterwards does not matter, and the motion cannot be changed in place."""
+    times, poses = np.array([0.0, 1.0, 2.0]), np.array([translation(x=x) for x in (3.0, 0.0, 3.0)])
+    scene = Scene()
+    scene.add("a", Body.sphere(0.1))
+    scene.follow("a", times, poses, repeat=True)
+    times[1], poses[:] = 1.9, translation(x=9.0)
+    path = scene.following["a"]
+    np.testing.assert_array_equal(path.times, [0.0, 1.0, 2.0])
+    assert CollisionChecker(slider, scene).collide([0.0, 0.0, np.pi], 1.0)
+    for array in (path.times, path.positions, path.quaternions):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
 def test_a_new_motion_counts_at_once(slider):
     """Answers belong to the present motion, also after other bodies have moved."""
     scene = Scene()

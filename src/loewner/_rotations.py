@@ -23,14 +23,18 @@ def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
     length = math.hypot(*wxyz)
     if not abs(length - 1) <= QUATERNION_TOLERANCE:
         raise PoseError(f"{name}: expected a unit quaternion qw qx qy qz, found one of length {length:.4g}")
-    w, x, y, z = (q / length for q in wxyz)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    return rotations_of(np.array(wxyz) / length)
+
+
+def rotations_of(wxyz: Floats) -> Floats:
+    """Rotation matrices, shape (..., 3, 3), of unit quaternions, real part first, shape (..., 4)."""
+    w, x, y, z = np.moveaxis(wxyz, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:

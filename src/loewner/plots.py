@@ -258,7 +258,7 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     courses, found = curves.proven(checker, curve, joint_error)
     ticks, _, Q = curves.sampled(checker.robot, courses, found)
-    touching = checker.distance_by_pair(Q, curves.at_times(checker, ticks), within=0.0)
+    touching = checker.distance_by_pair(Q, ticks, within=0.0)
     ax = _flat_axes(ax)
     verdicts, named = found.segments.verdict, [tuple(names) for names in found.segments.names.tolist()]
     touched = [tuple(names) for names in touching.names.tolist()]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kept import kept
 from loewner._native import entries
-from loewner._rotations import quaternions_of
+from loewner._rotations import quaternions_of, rotations_of
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 
@@ -85,12 +85,8 @@ class PosePath:
         """
         at = _validate.finite_array(t, "t", ("...",))
         values = PackedPaths.of((self,)).values(at.ravel())[:, 0]
-        w, x, y, z = values[:, 3:].T
         T = np.zeros((len(values), 4, 4))
-        T[:, 0, 0], T[:, 0, 1], T[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        T[:, 1, 0], T[:, 1, 1], T[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-        T[:, 2, 0], T[:, 2, 1], T[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-        T[:, :3, 3], T[:, 3, 3] = values[:, :3], 1.0
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotations_of(values[:, 3:]), values[:, :3], 1.0
         return T.reshape(*at.shape, 4, 4)
 
     @kept
@@ -125,7 +121,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     PoseError
         If a pose is not a rigid motion.
     """
-    at = _validate.finite_array(times, "times", (None,))
+    at = _validate.finite_array(times, "times", (None,)).copy()
     T = _validate.poses(poses, "poses")
     repeat = _validate.flag(repeat, "repeat")
     if len(at) < 2 or T.shape != (len(at), 4, 4):
@@ -150,6 +146,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
         positions[-1], quaternions[-1] = positions[0], quaternions[0]
     signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(signs)[:, None]
+    for array in (at, positions, quaternions):
+        array.setflags(write=False)  # a change in place would go unnoticed
     made = PosePath(at, positions, quaternions, repeat)
     for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(

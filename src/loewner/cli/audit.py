@@ -151,11 +151,10 @@ def _answer(
     curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory))
     times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     ticks, piece, Q = curves.sampled(checker.robot, curve, found)
-    t = curves.at_times(checker, ticks)
-    measured = checker.distance(Q, t, exact=True)
+    measured = checker.distance(Q, ticks, exact=True)
     nearest = measured.distance.argmin()
     names = found.segments.names
-    least = _nearest_of(checker, names, piece, Q, t)
+    least = _nearest_of(checker, names, piece, Q, ticks)
     pieces = [
         {
             "number": int(k),
@@ -193,7 +192,7 @@ def _answer(
 
 
 def _nearest_of(
-    checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats, t: Floats | None
+    checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats, t: Floats
 ) -> dict[int, tuple[float, int]]:
     """Return the least distance of each unproven piece's pair at the samples of the piece, and that sample."""
     least: dict[int, tuple[float, int]] = {}
@@ -201,7 +200,7 @@ def _nearest_of(
         rows = np.flatnonzero(names.any(axis=1)[piece] & ~np.isin(piece, list(least)))
         if len(rows) == 0:
             break
-        near = checker.distance_by_pair(Q[rows], None if t is None else t[rows], within=within)
+        near = checker.distance_by_pair(Q[rows], t[rows], within=within)
         samples = rows[near.configuration]
         own = np.flatnonzero((near.names == names[piece[samples]]).all(axis=1))
         for n in own[np.argsort(near.distance[own], kind="stable")]:

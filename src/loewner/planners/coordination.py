@@ -146,7 +146,8 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         given.append((part.columns, part.robot, rows, lengths))
     if not covered.all():
         wanted = [name for name, part in parts_of(checker.robot).items() if not covered[part.columns].any()]
-        raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted) or 'some values'}")
+        values = [name for name, known in zip(checker.robot.configuration_names, covered, strict=True) if not known]
+        raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted or values)}")
     if not any(len(lengths) and lengths.any() for *_, lengths in given):
         raise InputError("paths: expected a robot that moves, found only some that wait")
     longest = max(float(lengths.sum()) for *_, lengths in given)

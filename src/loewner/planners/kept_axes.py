@@ -66,7 +66,7 @@ class KeptAxis:
             raise InputError(f"keep, angle: expected at least {LEAST_ANGLE:g}, which rounding allows, found {size:g}")
         if size > np.pi:
             raise InputError(f"keep, angle: expected radians, at most π, found {size:g}; is it in degrees?")
-        return cls(units[0], units[1], min(size, np.pi))
+        return cls(units[0], units[1], size)
 
     def along(self, chain: Chain, link: str) -> KeptAxis:
         """Prepare the axis for a chain of joints that leads to the link."""

@@ -372,7 +372,9 @@ class CollisionChecker:
         if times is not None:
             whole = _validate.broadcast({"motions": shape, "t0, t1": times[0].shape})
             if whole != shape:
-                a, b = (edges.flat(np.broadcast_to(Q.reshape(*shape, -1), (*whole, Q.shape[1]))) for Q in (a, b))
+                a, b = (
+                    edges.flat(np.broadcast_to(Q.reshape(*shape, Q.shape[1]), (*whole, Q.shape[1]))) for Q in (a, b)
+                )
             shape, times = whole, (np.broadcast_to(times[0], whole).ravel(), np.broadcast_to(times[1], whole).ravel())
         if times is not None and ready.paths is not None:
             found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, tolerance, errors)

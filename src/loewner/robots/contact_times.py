@@ -7,13 +7,14 @@ from typing import Any, overload
 
 import numpy as np
 
-from loewner import _validate, queries
+from loewner import _validate
 from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.queries import Verdict
 from loewner.robots import in_time, verdicts
+from loewner.robots.contacts import distance_at
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, parts
-from loewner.robots.curves import Curve, curves_of, expect_short, with_bodies
+from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
 
@@ -120,7 +121,7 @@ def first_contact(
     for k, one in enumerate(curves_of(self.robot, curve, t0)):
         # On courses of degree 1, parts of a body's turn would have to be made otherwise.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
-        found.append(_first(ready, with_bodies(self.robot, ready, cubic), tolerance, k))
+        found.append(_first(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
     return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
 
@@ -141,7 +142,8 @@ def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> Traje
             continue
         # The others are proven only if the first one turns out to be free.
         first, pair = unproven[0], int(proven.pairs[unproven[0]])
-        if cuts == MOST_CUTS or _gap(ready, pair, piece.courses[first, 0]) <= tolerance:
+        gap = distance_at(ready, pair, piece.courses[first, 0]) - ready.margins[pair]
+        if cuts == MOST_CUTS or gap <= tolerance:
             doubt = float(piece.times[first]), pair
             break
         waiting += [(_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1) for k in reversed(unproven)]
@@ -172,14 +174,6 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
             ready.paths, times[:-1], times[1:], courses.shape[1]
         )
     return Curve(None, times, courses, off)
-
-
-def _gap(ready: Problem, pair: int, q: Floats) -> float:
-    """Compute by how much the distance of a pair exceeds its margin at a configuration."""
-    i, j = (int(k) for k in ready.pairs[pair])
-    T = ready.poses(q[None])[0]
-    distance = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance
-    return float(distance) - float(ready.margins[pair])
 
 
 def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> float:

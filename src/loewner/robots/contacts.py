@@ -72,7 +72,7 @@ def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) ->
         doubtful, least = _leaves(ready, pair, first, last, tolerance, deepest)
         if doubtful:
             fractions = [low + (high - low) * share for share in doubtful]
-            distances = [_distance(ready, pair, ready.robot.between(a, b, fraction)) for fraction in fractions]
+            distances = [distance_at(ready, pair, ready.robot.between(a, b, fraction)) for fraction in fractions]
             worst = int(np.argmin(distances))
             verdict = codes.COLLIDING if distances[worst] <= least else codes.AMBIGUOUS
             return int(verdict), fractions[worst]
@@ -87,11 +87,11 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
     for pair in ready.ruled.tolist():
         allowed = float(ready.margins[pair])
         if ready.leaving[pair]:
-            allowed = min(allowed, _distance(ready, pair, path[0]))
+            allowed = min(allowed, distance_at(ready, pair, path[0]))
         if ready.reaching[pair]:
-            allowed = min(allowed, _distance(ready, pair, path[-1]))
+            allowed = min(allowed, distance_at(ready, pair, path[-1]))
         for row in rows.tolist():
-            if _distance(ready, pair, path[row]) < allowed - tolerance:
+            if distance_at(ready, pair, path[row]) < allowed - tolerance:
                 return row, pair
     return None
 
@@ -106,7 +106,7 @@ def _leaves(
     """
     off = OFF * np.maximum(np.maximum(np.abs(a), np.abs(b)), 1.0)[None]
     alone = ready.only(np.array([pair]))
-    margin, at_start = float(ready.margins[pair]), _distance(ready, pair, a)
+    margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, a)
     found = motions.settle(alone, np.stack([a, b])[None], FOR_PROOF * tolerance, off)
     if found.verdicts[0] == codes.FREE:
         return [], margin
@@ -131,7 +131,7 @@ def _leaves(
     return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], least
 
 
-def _distance(ready: Problem, pair: int, q: Floats) -> float:
+def distance_at(ready: Problem, pair: int, q: Floats) -> float:
     """Compute the signed distance of a pair of bodies at a configuration."""
     i, j = (int(k) for k in ready.pairs[pair])
     T = ready.poses(q[None])[0]

@@ -110,7 +110,7 @@ def certified(
 ) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`."""
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
-    curves = [with_bodies(robot, ready, curve) for curve in curves]
+    curves = [cut_in_time(robot, ready, curve) for curve in curves]
     degrees = np.array([curve.courses.shape[1] for curve in curves])
     found: list[CertifiedTrajectory | None] = [None] * len(curves)
     for degree in np.unique(degrees):
@@ -138,7 +138,7 @@ def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
         )
 
 
-def with_bodies(robot: Robot, ready: Problem, curve: Curve) -> Curve:
+def cut_in_time(robot: Robot, ready: Problem, curve: Curve) -> Curve:
     """Cut a curve where bodies of the scene change their rates, and append their values."""
     if ready.paths is None:
         return curve
@@ -162,7 +162,7 @@ def proven(checker: Any, given: Any, joint_error: ArrayLike, name: str = "curve"
     An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
     """
     if not isinstance(given, np.ndarray):
-        curve = with_bodies(checker.robot, checker._ready(timed=True), curve_of(checker.robot, given, name))
+        curve = cut_in_time(checker.robot, checker._ready(timed=True), curve_of(checker.robot, given, name))
         own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., : checker.robot.dof]))
         return own, checker.certify_trajectory(given, joint_error=joint_error)
     rows = checked_path(checker.robot, given)
@@ -188,11 +188,6 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
     numbers, shares = np.append(numbers, unproven), np.append(shares, found.segments.fraction[unproven])
     ticks = np.append(ticks, (curve.times[:-1] + found.segments.fraction * lengths)[unproven])
     return ticks, numbers, configurations(robot, curve.courses[numbers], shares)
-
-
-def at_times(checker: Any, ticks: Floats) -> Floats | None:
-    """Return the times of samples for queries of a checker; None if no body of its scene moves."""
-    return ticks if checker.scene.following else None
 
 
 # -- forms of curves ----------------------------------------------------------------------------
