@@ -102,8 +102,8 @@ class Planes(NamedTuple):
     normal: Ints
 
 
-def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> tuple[bytes, int]:
-    """Make the trees of all motions and pairs, in order, and count their planes.
+def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> bytes:
+    """Make the trees of all motions and pairs, in order.
 
     Raises
     ------
@@ -111,8 +111,7 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
         If planes that the format can express do not prove a pair to be apart.
     """
     search = _Search(ready.in_parts, model, deviations)
-    parts = [search.of(courses[k : k + AT_ONCE]) for k in range(0, len(courses), AT_ONCE)]
-    return b"".join(parts), search.planes
+    return b"".join(search.of(courses[k : k + AT_ONCE]) for k in range(0, len(courses), AT_ONCE))
 
 
 class _Search:
@@ -124,7 +123,6 @@ class _Search:
         self.chains = _Chains(model, deviations)
         self.named = np.full((len(model.pairs), 4), -1, dtype=np.int64)
         self.recent = np.zeros((len(model.pairs), 4), dtype=np.int64)
-        self.planes = 0
         links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
         self.link = np.where(links < 0, len(ready.robot.link_names), links)
 
@@ -405,7 +403,6 @@ class _Search:
         data[place] = token
         at = np.flatnonzero(token >= NORMAL)
         data[place[at][:, None] + np.arange(1, 7)] = normal[at].astype("<i2").view(np.uint8).reshape(-1, 6)
-        self.planes += len(leaves)
         return data.tobytes()
 
 

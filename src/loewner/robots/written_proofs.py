@@ -12,7 +12,7 @@ from loewner._validate import Floats
 from loewner.errors import FileError
 from loewner.robots import separations
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import model_of
+from loewner.robots.proof_models import Model
 
 MAGIC, VERSION, FREE, COMMON = b"LOEWNERP", 1, 1, 2
 _HEAD = struct.Struct("<8sIIII")
@@ -116,11 +116,13 @@ def assembled(what: int, model: bytes, proof: bytes) -> Proof:
     return Proof(data + hashlib.sha256(data).digest())
 
 
-def proof_of(ready: Problem, courses: Floats, deviations: Floats) -> Proof:
+def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) -> Proof:
     """Write the proof of courses that the kernel has proven free.
 
     Parameters
     ----------
+    model : Model
+        The problem's, see `proof_models.model_of`.
     ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
     deviations : ndarray, shape (dof,)
@@ -128,11 +130,8 @@ def proof_of(ready: Problem, courses: Floats, deviations: Floats) -> Proof:
 
     Raises
     ------
-    InputError
-        If the format cannot express the robot or the scene.
     ConvergenceError
         If the format's bounds do not suffice.
     """
-    model = model_of(ready)
-    found, _ = separations.trees(ready, model, courses, deviations)
+    found = separations.trees(ready, model, courses, deviations)
     return assembled(FREE, model.data, separations.written(deviations, courses) + found)
