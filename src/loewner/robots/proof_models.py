@@ -20,7 +20,6 @@ from loewner._validate import Floats, Ints
 from loewner.bodies import Packed
 from loewner.errors import InputError
 from loewner.robots.problem import Problem
-from loewner.robots.robot import Robot
 
 # Kinds of joints and of pieces in the format.
 STAYS, TURNS, SLIDES = 0, 1, 2

@@ -7,6 +7,7 @@ together. It knows nothing of how the kernel proved the motions.
 from __future__ import annotations
 
 import struct
+from itertools import pairwise
 from math import comb
 from typing import Any, NamedTuple
 
@@ -14,10 +15,11 @@ import numpy as np
 
 from loewner._kernels import columns, records
 from loewner._measure import measure
+from loewner._rotations import rotations_of
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import ConvergenceError
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import BALL, CONE, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
+from loewner.robots.proof_models import BALL, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
 from loewner.robots.robot import link_poses
 
 # Tokens of the trees.
@@ -30,7 +32,10 @@ DEEPEST = 64
 SHARE, ROOM = 1.0 + 2e-9, 2e-11
 
 # Normals are whole numbers up to this one. Some scales are tried, on deep levels many, since rounding turns a normal.
-LARGEST, SCALES, DEEP, DEEP_SCALES = 32767, 16, 6, 4096
+LARGEST, SCALES, DEEP, DEEP_SCALES = 32767, 3, 10, 4096
+
+# Normals that are rounded at a time.
+PRODUCTS = 2**14
 
 # Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
 BOX_ROOM = 4e-6
@@ -49,27 +54,34 @@ class Clusters(NamedTuple):
     ----------
     of_body : ndarray of int64
         The cluster of all pieces of each body.
-    body, first, last : ndarray of int64
-        The body, the first piece, and the one after the last.
+    first, last : ndarray of int64
+        The first piece, and the one after the last.
     left, right : ndarray of int64
         Its two halves; -1 if it is a single piece.
     center, edges : ndarray, shapes (C, 3) and (C, 3, 3)
         A box around it along the axes of the body, in the frame of the link; half edges in columns.
-    points : list of ndarray, shape (k, 4)
-        Corners in the frame of the link, and the radius about each.
-    curved : list of lists of (kind, radius, center, factor)
+    points : ndarray, shape (V, 4)
+        Corners of hulls in the frame of the link, and the radius about each.
+    begin, end : ndarray of int64
+        The cluster's rows of these.
+    curved : list of lists of _Curved
+        Its other pieces.
+    balls : ndarray, shape (bodies, 4)
+        Centers and radii of the balls around bodies, as the format defines them.
     """
 
     of_body: Ints
-    body: Ints
     first: Ints
     last: Ints
     left: Ints
     right: Ints
     center: Floats
     edges: Floats
-    points: list[Floats]
-    curved: list[list[tuple[int, float, Floats, Floats]]]
+    points: Floats
+    begin: Ints
+    end: Ints
+    curved: list[list[_Curved]]
+    balls: Floats
 
 
 class Bends(NamedTuple):
@@ -92,11 +104,12 @@ class Tasks(NamedTuple):
     high: Floats
 
     def at(self, chosen: Any) -> Tasks:
+        """Select some."""
         return Tasks(*(array[chosen] for array in self))
 
 
 class Planes(NamedTuple):
-    """One candidate for each task: the side whose body is the lower one, and the normal in whole numbers."""
+    """Candidates, or planes that were found: the side whose body is the lower one, and normals in whole numbers."""
 
     side: Ints
     normal: Ints
@@ -119,8 +132,8 @@ class _Search:
 
     def __init__(self, ready: Problem, model: Model, deviations: Floats) -> None:
         self.ready, self.model, self.deviations = ready, model, deviations
-        self.clusters = _clusters(model)
-        self.chains = _Chains(model, deviations)
+        self.clusters = clusters_of(model)
+        self.chains = _Chains(model, self.clusters.balls, deviations)
         self.named = np.full((len(model.pairs), 4), -1, dtype=np.int64)
         self.recent = np.zeros((len(model.pairs), 4), dtype=np.int64)
         links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
@@ -182,63 +195,72 @@ class _Search:
         at = np.flatnonzero(~sure)
         divide = np.zeros(total, dtype=np.int64)
         if len(at):
-            self._search(tasks.at(at), tuple(T[at] for T in placed), need[at], scores[at], depth, at, token, normal, divide)
+            some = tuple(T[at] for T in placed)
+            token[at], normal[at], divide[at] = self._search(tasks.at(at), some, need[at], scores[at], depth)
         found = token >= 0
         return found, Planes(token[found], normal[found]), divide[~found]
 
     def _search(
-        self, tasks: Tasks, placed: Any, need: Floats, scores: Floats, depth: int, at: Ints,
-        token: Ints, normal: Ints, divide: Ints,
-    ) -> None:  # fmt: skip
-        """Try planes one after the other on tasks that boxes do not settle, and decide how the others are divided."""
-        total = len(at)
-        order = np.argsort(-scores, axis=1)[:, :BEST_AXES]
-        # The axes, and the plane that was found last for this pair.
-        tried = [Planes(k // 6, _AXES[k]) for k in order.T]
+        self, tasks: Tasks, placed: Any, need: Floats, scores: Floats, depth: int
+    ) -> tuple[Ints, Ints, Ints]:  # fmt: skip
+        """Look for planes of tasks that boxes do not settle.
+
+        Returns
+        -------
+        token : ndarray of int64
+            -1 for those without a plane.
+        normal : ndarray of int64, shape (T, 3)
+        divide : ndarray of int64
+            How those without a plane are divided.
+        """
+        # The best axes, and the plane that was found last for this pair.
+        order = np.argsort(-scores, axis=1)[:, :BEST_AXES].T
         recent = self.recent[tasks.pair]
-        tried.append(Planes(recent[:, 0], recent[:, 1:]))
-        gaps = self._gaps(tasks, placed, tried)
-        open_ = np.arange(total)
-        for k in range(len(tried)):
-            good = open_[self._holds(gaps[k][:, open_], tried[k], need, open_)]
-            token[at[good]] = AXES + order[good, k] if k < BEST_AXES else NORMAL + tried[k].side[good]
-            normal[at[good]] = tried[k].normal[good]
-            open_ = open_[token[at[open_]] < 0]
-        if not len(open_):
-            return
-        some, T, need, gaps = tasks.at(open_), tuple(T[open_] for T in placed), need[open_], gaps[:, :, open_]
+        tried = Planes(
+            np.append(order // 6, recent[None, :, 0], axis=0), np.append(_AXES[order], recent[None, :, 1:], axis=0)
+        )
+        token, normal, gaps = self._tried(tasks, placed, need, tried)
+        axis = token >= 0
+        axis[axis] = token[axis] < BEST_AXES
+        token = np.where(axis, AXES + order[np.minimum(token, BEST_AXES - 1), np.arange(len(token))], token)
+        token[(token >= 0) & ~axis] = NORMAL + recent[(token >= 0) & ~axis, 0]
+        divide = np.zeros(len(token), dtype=np.int64)
+        open_ = np.flatnonzero(token < 0)
+        if len(open_) == 0:
+            return token, normal, divide
+        some, T, need, gaps = tasks.at(open_), tuple(T[open_] for T in placed), need[open_], gaps[:, open_]
         distance, normals = self._distances(some, T)
-        least = need.min(axis=1) + ROOM * self.size
-        hopeless = self.model.margins[some.pair] + self.bends.deviation[some.motion, some.pair].min(axis=1)
-        for k in np.flatnonzero((distance < hopeless[:, None] - BOX_ROOM * self.size).any(axis=1))[:1]:
+        allowed = self.model.margins[some.pair]
+        sunk = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1) - BOX_ROOM * self.size
+        for k in np.flatnonzero((distance < sunk[:, None]).any(axis=1))[:1]:
             self._fail(some, k)
-        near = (distance > least[:, None]).all(axis=1)
-        rows = np.flatnonzero(near)
-        best = np.max(gaps / np.linalg.norm([p.normal[open_] for p in tried], axis=2)[:, None], axis=0, where=np.isfinite(gaps), initial=-np.inf)
-        if len(rows):
-            chosen = some.at(rows)
-            T = tuple(T_[rows] for T_ in T)
-            tried = self._normals(chosen, T, normals[rows], depth)
-            gaps = self._gaps(chosen, T, tried)
-            left = np.arange(len(rows))
-            for k, planes in enumerate(tried):
-                best[:, rows] = np.fmax(best[:, rows], gaps[k] / np.linalg.norm(planes.normal, axis=1))
-                good = left[self._holds(gaps[k][:, left], planes, need[rows], left)]
-                places = at[open_[rows[good]]]
-                token[places], normal[places] = NORMAL + planes.side[good], planes.normal[good]
-                self.recent[chosen.pair[good], 0], self.recent[chosen.pair[good], 1:] = planes.side[good], planes.normal[good]
-                left = left[token[at[open_[rows[left]]]] < 0]
+        near = np.flatnonzero((distance > need.min(axis=1)[:, None] + ROOM * self.size).all(axis=1))
+        if len(near):
+            chosen, T = some.at(near), tuple(T_[near] for T_ in T)
+            tried = self._normals(chosen, T, normals[near], depth)
+            which, own, more = self._tried(chosen, T, need[near], tried)
+            gaps[:, near] = np.fmax(gaps[:, near], more)
+            good = which >= 0
+            at = open_[near[good]]
+            side = tried.side[which[good], good]
+            token[at], normal[at] = NORMAL + side, own[good]
+            self.recent[chosen.pair[good]] = np.column_stack([side, own[good]])
         # Pieces that no plane separates, although they are apart, are divided.
         counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
-        stuck = (best <= self.model.margins[some.pair] + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
-        divide[at[open_]] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
+        stuck = (gaps <= allowed + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
+        divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
+        return token, normal, divide
 
-    def _holds(self, gaps: Floats, planes: Planes, need: Floats, rows: Ints) -> Bools:
-        """Return which planes prove tasks, from their gaps at both ends."""
-        length = np.linalg.norm(planes.normal[rows], axis=1)
-        side = planes.side[rows]
-        held = gaps.min(axis=0) > length * (need[rows, side] + ROOM * self.size)
-        return np.asarray(held & (length > 0))
+    def _tried(self, tasks: Tasks, placed: Any, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
+        """Return for each task the number of the first candidate that proves it, or -1; its normal; and the largest
+        gap of all candidates at either end, shape (2, T)."""
+        length = np.linalg.norm(tried.normal, axis=2)
+        gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)[:, None]
+        gaps[np.broadcast_to(length[:, None] == 0, gaps.shape)] = -np.inf
+        each = np.arange(len(need))
+        held = gaps.min(axis=1) > need[each, tried.side] + ROOM * self.size
+        which = np.where(held.any(axis=0), held.argmax(axis=0), -1)
+        return which, tried.normal[which, each], gaps.max(axis=0)
 
     def _halves(self, tasks: Tasks, divide: Ints, count: int) -> Tasks:
         """Make the two halves of each task, one after the other."""
@@ -271,9 +293,7 @@ class _Search:
         number = np.minimum(known.astype(np.int64), len(self.courses) - 1)
         t = (2 * (known - number))[:, None]
         degree = self.courses.shape[1] - 1
-        Q = sum(
-            comb(degree, k) * t**k * (1 - t) ** (degree - k) * self.courses[number, k] for k in range(degree + 1)
-        )
+        Q = sum(comb(degree, k) * t**k * (1 - t) ** (degree - k) * self.courses[number, k] for k in range(degree + 1))
         world = link_poses(self.ready.robot, np.ascontiguousarray(Q))
         world = np.concatenate([world, np.broadcast_to(np.eye(4), (len(world), 1, 4, 4))], axis=1)
         where = where.reshape(-1, 2)
@@ -298,40 +318,38 @@ class _Search:
                 scores[:, side, first : first + 3] = (sign * along - widths).min(axis=1) - need[:, side, None]
         return scores.reshape(-1, 12)
 
-    def _gaps(self, tasks: Tasks, placed: Any, tried: list[Planes]) -> Floats:
-        """Compute exactly the gaps of candidates, shape (candidates, 2, T): the products with their normals, undivided."""
-        gaps = np.empty((len(tried), 2, len(tasks.node)))
-        bodies, clusters = self.model.pairs[tasks.pair].T, (tasks.a, tasks.b)
-        cluster, direction, offset = [], [], np.empty_like(gaps)
-        for k, planes in enumerate(tried):
-            side = planes.side.astype(bool)
-            lower, upper = (np.where(side, x, y) for x, y in (bodies[::-1], bodies))
-            n = np.einsum("tij,tj->ti", self.model.turn[lower], planes.normal)
-            which = side[:, None, None, None]
-            T, S = np.where(which, placed[1], placed[0]), np.where(which, placed[0], placed[1])
-            world = np.einsum("teij,tj->tei", T[..., :3, :3], n)
-            offset[k] = np.einsum("tei,tei->et", world, S[..., :3, 3] - T[..., :3, 3])
-            turned = -np.einsum("teji,tej->tei", S[..., :3, :3], world)
-            cluster += [np.where(side, clusters[1], clusters[0]), *[np.where(side, clusters[0], clusters[1])] * 2]
-            direction += [n, turned[:, 0], turned[:, 1]]
-        reach = self._supports(np.concatenate(cluster), np.concatenate(direction)).reshape(len(tried), 3, -1)
-        gaps[:] = offset - reach[:, 1:] - reach[:, :1]
-        return gaps
+    def _gaps(self, tasks: Tasks, placed: Any, tried: Planes) -> Floats:
+        """Compute the gaps of candidates at both ends, shape (K, 2, T), undivided by the lengths of their normals."""
+        side = tried.side.astype(bool)
+        bodies = self.model.pairs[tasks.pair].T
+        n = np.einsum("ktij,ktj->kti", self.model.turn[np.where(side, bodies[1], bodies[0])], tried.normal)
+        which = side[..., None, None, None]
+        T, S = np.where(which, placed[1], placed[0]), np.where(which, placed[0], placed[1])
+        world = np.einsum("kteij,ktj->ktei", T[..., :3, :3], n)
+        offset = np.einsum("ktei,ktei->ket", world, S[..., :3, 3] - T[..., :3, 3])
+        turned = -np.einsum("kteji,ktej->ekti", S[..., :3, :3], world)
+        lower, upper = np.where(side, tasks.b, tasks.a), np.where(side, tasks.a, tasks.b)
+        directions = np.concatenate([n[None], turned]).reshape(-1, 3)
+        reach = self._supports(np.stack([lower, upper, upper]).ravel(), directions).reshape(3, *side.shape)
+        return np.asarray(offset - reach[1:].swapaxes(0, 1) - reach[:1].swapaxes(0, 1))
 
     def _supports(self, cluster: Ints, directions: Floats) -> Floats:
         """Compute the largest products of directions with points of clusters."""
-        found = np.empty(len(cluster))
-        rows = np.column_stack([directions, np.linalg.norm(directions, axis=1)])
+        made = self.clusters
         order = np.argsort(cluster, kind="stable")
-        for same in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
-            c = cluster[same[0]]
-            n = rows[same]
-            points, best = self.clusters.points[c], np.full(len(n), -np.inf)
+        rows = np.column_stack([directions, np.linalg.norm(directions, axis=1)])[order]
+        sorted_ = cluster[order]
+        bounds = [0, *(np.flatnonzero(np.diff(sorted_)) + 1).tolist(), len(order)]
+        best = np.full(len(order), -np.inf)
+        for first, last in pairwise(bounds):
+            c = sorted_[first]
+            n, points = rows[first:last], made.points[made.begin[c] : made.end[c]]
             if len(points):
-                best = (n @ points.T).max(axis=1)
-            for kind, radius, center, factor in self.clusters.curved[c]:
-                best = np.maximum(best, n[:, :3] @ center + radius * n[:, 3] + width(kind, n[:, :3] @ factor))
-            found[same] = best
+                (n @ points.T).max(axis=1, out=best[first:last])
+            for shape in made.curved[c]:
+                best[first:last] = np.maximum(best[first:last], shape.reach(n))
+        found = np.empty(len(order))
+        found[order] = best
         return found
 
     def _distances(self, tasks: Tasks, placed: Any) -> tuple[Floats, Floats]:
@@ -356,21 +374,19 @@ class _Search:
         distance = np.where(found.unsettled, found.upper, found.distance)
         return distance.reshape(-1, 2), np.nan_to_num(found.normal).reshape(-1, 2, 3)
 
-    def _normals(self, tasks: Tasks, placed: Any, normals: Floats, depth: int) -> list[Planes]:
+    def _normals(self, tasks: Tasks, placed: Any, normals: Floats, depth: int) -> Planes:
         """Make candidates of the normals at both ends: their mean and each of them, in the frame of either body."""
         tried = []
         for side, sign in ((0, 1.0), (1, -1.0)):
             turn = self.model.turn[self.model.pairs[tasks.pair, side]]
-            local = sign * np.einsum("tkj,telk,tel->tej", turn, placed[side][..., :3, :3], normals)
-            for n in (local.sum(axis=1), local[:, 0], local[:, 1]):
-                tried.append(Planes(np.full(len(n), side), rounded(n, DEEP_SCALES if depth >= DEEP else SCALES)))
-        return [tried[k] for k in (0, 3, 1, 2, 4, 5)]
+            local = sign * np.einsum("tkj,telk,tel->etj", turn, placed[side][..., :3, :3], normals)
+            tried += [local.sum(axis=0), *local]
+        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), DEEP_SCALES if depth >= DEEP else SCALES)
+        return Planes(np.broadcast_to(np.array([[0], [1], [0], [0], [1], [1]]), whole.shape[:2]), whole)
 
     # -- bytes --------------------------------------------------------------------------------
 
-    def _written(
-        self, token: Ints, normal: Ints, child: Ints, pair: Ints, roots: int, begins: list[int]
-    ) -> bytes:
+    def _written(self, token: Ints, normal: Ints, child: Ints, pair: Ints, roots: int, begins: list[int]) -> bytes:
         """Write trees by depth, first children first."""
         inner = child >= 0
         size, place = np.ones(len(token), dtype=np.int64), np.zeros(len(token), dtype=np.int64)
@@ -378,11 +394,11 @@ class _Search:
         def laid_out() -> None:
             """Find where each node begins, in units that keep the order."""
             size[:] = 1 + 6 * (token >= NORMAL)
-            for first, last in reversed(list(zip(begins, begins[1:], strict=False))):
+            for first, last in reversed(list(pairwise(begins))):
                 at = first + np.flatnonzero(inner[first:last])
                 size[at] += size[child[at]] + size[child[at] + 1]
             place[:roots] = np.append(0, np.cumsum(size[:roots])[:-1])
-            for first, last in zip(begins, begins[1:], strict=False):
+            for first, last in pairwise(begins):
                 at = first + np.flatnonzero(inner[first:last])
                 place[child[at]] = place[at] + 1
                 place[child[at] + 1] = place[at] + 1 + size[child[at]]
@@ -420,65 +436,119 @@ def width(kind: int, v: Floats) -> Floats:
 
 
 def rounded(n: Floats, scales: int) -> Ints:
-    """Round directions to whole numbers: of some multiples, the one that is turned least."""
-    longest = np.maximum(np.abs(n).max(axis=1), 1e-300)
-    found = np.rint(n * (LARGEST / longest)[:, None]).astype(np.int64)
-    if len(n) == 0:
-        return found
-    unit = n / np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
-    for k, direction in enumerate(unit):
-        multiples = np.linspace(LARGEST / 2, LARGEST, scales) / max(np.abs(direction).max(), 1e-300)
-        whole = np.rint(direction * multiples[:, None])
-        off = np.linalg.norm(np.cross(whole, direction), axis=1) / np.maximum(np.linalg.norm(whole, axis=1), 1e-300)
-        found[k] = whole[off.argmin()]
-    return found
+    """Round directions, shape (..., 3), to whole numbers: of some multiples, the one that is turned least."""
+    flat = n.reshape(-1, 3)
+    flat = flat / np.maximum(np.abs(flat).max(axis=1), 1e-300)[:, None]
+    unit = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
+    found, least, each = np.zeros(flat.shape), np.full(len(flat), np.inf), np.arange(len(flat))
+    multiples = np.linspace(LARGEST, LARGEST / 2, scales)
+    for scale in np.array_split(multiples, max(1, scales * len(flat) // PRODUCTS)):
+        whole = np.rint(scale[:, None, None] * flat)
+        along = (whole * unit).sum(axis=2)
+        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-300) ** 2
+        best = off.argmin(axis=0)
+        better = off[best, each] < least
+        found[better], least[better] = whole[best, each][better], off[best, each][better]
+    return found.astype(np.int64).reshape(n.shape)
 
 
-def _clusters(model: Model) -> Clusters:
-    """Divide the pieces of each body again and again."""
-    rows: list[tuple[int, int, int]] = []
-    halves: list[list[int]] = []
-    of_body = []
-    start = model.pieces.start.tolist()
-    for body in range(len(start) - 1):
-        of_body.append(len(rows))
-        rows.append((body, start[body], start[body + 1]))
-        halves.append([-1, -1])
-        k = of_body[-1]
+class _Curved(NamedTuple):
+    """A curved piece in the frame of a link."""
+
+    kind: int
+    radius: float
+    center: Floats
+    factor: Floats
+
+    def reach(self, n: Floats) -> Floats:
+        """Compute the largest products of directions with its points; n has their lengths in a fourth column."""
+        v = n[:, :3] @ self.factor
+        across = np.hypot(v[:, 0], v[:, 1])
+        if self.kind == BALL:
+            wide = np.hypot(across, v[:, 2])
+        elif self.kind == CYLINDER:
+            wide = across + np.abs(v[:, 2])
+        else:
+            wide = np.maximum(v[:, 2], across - v[:, 2])
+        return np.asarray(n[:, :3] @ self.center + self.radius * n[:, 3] + wide)
+
+    @property
+    def ball(self) -> Floats:
+        """The center and the radius of the ball around it that the format names."""
+        share = 1.0 if self.kind == BALL else np.sqrt(2.0)
+        return np.append(self.center, self.radius + share * np.linalg.norm(self.factor))
+
+
+def clusters_of(model: Model) -> Clusters:
+    """Place the pieces of all bodies, and divide those of each body again and again."""
+    start, pieces = model.pieces.start, model.pieces
+    body_of = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    hull = pieces.kind == HULL
+    counts = np.array([len(points) if own else 0 for points, own in zip(pieces.points, hull, strict=True)])
+    begin = np.append(0, np.cumsum(counts))
+    owner, piece = np.repeat(body_of, counts), np.repeat(np.arange(len(counts)), counts)
+    given = [pieces.points[k] for k in np.flatnonzero(hull)]
+    points = np.zeros((len(owner), 4))
+    points[:, :3] = np.einsum("vij,vj->vi", model.turn[owner], np.concatenate([*given, np.empty((0, 3))]))
+    points[:, :3] += model.shift[owner]
+    points[:, 3] = pieces.radius[piece]
+    # How far pieces reach along the axes of their bodies, and the balls of which the format makes one around a body.
+    lengths = np.linalg.norm(model.turn, axis=1)
+    low, high = np.empty((len(counts), 3)), np.empty((len(counts), 3))
+    if len(given):
+        along = np.einsum("vij,vi->vj", model.turn[owner], points[:, :3])
+        grown, first = points[:, 3:] * lengths[owner], begin[:-1][hull]
+        low[hull], high[hull] = np.minimum.reduceat(along - grown, first), np.maximum.reduceat(along + grown, first)
+    curved = {}
+    for k in np.flatnonzero(~hull).tolist():
+        M, s = model.turn[body_of[k]], model.shift[body_of[k]]
+        own = pieces.points[k]
+        curved[k] = _Curved(int(pieces.kind[k]), float(pieces.radius[k]), M @ own[0] + s, M @ own[1:])
+        both = np.column_stack([np.concatenate([M.T, -M.T]), np.tile(lengths[body_of[k]], 2)])
+        high[k], low[k] = np.split(curved[k].reach(both), 2) * np.array([[1], [-1]])
+    at = begin[list(curved)]
+    balls, of_ball = points, owner
+    if curved:
+        balls = np.insert(points, at, [one.ball for one in curved.values()], axis=0)
+        of_ball = np.insert(owner, at, body_of[list(curved)])
+    return _divided(model, body_of, begin, points, curved, (low, high), balls, of_ball)
+
+
+def _divided(
+    model: Model, body_of: Ints, begin: Ints, points: Floats, curved: dict[int, _Curved], ends: tuple[Floats, Floats],
+    balls: Floats, of_ball: Ints,
+) -> Clusters:  # fmt: skip
+    """Make the clusters and the balls of placed pieces."""
+    start = model.pieces.start
+    rows, of_body = [], []
+    for body, (first, last) in enumerate(pairwise(start.tolist())):
+        k = len(rows)
+        of_body.append(k)
+        rows.append([body, first, last, -1, -1])
         while k < len(rows):
-            _, first, last = rows[k]
+            _, first, last, _, _ = rows[k]
             if last - first > 1:
                 middle = first + (last - first) // 2
-                halves[k] = [len(rows), len(rows) + 1]
-                rows += [(body, first, middle), (body, middle, last)]
-                halves += [[-1, -1], [-1, -1]]
+                rows[k][3:] = len(rows), len(rows) + 1
+                rows += [[body, first, middle, -1, -1], [body, middle, last, -1, -1]]
             k += 1
-    body, first, last = np.array(rows, dtype=np.int64).T
-    left, right = np.array(halves, dtype=np.int64).T
-    points, curved, center, edges = [], [], np.empty((len(rows), 3)), np.empty((len(rows), 3, 3))
-    placed: list[Any] = []
-    for b in range(len(start) - 1):
-        M, s = model.turn[b], model.shift[b]
-        for piece in range(start[b], start[b + 1]):
-            kind, radius, given = int(model.pieces.kind[piece]), model.pieces.radius[piece], model.pieces.points[piece]
-            if kind == HULL:
-                placed.append(np.column_stack([given @ M.T + s, np.full(len(given), radius)]))
-            else:
-                placed.append((kind, float(radius), M @ given[0] + s, M @ given[1:]))
-    for k, (b, low, high) in enumerate(rows):
-        own = placed[low:high]
-        hulls = [one for one in own if not isinstance(one, tuple)]
-        points.append(np.concatenate(hulls) if hulls else np.empty((0, 4)))
-        curved.append([one for one in own if isinstance(one, tuple)])
-        M = model.turn[b]
-        lengths = np.linalg.norm(M, axis=0)
-        both = np.concatenate([M.T, -M.T])
-        ends = (np.column_stack([both, np.tile(lengths, 2)]) @ points[k].T).max(axis=1, initial=-np.inf)
-        for kind, radius, c, G in curved[k]:
-            ends = np.maximum(ends, both @ c + radius * np.tile(lengths, 2) + width(kind, both @ G))
-        high_, low_ = ends[:3] / lengths**2, -ends[3:] / lengths**2
-        center[k], edges[k] = M @ ((high_ + low_) / 2), M * ((high_ - low_) / 2)
-    return Clusters(np.array(of_body, dtype=np.int64), body, first, last, left, right, center, edges, points, curved)
+    body, first, last, left, right = np.array(rows, dtype=np.int64).reshape(-1, 5).T
+    low, high = (array[first] for array in ends)
+    for k in np.flatnonzero(last - first > 1):
+        low[k], high[k] = ends[0][first[k] : last[k]].min(axis=0), ends[1][first[k] : last[k]].max(axis=0)
+    M = model.turn[body]
+    square = (M * M).sum(axis=1)
+    center = np.einsum("cij,cj->ci", M, (low + high) / 2 / square)
+    edges = M * ((high - low) / 2 / square)[:, None]
+    own = [[curved[piece] for piece in range(*ends_) if piece in curved] for ends_ in zip(first, last, strict=True)]
+    of = np.searchsorted(of_ball, np.arange(len(start) - 1))
+    least = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], of)
+    middle = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
+    radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - middle[of_ball], axis=1) + balls[:, 3], of)
+    return Clusters(
+        np.array(of_body, dtype=np.int64), first, last, left, right, center, edges, points, begin[first], begin[last],
+        own, np.column_stack([middle, radius]),
+    )  # fmt: skip
 
 
 # -- bounds -----------------------------------------------------------------------------------
@@ -487,107 +557,69 @@ def _clusters(model: Model) -> Clusters:
 class _Chains:
     """The joints between the links of all pairs, and how far bodies are from them.
 
-    Chains are numbered (pair, side), flat. Joints are in the order in which the ball passes them, from the upper body to
-    the lower one.
+    Chains are numbered (pair, side), flat. Joints are in the order in which the ball passes them, from the upper body
+    to the lower one.
     """
 
-    def __init__(self, model: Model, deviations: Floats) -> None:
+    def __init__(self, model: Model, balls: Floats, deviations: Floats) -> None:
         links, pairs = model.links, model.pairs
-        self.model, self.deviations = model, deviations
-        F = _rotations(links.quaternion)
-        path: list[list[int]] = []
+        self.links, self.deviations = links, deviations
+        self.path: list[list[int]] = []
         for k, (above, moves) in enumerate(zip(links.above.tolist(), links.moves.tolist(), strict=True)):
-            path.append((path[above] if above >= 0 else []) + ([k] if moves != STAYS else []))
-        path.append([])
-        own: dict[tuple[int, int], list[tuple[int, bool]]] = {}
-        link = model.link
-        upper, lower = np.stack([pairs[:, ::-1], pairs]).reshape(2, -1)
+            self.path.append((self.path[above] if above >= 0 else []) + ([k] if moves != STAYS else []))
+        lower, upper = pairs.ravel(), pairs[:, ::-1].ravel()
+        count = len(links.above) + 1
+        ends, number = np.unique(count * (model.link[upper] + 1) + model.link[lower] + 1, return_inverse=True)
         chains = []
-        for u, v in zip(link[upper].tolist(), link[lower].tolist(), strict=True):
-            if (u, v) not in own:
-                up, down = path[u], path[v]
-                common = next((k for k, (x, y) in enumerate(zip(up, down, strict=False)) if x != y), min(len(up), len(down)))
-                own[u, v] = [(k, True) for k in reversed(up[common:])] + [(k, False) for k in down[common:]]
-            chains.append(own[u, v])
+        for end in ends.tolist():
+            up, down = ([*self.path, []][k - 1] for k in divmod(end, count))
+            common = sum(x == y for x, y in zip(up, down, strict=False))
+            chains.append([(k, True) for k in reversed(up[common:])] + [(k, False) for k in down[common:]])
         length = max(map(len, chains), default=0)
-        self.joint, climbs = np.full((len(chains), length), -1), np.zeros((len(chains), length), dtype=bool)
-        for k, chain in enumerate(chains):
-            if chain:
-                self.joint[k, : len(chain)], climbs[k, : len(chain)] = zip(*chain, strict=True)
-        centers, self.radius = _balls(model)
-        self.upper = upper
-        c = centers[upper]
+        table = np.full((len(chains), length, 2), [-1, 0])
+        for row, chain in zip(table, chains, strict=True):
+            row[: len(chain)] = np.array(chain, dtype=np.int64).reshape(-1, 2)
+        self.joint, climbs = table[number, :, 0], table[number, :, 1] == 1
+        self.radius, c = balls[upper, 3], balls[upper, :3]
+        self.longest = float(np.linalg.norm(balls[:, :3], axis=1).max(initial=0.0) + balls[:, 3].max(initial=0.0))
+        F = rotations_of(links.quaternion / np.linalg.norm(links.quaternion, axis=1, keepdims=True))
         e = links.axis / np.maximum(np.linalg.norm(links.axis, axis=1), 1e-300)[:, None]
         # How far the center is from the axis of each joint that turns.
         self.away = np.zeros(self.joint.shape)
         for k in range(length):
-            j, up = self.joint[:, k], climbs[:, k]
-            c = np.where((up | (j < 0))[:, None], c, np.einsum("tji,tj->ti", F[j], c - links.translation[j]))
+            j, up, there = self.joint[:, k], climbs[:, k], self.joint[:, k] >= 0
+            c = np.where((up | ~there)[:, None], c, np.einsum("tji,tj->ti", F[j], c - links.translation[j]))
             onto = (c * e[j]).sum(axis=1)[:, None] * e[j]
-            turns = (j >= 0) & (links.moves[j] == TURNS)
+            turns = there & (links.moves[j] == TURNS)
             self.away[:, k] = np.where(turns, np.linalg.norm(c - onto, axis=1), 0.0)
             c = np.where(turns[:, None], onto, c)
-            c = np.where((up & (j >= 0))[:, None], np.einsum("tij,tj->ti", F[j], c) + links.translation[j], c)
-        self.path = path
+            c = np.where((up & there)[:, None], np.einsum("tij,tj->ti", F[j], c) + links.translation[j], c)
 
     def bends(self, courses: Floats) -> tuple[Bends, float]:
         """Compute the bounds for motions, and the size of the model on them."""
-        links, degree = self.model.links, courses.shape[1] - 1
-        value, m = np.maximum(links.value, 0), np.where(links.value < 0, 0.0, links.multiplier)
+        links, degree = self.links, courses.shape[1] - 1
+        value, m = np.maximum(links.value, 0), np.where(links.value < 0, 0.0, np.abs(links.multiplier))
         P = courses[:, :, value]
-        w = np.abs(m) * degree * np.abs(np.diff(P, axis=1)).max(axis=1)
-        second = np.abs(np.diff(P, n=2, axis=1)).max(axis=1) if degree > 1 else np.zeros_like(w)
-        bend = np.abs(m) * degree * (degree - 1) * second
-        off = np.abs(m) * self.deviations[value]
-        length = np.linalg.norm(links.axis, axis=1)
-        slides = links.moves == SLIDES
-        far = np.where(slides, length * (np.abs(m * P + links.offset).max(axis=1) + off), 0.0)
-        radius = np.broadcast_to(self.radius[self.upper], (len(courses), len(self.upper)))
-        curvature, deviation, turned = (np.zeros_like(radius) for _ in range(3))
-        # From the lower body to the upper one the radii shrink, so the radius behind the last joint comes first.
+        rates = m * degree * np.abs(np.diff(P, axis=1)).max(axis=1)
+        bend = m * degree * (degree - 1) * np.abs(np.diff(P, n=2, axis=1)).max(axis=1, initial=0.0)
+        off, length, slides = m * self.deviations[value], np.linalg.norm(links.axis, axis=1), links.moves == SLIDES
+        far = np.abs(links.multiplier * P + links.offset).max(axis=1)
+        far = np.where(slides, length * (far + off), 0.0)
         there = self.joint >= 0
         grows = there * (np.where(slides[self.joint], far[:, self.joint], 0.0) + self.away)
-        reach = radius[..., None] + np.cumsum(grows, axis=2)
-        for k in reversed(range(self.joint.shape[1])):
+        reach = np.where(slides[self.joint], length[self.joint], self.radius[:, None] + np.cumsum(grows, axis=2))
+        curvature, deviation, turned = (np.zeros(reach.shape[:2]) for _ in range(3))
+        for k in reversed(range(self.joint.shape[1])):  # from the lower body to the upper one
             j = self.joint[:, k]
-            turns, R = there[:, k] & ~slides[j], np.where(slides[j], length[j], reach[:, :, k])
-            own = np.where(there[:, k], R, 0.0)
-            rate = w[:, j]
-            curvature += own * (np.where(turns, rate * rate, 0.0) + 2 * rate * turned + bend[:, j])
+            own, turns = np.where(there[:, k], reach[:, :, k], 0.0), there[:, k] & ~slides[j]
+            rate = rates[:, j]
+            curvature += own * (rate * (turns * rate + 2 * turned) + bend[:, j])
             deviation += own * off[j]
-            turned = turned + np.where(turns, rate, 0.0)
+            turned += turns * rate
         shape = (len(courses), -1, 2)
         steps = np.linalg.norm(links.translation, axis=1) + far.max(axis=0, initial=0.0)
         longest = max((steps[path].sum() for path in self.path), default=0.0)
-        size = max(1.0, 2 * float(longest + self.radius.max() + np.linalg.norm(_balls(self.model)[0], axis=1).max()))
-        return Bends(curvature.reshape(shape), deviation.reshape(shape)), size
-
-
-def _rotations(wxyz: Floats) -> Floats:
-    """Rotations of quaternions, which need not have length 1."""
-    from loewner._rotations import rotations_of
-
-    return rotations_of(wxyz / np.linalg.norm(wxyz, axis=1, keepdims=True))
-
-
-def _balls(model: Model) -> tuple[Floats, Floats]:
-    """Compute the balls around the bodies, in the frames of their links, as the format defines them."""
-    centers, radii = np.empty((len(model.link), 3)), np.empty(len(model.link))
-    start = model.pieces.start.tolist()
-    for b in range(len(radii)):
-        M, s, rows = model.turn[b], model.shift[b], []
-        for piece in range(start[b], start[b + 1]):
-            kind, radius, points = int(model.pieces.kind[piece]), model.pieces.radius[piece], model.pieces.points[piece]
-            placed, r = points @ M.T + s, radius
-            if kind != HULL:
-                r = radius + (1.0 if kind == BALL else np.sqrt(2.0)) * np.linalg.norm(M @ points[1:])
-                placed = placed[:1]
-            rows.append(np.column_stack([placed, np.full(len(placed), r)]))
-        own = np.concatenate(rows)
-        low, high = (own[:, :3] - own[:, 3:]).min(axis=0), (own[:, :3] + own[:, 3:]).max(axis=0)
-        centers[b] = (low + high) / 2
-        radii[b] = (np.linalg.norm(own[:, :3] - centers[b], axis=1) + own[:, 3]).max()
-    return centers, radii
+        return Bends(curvature.reshape(shape), deviation.reshape(shape)), max(1.0, 2 * float(longest + self.longest))
 
 
 def written(deviations: Floats, courses: Floats) -> bytes:
