@@ -40,8 +40,8 @@ PRODUCTS = 2**14
 # Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
 BOX_ROOM = 4e-6
 
-# Motions whose trees are made at a time.
-AT_ONCE = 64
+# Trees that are made at a time.
+AT_ONCE = 2**15
 
 # Candidates among the axes that are tried after the boxes.
 BEST_AXES = 3
@@ -124,7 +124,8 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
         If planes that the format can express do not prove a pair to be apart.
     """
     search = _Search(ready.in_parts, model, deviations)
-    return b"".join(search.of(courses[k : k + AT_ONCE]) for k in range(0, len(courses), AT_ONCE))
+    step = max(1, AT_ONCE // max(1, len(model.pairs)))
+    return b"".join(search.of(courses[k : k + step]) for k in range(0, len(courses), step))
 
 
 class _Search:
@@ -231,9 +232,8 @@ class _Search:
         some, T, need, gaps = tasks.at(open_), tuple(T[open_] for T in placed), need[open_], gaps[:, open_]
         distance, normals = self._distances(some, T)
         allowed = self.model.margins[some.pair]
-        sunk = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1) - BOX_ROOM * self.size
-        for k in np.flatnonzero((distance < sunk[:, None]).any(axis=1))[:1]:
-            self._fail(some, k)
+        least = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1)
+        counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
         near = np.flatnonzero((distance > need.min(axis=1)[:, None] + ROOM * self.size).all(axis=1))
         if len(near):
             chosen, T = some.at(near), tuple(T_[near] for T_ in T)
@@ -245,8 +245,13 @@ class _Search:
             side = tried.side[which[good], good]
             token[at], normal[at] = NORMAL + side, own[good]
             self.recent[chosen.pair[good]] = np.column_stack([side, own[good]])
+        # Halving does not help where one end is too near, of which distances tell, and precise normals of two pieces.
+        sunk = (distance < (least - BOX_ROOM * self.size)[:, None]).any(axis=1)
+        if depth >= DEEP:
+            sunk[near] |= ((gaps <= least + ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
+        for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
+            self._fail(some, k)
         # Pieces that no plane separates, although they are apart, are divided.
-        counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
         stuck = (gaps <= allowed + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
         divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
         return token, normal, divide
@@ -442,7 +447,7 @@ def rounded(n: Floats, scales: int) -> Ints:
     unit = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
     found, least, each = np.zeros(flat.shape), np.full(len(flat), np.inf), np.arange(len(flat))
     multiples = np.linspace(LARGEST, LARGEST / 2, scales)
-    for scale in np.array_split(multiples, max(1, scales * len(flat) // PRODUCTS)):
+    for scale in np.array_split(multiples, min(scales, 1 + scales * len(flat) // PRODUCTS)):
         whole = np.rint(scale[:, None, None] * flat)
         along = (whole * unit).sum(axis=2)
         off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-300) ** 2
