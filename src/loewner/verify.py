@@ -2,8 +2,8 @@
 
 This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
-whole numbers of units of 2^-72. Here matrices are measured by the root of the sum of squares and vectors by their norm;
-errors are in units, and the lengths that multiply them in metres.
+whole numbers of units of 2^-72. Errors are in units, and lengths that multiply them in metres; a matrix is measured by
+the root of the sum of squares, a vector by its norm. Rounding is bounded as follows:
 
 - A double, a fixed rotation and an axis are rounded by less than 1 in each entry, a sine or cosine by less than 2: 1/10
   for the angle, 1/1000 for the series, 1 for the result. In a joint's rotation c + s e + (1 - c) e e the terms have
@@ -13,8 +13,8 @@ errors are in units, and the lengths that multiply them in metres.
   rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the chain's length L
   the error is at most E (L + 1).
 - A plane's normal n is exact, since any vector will do. In the other body's frame it has an error of 2 E |n| + 5. So a
-  gap has an error of (|n| + 1) E (2 X + 4 L + 3) at most, where X is the size of the bodies, and |n| times the errors of
-  the placed points of both bodies, which are ``_Body.fuzz`` at most.
+  gap has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, and |n| times the errors
+  of the placed points of both bodies, which are at most ``_Body.fuzz``.
 """
 
 import argparse
@@ -22,11 +22,12 @@ import hashlib
 import struct
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations, pairwise
 from math import isqrt
 from pathlib import Path
+from typing import Any
 
 __all__ = ["Refused", "Report", "main", "verify"]
 
@@ -44,6 +45,7 @@ Exact = Sequence[float | Fraction]
 Pair = tuple[int, int]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
+EVERY = [(i, k) for i in range(3) for k in range(3)]
 
 
 class Refused(Exception):
@@ -86,7 +88,7 @@ class Report:
     common: tuple[str, str] | None
 
 
-# Numbers. Doubles are only compared and converted.
+# Doubles are only compared and converted.
 
 
 def _down(x: float | Fraction, bits: int = BITS) -> int:
@@ -99,16 +101,16 @@ def _up(x: float | Fraction) -> int:
     return -_down(-x)
 
 
-def _all_down(numbers: Iterable[float | Fraction]) -> Whole:
+def _vector(numbers: Iterable[float | Fraction]) -> Whole:
     return tuple(map(_down, numbers))
-
-
-def _times_up(a: int, b: int) -> int:
-    return -(-a * b >> BITS)
 
 
 def _norm_up(entries: Whole) -> int:
     return isqrt(sum(x * x for x in entries)) + 1
+
+
+def _sum(v: Whole, w: Whole, sign: int = 1) -> Whole:
+    return v[0] + sign * w[0], v[1] + sign * w[1], v[2] + sign * w[2]
 
 
 def _apply(m: Whole, v: Whole) -> Whole:
@@ -117,38 +119,26 @@ def _apply(m: Whole, v: Whole) -> Whole:
     return a * x + b * y + c * z >> BITS, d * x + e * y + f * z >> BITS, g * x + h * y + i * z >> BITS
 
 
-def _sum(v: Whole, w: Whole, sign: int = 1) -> Whole:
-    return v[0] + sign * w[0], v[1] + sign * w[1], v[2] + sign * w[2]
-
-
 def _transposed(m: Whole) -> Whole:
-    return m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]
+    return m[::3] + m[1::3] + m[2::3]
 
 
 def _product(a: Whole, b: Whole) -> Whole:
-    return _transposed(tuple(x for k in range(3) for x in _apply(a, b[k::3])))
-
-
-def _rounding(c: Whole) -> int:
-    """Bound twice the error of a turned or projected vector: 3 |c| for the matrix, 2 for rounding, 2 for a shift."""
-    return 8 + (8 * _norm_up(c) >> BITS)
-
-
-def _series(term: int, square: int, n: int) -> int:
-    """Sum term (1 - square / ((n+1) (n+2)) + ...) to a term of 0; the rest is less, as terms alternate and decrease."""
-    total, sign = 0, 1
-    while term:
-        total += sign * term
-        term, sign, n = (term * square >> GUARD) // ((n + 1) * (n + 2)), -sign, n + 2
-    return total >> GUARD - BITS
+    return _transposed(_apply(a, b[::3]) + _apply(a, b[1::3]) + _apply(a, b[2::3]))
 
 
 def _cos_sin(angle: int) -> Pair:
     """Cosine and sine, in units, of an angle in multiples of 2^-GUARD."""
     quarters = (2 * angle + HALF_PI) // (2 * HALF_PI)
-    rest = angle - quarters * HALF_PI
+    rest, sums = angle - quarters * HALF_PI, []
     square = rest * rest >> GUARD
-    c, s = _series(1 << GUARD, square, 0), _series(abs(rest), square, 1) * (-1 if rest < 0 else 1)
+    for n, term in ((0, 1 << GUARD), (1, abs(rest))):
+        total, sign = 0, 1
+        while term:  # the terms alternate and decrease, so the rest of the series is less than the next one
+            total += sign * term
+            term, sign, n = (term * square >> GUARD) // ((n + 1) * (n + 2)), -sign, n + 2
+        sums.append(total >> GUARD - BITS)
+    c, s = sums[0], sums[1] if rest > 0 else -sums[1]
     return ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]
 
 
@@ -162,32 +152,29 @@ class _Reader:
     def __init__(self, data: bytes, part: str) -> None:
         self.data, self.part, self.at = data, part, 0
 
-    def bytes(self, size: int) -> bytes:
-        self.at += size
+    def take(self, form: str) -> tuple[Any, ...]:
+        start, self.at = self.at, self.at + struct.calcsize("<" + form)
         if self.at > len(self.data):
             raise Refused(f"The {self.part} ends too early.")
-        return self.data[self.at - size : self.at]
-
-    def take(self, form: str) -> Whole:
-        return struct.unpack("<" + form, self.bytes(struct.calcsize("<" + form)))
+        return struct.unpack_from("<" + form, self.data, start)
 
     def count(self, size: int, what: str, least: int = 0) -> int:
         """Read how many things of at least `size` bytes follow."""
-        (number,) = self.take("I")
+        number = int(*self.take("I"))
         if number < least or number * size > len(self.data) - self.at:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
         return number
 
     def doubles(self, number: int, what: str = "") -> list[float]:
         """Read doubles that are finite and not huge, and not negative if they have a name."""
-        found = struct.unpack(f"<{number}d", self.bytes(8 * number))
+        found = self.take(f"{number}d")
         if not all((0 if what else -(2**32)) <= x < 2**32 for x in found):
             raise Refused(f"A {what or 'number'} of the {self.part} is not finite, too large or negative.")
         return list(found)
 
     def name(self) -> str:
         try:
-            return self.bytes(*self.take("H")).decode()
+            return bytes(*self.take(f"{self.take('H')[0]}s")).decode()
         except UnicodeDecodeError:
             raise Refused(f"A name before byte {self.at} of the {self.part} is not UTF-8.") from None
 
@@ -202,30 +189,27 @@ class _Link:
     def __init__(self, reader: _Reader, links: "list[_Link]") -> None:
         name = _shown(reader.name())
         self.above, self.kind, self.value = reader.take("iBi")
-        self.by, self.off, w, x, y, z, *place = map(Fraction, reader.doubles(12))
-        self.place, self.axis = place[:3], place[3:]
-        self.square, size = sum(n * n for n in self.axis), w * w + x * x + y * y + z * z
-        if not -1 <= self.above < len(links):
-            raise Refused(f"Link {name} must be below the world or an earlier link, found {self.above}.")
-        if self.kind > 2 or (self.value != -1 if self.kind == 0 else self.value < 0):
+        self.by, self.off, w, *numbers = map(Fraction, reader.doubles(12))
+        v, self.place, self.axis = numbers[:3], numbers[3:6], numbers[6:]
+        square, size = sum(n * n for n in self.axis), w * w + sum(n * n for n in v)
+        if not -1 <= self.above < len(links) or self.kind > 2 or size == 0 or (self.kind == 1 and square == 0):
+            raise Refused(
+                f"Link {name} is below link {self.above}, has kind {self.kind}, or a quaternion or axis of 0."
+            )
+        if (self.value != -1) if self.kind == 0 else self.value < 0:
             raise Refused(f"Link {name} has kind {self.kind} and value {self.value}, which do not go together.")
-        if size == 0 or (self.kind == 1 and self.square == 0):
-            raise Refused(f"Link {name} has the quaternion 0, or turns about the axis 0.")
         base = links[self.above] if self.above >= 0 else None
         self.depth: int = base.depth + 1 if base else 1
+        self.group: int = base.group if base and not self.kind else len(links)
         if self.depth > MOST_LINKS:
             raise Refused(f"More than {MOST_LINKS} links are above each other.")
-        self.group: int = base.group if base and not self.kind else len(links)
-        rows = [size - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-        rows += [2 * (x * y + w * z), size - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-        rows += [2 * (x * z - w * y), 2 * (y * z + w * x), size - 2 * (x * x + y * y)]
-        self.rotation = [x / size for x in rows]
-        self.turn, self.shift = _all_down(self.rotation), _all_down(self.place)
-        self.reach, self.axis_norm = _norm_up(self.shift) + 2, _norm_up(_all_down(self.axis)) + 2
-        self.unit, self.outer = [], ()
+        cross, rest = (0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0), 2 * w * w - size
+        self.rotation = [(2 * v[i] * v[k] + 2 * w * cross[3 * i + k] + rest * (i == k)) / size for i, k in EVERY]
+        self.turn, self.shift = _vector(self.rotation), _vector(self.place)
+        self.reach, self.axis_norm = _norm_up(self.shift) + 2, _norm_up(_vector(self.axis)) + 2
         if self.kind == 1:
-            self.unit = [isqrt(_down(n * n / self.square, 2 * BITS)) * (-1 if n < 0 else 1) for n in self.axis]
-            self.outer = _all_down(m * n / self.square for m in self.axis for n in self.axis)
+            self.unit = [isqrt(_down(n * n / square, 2 * BITS)) * (-1 if n < 0 else 1) for n in self.axis]
+            self.outer: Whole = _vector(self.axis[i] * self.axis[k] / square for i, k in EVERY)
 
     def pose(self, values: list[Fraction]) -> tuple[Whole, Whole]:
         """Pose in the frame of the link above."""
@@ -233,25 +217,35 @@ class _Link:
             return self.turn, self.shift
         v = self.by * values[self.value] + self.off
         if self.kind == 2:
-            return self.turn, _sum(self.shift, _apply(self.turn, _all_down(v * n for n in self.axis)))
+            return self.turn, _sum(self.shift, _apply(self.turn, _vector(v * n for n in self.axis)))
         c, s = _cos_sin(_down(v, GUARD))
         x, y, z = (s * n for n in self.unit)
         cross = (c << BITS, -z, y, z, c << BITS, -x, -y, x, c << BITS)
         turned = tuple((ONE - c) * m + n >> BITS for m, n in zip(self.outer, cross, strict=True))
         return _product(self.turn, turned), self.shift
 
-    def pass_ball(self, c: Whole, radius: int, upward: bool) -> tuple[Whole, int, int]:
-        """Carry a ball past the joint; return its center, its radius, and the radius about the axis."""
+    def pass_ball(self, c: Whole, radius: int, upward: bool) -> tuple[Whole, int]:
+        """Carry a ball past the joint; if this turns, the radius is then the largest distance from the axis.
+
+        A turned or projected center has an error of at most 3 |c| for the matrix, 2 for rounding and 2 for the shift.
+        """
+        off = 8 + (8 * (_norm_up(c) + self.reach) >> BITS)
         if not upward:
             c = _apply(_transposed(self.turn), _sum(c, self.shift, -1))
-            radius += _rounding(c)
         if self.kind == 1:
             foot = _apply(self.outer, c)
-            radius += _norm_up(_sum(c, foot, -1)) + _rounding(c)
-            c = foot
-        if not upward:
-            return c, radius, radius
-        return _sum(self.shift, _apply(self.turn, c)), radius + _rounding(c), radius
+            c, radius = foot, radius + off + _norm_up(_sum(c, foot, -1))
+        return (_sum(self.shift, _apply(self.turn, c)) if upward else c), radius + off
+
+    def rates(self, column: list[Fraction], deviation: float) -> Whole:
+        """Bounds w and w' for a value with these control points, |m| times its deviation, and the largest value."""
+        degree, first = len(column) - 1, [b - a for a, b in pairwise(column)]
+        second = max((abs(b - a) for a, b in pairwise(first)), default=Fraction(0))
+        rate, bend = max(map(abs, first)) * degree, second * degree * (degree - 1)
+        stray, far = abs(self.by) * Fraction(deviation), max(abs(self.by * x + self.off) for x in column)
+        if self.kind == 1 and far > 10**6:
+            raise Refused("A motion turns a joint beyond 1e6 rad.")
+        return _up(abs(self.by) * rate), _up(abs(self.by) * bend), _up(stray), _up(far + stray)
 
 
 class _Body:
@@ -260,25 +254,23 @@ class _Body:
     The error of a placed point, and of a matrix times its radius, is at most `fuzz`. The ball contains the body.
     """
 
-    def __init__(self, reader: _Reader, links: int) -> None:
+    def __init__(self, reader: _Reader, links: list[_Link]) -> None:
         self.name, (self.link, self.inside) = reader.name(), reader.take("iB")
-        if not -1 <= self.link < links or self.inside > 1:
+        if not -1 <= self.link < len(links) or self.inside > 1:
             raise Refused(f"Body {_shown(self.name)} has the link {self.link} and the mark {self.inside}.")
+        self.group = links[self.link].group if self.link >= 0 else -1
         self.turn, self.place = reader.doubles(9), reader.doubles(3)
-        self.matrix, self.shift, self.largest = _all_down(self.turn), _all_down(self.place), ONE
-        self.kinds: list[tuple[int, float, list[float]]] = []
-        self.pieces: list[list[Part]] = []
-        self.counts = [0]
+        self.matrix, self.shift, self.largest = _vector(self.turn), _vector(self.place), ONE
+        self.kinds, self.pieces, self.counts = list[tuple[int, float, list[float]]](), list[list[Part]](), [0]
         for _ in range(reader.count(37, "pieces", 1)):
             (kind,), (radius,) = reader.take("B"), reader.doubles(1, "radius")
             if kind > 4:
                 raise Refused(f"Kinds of pieces are 0 to 4, found {kind}.")
             width = (3, 12, 12, 12, 4)[kind]
-            self.kinds.append(
-                (kind, radius, reader.doubles(width * (reader.count(8 * width, "points", 1) if width < 12 else 1)))
-            )
-            self.pieces.append(self.placed(*self.kinds[-1], width))
-            self.counts.append(self.counts[-1] + len(self.kinds[-1][2]) // width + 5)
+            numbers = reader.doubles(width * (1 if width == 12 else reader.count(8 * width, "points", 1)))
+            self.kinds.append((kind, radius, numbers))
+            self.pieces.append(self.placed(kind, radius, numbers, width))
+            self.counts.append(self.counts[-1] + len(numbers) // width + 5)
         # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
         self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1
         # A ball has the norm of the matrix as its radius, √2 times this for kinds 2 and 3.
@@ -297,11 +289,10 @@ class _Body:
         for k in range(0, len(numbers), width):
             if kind == 4 and numbers[k + 3] < 0:
                 raise Refused("A ball has a negative radius.")
-            y = _all_down(numbers[k : k + 3])
-            r = _up(radius) + (_up(numbers[k + 3]) if kind == 4 else 0)
-            found.setdefault(r, []).append(_sum(self.shift, _apply(self.matrix, y)))
+            y, own = _vector(numbers[k : k + 3]), _up(numbers[k + 3]) if kind == 4 else 0
+            found.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, y)))
             self.largest = max(self.largest, abs(y[0]) + abs(y[1]) + abs(y[2]) + ONE)
-        g = _all_down(numbers[3:]) if width == 12 else ()
+        g = _vector(numbers[3:]) if width == 12 else ()
         self.largest = max(self.largest, _norm_up(g) + ONE)
         return [(kind, r, points, _product(self.matrix, g) if g else g) for r, points in found.items()]
 
@@ -317,224 +308,29 @@ class _Body:
                     found[-1] += _norm_up((u, v, w)) if kind == 1 else rim + abs(w) if kind == 2 else max(w, rim - w)
         return max(found)
 
-
-class _Model:
-    """The model of a file."""
-
-    def __init__(self, data: bytes) -> None:
-        reader, self.links, self.values = _Reader(data, "model"), list[_Link](), list[tuple[str, float, float]]()
-        for _ in range(reader.count(107, "links")):
-            self.links.append(_Link(reader, self.links))
-        for _ in range(reader.count(18, "values")):
-            name, (low, high) = reader.name(), struct.unpack("<2d", reader.bytes(16))
-            if low != low or high != high:
-                raise Refused(f"A limit of value {_shown(name)} is not a number.")
-            self.values.append((name, low, high))
-        if any(link.value >= len(self.values) for link in self.links):
-            raise Refused(f"A link follows a value that is not one of the {len(self.values)} of the model.")
-        self.bodies = [_Body(reader, len(self.links)) for _ in range(reader.count(132, "bodies"))]
-        self.apart = self.pairs(reader, 8, "pairs not to be checked")
-        self.margin = reader.doubles(1, "margin")[0]
-        self.margins = self.pairs(reader, 16, "margins")
-        reader.end()
-        self.groups = [self.links[body.link].group if body.link >= 0 else -1 for body in self.bodies]
-
-    def pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
-        """Read pairs of bodies, and a margin of each if this belongs to the list."""
-        found: dict[Pair, float] = {}
-        for _ in range(reader.count(size, what)):
-            i, j = reader.take("2I")
-            if not i < j < len(self.bodies) or (i, j) in found:
-                raise Refused(f"The pair {i}, {j} of bodies is out of order, does not exist or is named twice.")
-            found[i, j] = reader.doubles(1, "margin")[0] if size > 8 else 0
-        return found
-
-    def named(self, pair: Pair) -> tuple[str, str]:
-        return self.bodies[pair[0]].name, self.bodies[pair[1]].name
-
-
-class _Motion:
-    """A motion: its control points, and bounds for each link."""
-
-    def __init__(self, number: int, points: list[list[float]], model: _Model, deviations: list[float]) -> None:
-        self.number, self.points, degree = number, points, len(points) - 1
-        self.columns = [list(map(Fraction, column)) for column in zip(*points, strict=True)]
-        self.poses: dict[int, list[tuple[Whole, Whole]]] = {}
-        self.bounds: dict[Pair, Pair] = {}
-        self.rates: list[Whole] = []  # w, w', |m| times the deviation, and the largest value
-        self.lengths: list[int] = []  # of the chain of each link, with slides; at the end, as number -1, of the world
-        for link in model.links:
-            rate = bend = stray = far = Fraction(0)
-            if link.kind:
-                first = [b - a for a, b in pairwise(self.columns[link.value])]
-                second = max((abs(b - a) for a, b in pairwise(first)), default=Fraction(0))
-                rate, bend = (abs(link.by) * x * degree for x in (max(map(abs, first)), second * (degree - 1)))
-                stray = abs(link.by) * Fraction(deviations[link.value])
-                far = max(abs(link.by * x + link.off) for x in self.columns[link.value])
-                if link.kind == 1 and far > 10**6:
-                    raise Refused(f"Motion {number} turns a joint beyond 1e6 rad.")
-            self.rates.append((_up(rate), _up(bend), _up(stray), _up(far + stray)))
-            slide = _times_up(link.axis_norm, self.rates[-1][3]) if link.kind == 2 else 0
-            self.lengths.append((self.lengths[link.above] if link.above >= 0 else 0) + link.reach + slide)
-        self.lengths.append(0)
-
-
-class _Checker:
-    """The proof of a model's motions."""
-
-    def __init__(self, model: _Model, data: bytes) -> None:
-        self.model, self.reader = model, _Reader(data, "proof")
-        self.deviations = self.reader.doubles(len(model.values), "deviation")
-        self.work = self.planes = self.intervals = 0
-        self.last: dict[Pair, tuple[bool, Whole]] = {}
-        self.balls: dict[Pair, list[Pair]] = {}
-        self.tightest: tuple[int, Pair, int, Pair] | None = None
-
-    def spend(self, steps: int) -> None:
-        self.work += steps
-        if self.work > MOST_WORK:
-            raise Refused("The proof takes more than 2^30 steps to check.")
-
-    def run(self) -> tuple[int, tuple[tuple[int, bool, bool, int], ...]]:
-        """Check the whole proof; return the number of pairs, and a report for each motion."""
-        model, motions, reports = self.model, list[_Motion](), []
-        for number in range(self.reader.count(1, "motions")):
-            (degree,) = self.reader.take("B")
-            if degree == 0:
-                raise Refused(f"Motion {number} has the degree 0.")
-            points = [self.reader.doubles(len(model.values)) for _ in range(degree + 1)]
-            motions.append(_Motion(number, points, model, self.deviations))
-        self.spend(len(model.bodies) ** 2 // 8)
-        every = combinations(range(len(model.bodies)), 2)
-        pairs = [(i, j) for i, j in every if model.groups[i] != model.groups[j] and (i, j) not in model.apart]
-        for motion in motions:
-            for pair in pairs:
-                self.tree(motion, pair)
-            points = motion.points
-            joined = not motion.number or points[0] == motions[motion.number - 1].points[-1]
-            inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, model.values, strict=True))
-            reports.append((len(points) - 1, joined, inside, len(motion.poses)))
-            motion.poses.clear()
-        self.reader.end()
-        return len(pairs), tuple(reports)
-
-    def tree(self, motion: _Motion, pair: Pair) -> None:
-        """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
-        rest = [([(0, 1 << DEEPEST), *((0, len(self.model.bodies[k].pieces)) for k in pair)], 0)]
-        while rest:
-            spans, depth = rest.pop()
-            (token,) = self.reader.take("B")
-            if token > 2:
-                self.leaf(motion, pair, self.plane(token, pair), spans)
-                continue
-            low, high = spans[token]
-            half = low + (high - low) // 2
-            if depth == DEEPEST or half == low:
-                raise Refused(f"{_shown(*self.model.named(pair))}: a tree divides one piece, or is nested too deep.")
-            rest += [([*spans[:token], part, *spans[token + 1 :]], depth + 1) for part in ((half, high), (low, half))]
-
-    def plane(self, token: int, pair: Pair) -> tuple[bool, Whole]:
-        """Read a plane: whether it is in the frame of the first body, and its normal N."""
-        if 3 < token < 18:
-            self.planes += 1
-            normal = self.reader.take("3h") if token > 15 else AXES[(token - 4) % 6]
-            self.last[pair] = token < 10 or token == 16, normal
-        if token > 17 or pair not in self.last or not any(self.last[pair][1]):
-            raise Refused(f"{_shown(*self.model.named(pair))}: token {token} does not name a plane.")
-        return self.last[pair]
-
-    def leaf(self, motion: _Motion, pair: Pair, plane: tuple[bool, Whole], spans: list[Pair]) -> None:
-        """Check that a plane proves some pieces of two bodies apart in an interval."""
-        model, (start, end), order = self.model, spans[0], (0, 1) if plane[0] else (1, 0)
-        below, above = (model.bodies[pair[k]] for k in order)
-        some, others = (spans[1 + k] for k in order)
-        n = _apply(below.matrix, tuple(x << BITS for x in plane[1]))
-        norm = _norm_up(n)
-        least = min(self.least(motion, t, below.link, above, others, n, norm) for t in (start, end))
-        bend, stray = self.bound(motion, below.link, pair[order[1]])
-        depth = 1 + max((model.links[k].depth for k in (below.link, above.link) if k >= 0), default=0)
-        length = max(motion.lengths[below.link], motion.lengths[above.link])
-        size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
-        slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
-        needed = _up(model.margins.get(pair, model.margin)) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
-        spare = least - below.support(some, n, norm) - (norm + ONE) * slack - norm * needed
-        if spare <= 0:
-            where = f"motion {motion.number} from {Fraction(start, 1 << DEEPEST)} to {Fraction(end, 1 << DEEPEST)}"
-            lack = -(spare * 10**6 // norm >> BITS)
-            raise Refused(f"{_shown(*model.named(pair))}: the gap of a plane for {where} is {lack} micrometres short.")
-        if self.tightest is None or spare // norm < self.tightest[0]:
-            self.tightest = spare // norm, pair, motion.number, spans[0]
-        self.intervals += 1
-        self.spend(100 + sum(b.counts[part[1]] - b.counts[part[0]] for b, part in ((below, some), (above, others))))
-
-    def least(self, motion: _Motion, t: int, link: int, above: _Body, part: Pair, n: Whole, norm: int) -> int:
-        """Least product of a normal in a link's frame with a point of another body's pieces, relative to the link."""
-        if t not in motion.poses:
-            motion.poses[t] = self.place(motion, t)
-        (turn, place), (other, there) = motion.poses[t][link], motion.poses[t][above.link]
-        a, b, c = n if link < 0 else _apply(turn, n)
-        away = (-a, -b, -c) if above.link < 0 else _apply(_transposed(other), (-a, -b, -c))
-        x, y, z = _sum(there, place, -1)
-        return a * x + b * y + c * z - above.support(part, away, norm)
-
-    def place(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
-        """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
-        share, values, found, count = Fraction(t, 1 << DEEPEST), [], list[tuple[Whole, Whole]](), len(motion.points)
-        self.spend(2000 * len(self.model.links) + len(motion.columns) * count**2 * (8 + count))
-        for column in motion.columns:
-            while len(column) > 1:
-                column = [a + share * (b - a) for a, b in pairwise(column)]
-            values.append(column[0])
-        for link in self.model.links:
-            turn, shift = link.pose(values)
-            if link.above >= 0:
-                base, place = found[link.above]
-                turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
-            found.append((turn, shift))
-        return [*found, ((ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0))]
-
-    def bound(self, motion: _Motion, link: int, high: int) -> Pair:
-        """A and V of a body seen from a link, rounded up."""
-        if (link, high) not in motion.bounds:
-            slides, moving = 0, list[Whole]()
-            if (link, high) not in self.balls:
-                self.balls[link, high] = self.passed(self.model.bodies[high], link)
-            for k, reach in self.balls[link, high]:
-                (rate, *rest, far), kind, axis = (
-                    motion.rates[k],
-                    self.model.links[k].kind,
-                    self.model.links[k].axis_norm,
-                )
-                if kind:
-                    moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (axis, 0, rate, *rest))
-                slides += _times_up(axis, far) if kind == 2 else 0
-            before = a = v = 0
-            for reach, turn, rate, bend, stray in reversed(moving):
-                a += _times_up(reach, _times_up(rate, 2 * before + turn) + bend)
-                v += _times_up(reach, stray)
-                before += turn
-            motion.bounds[link, high] = a, v
-        return motion.bounds[link, high]
-
-    def passed(self, body: _Body, below: int) -> list[Pair]:
-        """Links between a body and another link, from the body on, and the body's reach about them without slides."""
-        links, above, center, radius = self.model.links, body.link, body.center, body.radius
-        up, down, found = list[tuple[int, bool]](), list[tuple[int, bool]](), []
-        while above != below:  # a link comes after the one above it, so the later of two is not the common one
-            if above > below:
-                up.append((above, True))
-                above = links[above].above
-            else:
-                down.append((below, False))
-                below = links[below].above
-        self.spend(100 * len(up + down))
-        for k, upward in up + down[::-1]:
-            center, radius, reach = links[k].pass_ball(center, radius, upward)
-            found.append((k, reach))
-        return found
-
-
-# A common point, in fractions.
+    def contains(self, piece: int, four: Whole, point: list[Fraction]) -> bool:
+        """Whether an exact point in the frame of the link belongs to a piece, as four numbers show."""
+        (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
+        if kind in (1, 2, 3):
+            away = _less(point, _moved(self.turn, numbers[:3], self.place))
+            u = _solved([_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)], away)
+            if radius or any(four) or not u:
+                return False
+            allowed = (one - u[2] ** 2, one, ((1 - u[2]) / 2) ** 2)[kind - 1]
+            return abs(u[2]) <= 1 and u[0] ** 2 + u[1] ** 2 <= allowed
+        width = 3 if kind == 0 else 4
+        if max(four) >= len(numbers) // width:
+            return False
+        corners = [_moved(self.turn, numbers[width * k : width * k + 3], self.place) for k in four]
+        for some in (some for count in range(1, 5) for some in combinations(corners, count) if kind == 0):
+            weights = _solved([[*corner, one] for corner in some], [*point, one])
+            if weights and min(weights) >= 0:
+                return True
+        away, along = _less(point, corners[0]), _less(corners[1], corners[0])
+        share = _dot(away, along) / (_dot(along, along) or 1) if kind == 0 else Fraction(0)
+        away = _less(away, [min(max(share, Fraction(0)), one) * x for x in along])
+        reach = Fraction(radius) + (Fraction(numbers[4 * four[0] + 3]) if kind == 4 else 0)
+        return _dot(away, away) <= reach**2
 
 
 def _moved(m: Exact, v: Exact, shift: Exact) -> list[Fraction]:
@@ -551,66 +347,224 @@ def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
 
 def _solved(columns: list[list[Fraction]], right: list[Fraction]) -> list[Fraction]:
     """Solve a system of equations if it has exactly one solution; otherwise return nothing."""
-    rows, done = [list(row) for row in zip(*columns, right, strict=True)], list[list[Fraction]]()
+    rows = [list(row) for row in zip(*columns, right, strict=True)]
     for k in range(len(columns)):
-        pivot = next((row for row in rows if row[k]), None)
+        pivot = next((row for row in rows[k:] if row[k]), None)
         if pivot is None:
             return []
         rows.remove(pivot)
         pivot = [x / pivot[k] for x in pivot]
-        rows, done = (
-            [[x - row[k] * y for x, y in zip(row, pivot, strict=True)] for row in some] for some in (rows, done)
+        rows = [_less(row, [row[k] * x for x in pivot]) for row in rows]
+        rows.insert(k, pivot)
+    return [] if any(row[-1] for row in rows[len(columns) :]) else [row[-1] for row in rows[: len(columns)]]
+
+
+class _Motion:
+    """A motion: its control points, and for each link the rates and the length of its chain, with slides."""
+
+    def __init__(self, number: int, points: list[list[float]], links: list[_Link], deviations: list[float]) -> None:
+        self.number, self.points, self.rates, self.lengths = number, points, list[Whole](), list[int]()
+        self.columns = [list(map(Fraction, column)) for column in zip(*points, strict=True)]
+        self.poses, self.bounds = dict[int, list[tuple[Whole, Whole]]](), dict[Pair, Pair]()
+        for link in links:
+            found = link.rates(self.columns[link.value], deviations[link.value]) if link.kind else (0, 0, 0, 0)
+            slide = -(-link.axis_norm * found[3] >> BITS) if link.kind == 2 else 0
+            self.rates.append(found)
+            self.lengths.append((self.lengths[link.above] if link.above >= 0 else 0) + link.reach + slide)
+        self.lengths.append(0)  # number -1 is the world
+
+
+class _Checker:
+    """The model and the proof of a file."""
+
+    def __init__(self, model: bytes, proof: bytes) -> None:
+        reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
+        self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
+        for _ in range(reader.count(107, "links")):
+            self.links.append(_Link(reader, self.links))
+        for _ in range(reader.count(18, "values")):
+            self.values.append((reader.name(), *reader.take("2d")))
+        if any(low != low or high != high for _, low, high in self.values):
+            raise Refused("A limit is not a number.")
+        if any(link.value >= len(self.values) for link in self.links):
+            raise Refused(f"A link follows a value that is not one of the {len(self.values)} of the model.")
+        self.bodies = [_Body(reader, self.links) for _ in range(reader.count(132, "bodies"))]
+        self.apart = self.read_pairs(reader, 8, "pairs not to be checked")
+        self.margin = reader.doubles(1, "margin")[0]
+        self.margins = self.read_pairs(reader, 16, "margins")
+        reader.end()
+        self.work = self.planes = self.intervals = 0
+        self.deviations, self.pairs, self.motions = list[float](), list[Pair](), list[tuple[int, bool, bool, int]]()
+        self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
+        self.tightest: tuple[int, Pair, int, Pair] | None = None
+
+    def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
+        """Read pairs of bodies, and a margin of each if this belongs to the list."""
+        found: dict[Pair, float] = {}
+        for _ in range(reader.count(size, what)):
+            i, j = reader.take("2I")
+            if not i < j < len(self.bodies) or (i, j) in found:
+                raise Refused(f"The pair {i}, {j} of bodies is out of order, does not exist or is named twice.")
+            found[i, j] = reader.doubles(1, "margin")[0] if size > 8 else 0
+        return found
+
+    def named(self, pair: Pair) -> tuple[str, str]:
+        return self.bodies[pair[0]].name, self.bodies[pair[1]].name
+
+    def spend(self, steps: int) -> None:
+        self.work += steps
+        if self.work > MOST_WORK:
+            raise Refused("The proof takes more than 2^30 steps to check.")
+
+    def common_point(self) -> tuple[str, str]:
+        """Check that two bodies have a common point; return their names."""
+        places = [(self.reader.take("2I"), self.reader.take("4I")) for _ in range(2)]
+        world = list(map(Fraction, self.reader.doubles(3)))
+        self.reader.end()
+        pair = places[0][0][0], places[1][0][0]
+        if pair[0] == pair[1] or any(link.kind for link in self.links):
+            raise Refused("A common point is proven for two different bodies of a model that does not move.")
+        for (k, piece), four in places:
+            if k >= len(self.bodies) or piece >= len(self.bodies[k].pieces):
+                raise Refused(f"There is no piece {piece} of a body {k}.")
+            point, link, chain = world, self.bodies[k].link, list[_Link]()
+            while link >= 0:
+                chain.append(self.links[link])
+                link = chain[-1].above
+            for step in reversed(chain):
+                point = _less(point, step.place)
+                point = _moved([step.rotation[3 * i + m] for m, i in EVERY], point, (0, 0, 0))
+            if not self.bodies[k].contains(piece, four, point):
+                raise Refused(f"The point is not shown to belong to {_shown(self.bodies[k].name)}.")
+        return self.named(pair)
+
+    def run(self) -> None:
+        """Check the proof of all motions."""
+        motions = list[_Motion]()
+        self.deviations = self.reader.doubles(len(self.values), "deviation")
+        for number in range(self.reader.count(1, "motions")):
+            (degree,) = self.reader.take("B")
+            if degree == 0:
+                raise Refused(f"Motion {number} has the degree 0.")
+            points = [self.reader.doubles(len(self.values)) for _ in range(degree + 1)]
+            motions.append(_Motion(number, points, self.links, self.deviations))
+        self.spend(len(self.bodies) ** 2 // 8)
+        pairs = combinations(range(len(self.bodies)), 2)
+        self.pairs = [(i, j) for i, j in pairs if self.bodies[i].group != self.bodies[j].group]
+        self.pairs = [pair for pair in self.pairs if pair not in self.apart]
+        for motion in motions:
+            for pair in self.pairs:
+                self.tree(motion, pair)
+            points = motion.points
+            joined = not motion.number or points[0] == motions[motion.number - 1].points[-1]
+            inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
+            self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
+            motion.poses.clear()
+        self.reader.end()
+
+    def tree(self, motion: _Motion, pair: Pair) -> None:
+        """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
+        rest = [([(0, 1 << DEEPEST), *((0, len(self.bodies[k].pieces)) for k in pair)], 0)]
+        while rest:
+            (spans, depth), (token,) = rest.pop(), self.reader.take("B")
+            if token < 3:
+                low, high = spans[token]
+                half = low + (high - low) // 2
+                if depth == DEEPEST or half == low:
+                    raise Refused(f"{_shown(*self.named(pair))}: a tree divides one piece, or is nested too deep.")
+                rest += [([*spans[:token], x, *spans[token + 1 :]], depth + 1) for x in ((half, high), (low, half))]
+                continue
+            if 3 < token < 18:
+                self.planes += 1
+                normal = self.reader.take("3h") if token > 15 else AXES[(token - 4) % 6]
+                self.last[pair] = token < 10 or token == 16, normal
+            if token > 17 or pair not in self.last or not any(self.last[pair][1]):
+                raise Refused(f"{_shown(*self.named(pair))}: token {token} does not name a plane.")
+            self.leaf(motion, pair, spans)
+
+    def leaf(self, motion: _Motion, pair: Pair, spans: list[Pair]) -> None:
+        """Check that the last plane of a pair proves some pieces apart in an interval."""
+        (first, normal), (start, end) = self.last[pair], spans[0]
+        (low, high), (some, others) = (pair, spans[1:]) if first else (pair[::-1], spans[:0:-1])
+        below, above = self.bodies[low], self.bodies[high]
+        n = _apply(below.matrix, tuple(x << BITS for x in normal))
+        norm = _norm_up(n)
+        self.spend(
+            100 + below.counts[some[1]] - below.counts[some[0]] + above.counts[others[1]] - above.counts[others[0]]
         )
-        done.append(pivot)
-    return [] if any(row[-1] for row in rows) else [row[-1] for row in done]
+        gaps = []
+        for t in (start, end):
+            (turn, place), (other, there) = (self.poses(motion, t)[k] for k in (below.link, above.link))
+            a, b, c = n if below.link < 0 else _apply(turn, n)
+            away = (-a, -b, -c) if above.link < 0 else _apply(_transposed(other), (-a, -b, -c))
+            x, y, z = _sum(there, place, -1)
+            gaps.append(a * x + b * y + c * z - above.support(others, away, norm))
+        bend, stray = self.bound(motion, below.link, high)
+        depth = 1 + max((self.links[k].depth for k in (below.link, above.link) if k >= 0), default=0)
+        length = max(motion.lengths[below.link], motion.lengths[above.link])
+        size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
+        slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
+        needed = _up(self.margins.get(pair, self.margin)) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
+        spare = (min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack) // norm - needed
+        if spare <= 0:
+            where = f"motion {motion.number} from {Fraction(start, 1 << DEEPEST)} to {Fraction(end, 1 << DEEPEST)}"
+            raise Refused(
+                f"{_shown(*self.named(pair))}: the plane for {where} lacks {-spare * 10**6 >> BITS} micrometres."
+            )
+        if self.tightest is None or spare < self.tightest[0]:
+            self.tightest = spare, pair, motion.number, spans[0]
+        self.intervals += 1
 
+    def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
+        """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
+        if t in motion.poses:
+            return motion.poses[t]
+        share, values, found, count = Fraction(t, 1 << DEEPEST), [], list[tuple[Whole, Whole]](), len(motion.points)
+        self.spend(2000 * len(self.links) + len(motion.columns) * count**2 * (8 + count))
+        for column in motion.columns:
+            while len(column) > 1:
+                column = [a + share * (b - a) for a, b in pairwise(column)]
+            values.append(column[0])
+        for link in self.links:
+            turn, shift = link.pose(values)
+            if link.above >= 0:
+                base, place = found[link.above]
+                turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
+            found.append((turn, shift))
+        motion.poses[t] = [*found, ((ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0))]
+        return motion.poses[t]
 
-def _contains(model: _Model, body: _Body, piece: int, four: Whole, point: list[Fraction]) -> bool:
-    """Whether a point in the frame of the world belongs to a piece, as four numbers show."""
-    link, chain = body.link, []
-    while link >= 0:
-        chain.append(model.links[link])
-        link = chain[-1].above
-    for step in reversed(chain):
-        point = _moved([step.rotation[k] for k in (0, 3, 6, 1, 4, 7, 2, 5, 8)], _less(point, step.place), (0, 0, 0))
-    (kind, radius, numbers), one = body.kinds[piece], Fraction(1)
-    if kind in (1, 2, 3):
-        columns = [_moved(body.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
-        u = _solved(columns, _less(point, _moved(body.turn, numbers[:3], body.place)))
-        if radius or any(four) or not u:
-            return False
-        allowed = (one - u[2] ** 2, one, ((1 - u[2]) / 2) ** 2)[kind - 1]
-        return abs(u[2]) <= 1 and u[0] ** 2 + u[1] ** 2 <= allowed
-    width = 3 if kind == 0 else 4
-    if max(four) >= len(numbers) // width:
-        return False
-    corners = [_moved(body.turn, numbers[width * k : width * k + 3], body.place) for k in four]
-    for some in (some for count in range(1, 5) for some in combinations(corners, count) if kind == 0):
-        weights = _solved([[*corner, one] for corner in some], [*point, one])
-        if weights and min(weights) >= 0:
-            return True
-    far, along = _less(point, corners[0]), _less(corners[1], corners[0])
-    share = _dot(far, along) / (_dot(along, along) or 1) if kind == 0 else Fraction(0)
-    far = [a - min(max(share, 0), 1) * b for a, b in zip(far, along, strict=True)]
-    reach = Fraction(radius) + (Fraction(numbers[4 * four[0] + 3]) if kind == 4 else 0)
-    return _dot(far, far) <= reach**2
+    def bound(self, motion: _Motion, link: int, high: int) -> Pair:
+        """A and V of a body seen from a link, rounded up."""
+        if (link, high) not in self.balls:
+            self.balls[link, high] = self.passed(self.bodies[high], link)
+        if (link, high) not in motion.bounds:
+            slides, moving = 0, list[Whole]()
+            for k, reach in self.balls[link, high]:
+                (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
+                if kind:
+                    moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
+                slides += -(-norm * far >> BITS) if kind == 2 else 0
+            before = a = v = 0
+            for reach, turn, rate, bend, stray in reversed(moving):
+                a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
+                v -= -reach * stray >> BITS
+                before += turn
+            motion.bounds[link, high] = a, v
+        return motion.bounds[link, high]
 
-
-def _common_point(model: _Model, data: bytes) -> tuple[str, str]:
-    """Check that two bodies have a common point; return their names."""
-    reader = _Reader(data, "proof")
-    places = [(reader.take("2I"), reader.take("4I")) for _ in range(2)]
-    point = list(map(Fraction, reader.doubles(3)))
-    reader.end()
-    pair = places[0][0][0], places[1][0][0]
-    if pair[0] == pair[1] or any(link.kind for link in model.links):
-        raise Refused("A common point is proven for two different bodies of a model that does not move.")
-    for (k, piece), four in places:
-        if k >= len(model.bodies) or piece >= len(model.bodies[k].pieces):
-            raise Refused(f"There is no piece {piece} of a body {k}.")
-        if not _contains(model, model.bodies[k], piece, four, point):
-            raise Refused(f"The point is not shown to belong to {_shown(model.bodies[k].name)}.")
-    return model.named(pair)
+    def passed(self, body: _Body, below: int) -> list[Pair]:
+        """Links between a body and another link, from the body on, and the body's reach about them without slides."""
+        above, center, radius, up, down, found = body.link, body.center, body.radius, list[int](), list[int](), []
+        while above != below:  # a link comes after the one above it, so the later of two is not the common one
+            later = max(above, below)
+            (up if above == later else down).append(later)
+            above, below = (self.links[k].above if k == later else k for k in (above, below))
+        self.spend(100 * len(up + down))
+        for k in up + down[::-1]:
+            center, radius = self.links[k].pass_ball(center, radius, k in up)
+            found.append((k, radius))
+        return found
 
 
 def verify(data: bytes) -> Report:
@@ -624,20 +578,14 @@ def verify(data: bytes) -> Report:
     Returns
     -------
     Report
-
-    Raises
-    ------
-    Refused
-        If the file is damaged, or is not a proof.
+        Of a proof. Otherwise, `Refused` is raised.
 
     Examples
     --------
-    >>> from loewner.verify import Refused, verify
-    >>> try:
-    ...     verify(b"nothing")
-    ... except Refused as reason:
-    ...     print(reason)
-    The file has 7 bytes; a proof has 56 to 67108864.
+    >>> from loewner.verify import verify
+    >>> verify(b"nothing")
+    Traceback (most recent call last):
+    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 67108864.
     """
     if not 56 <= len(data) <= MOST_BYTES:
         raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
@@ -646,30 +594,26 @@ def verify(data: bytes) -> Report:
         raise Refused("The file is no proof of version 1, or does not have the length that it names.")
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
-    block, proof, tightest = data[24 : 24 + size], data[24 + size : -32], None
-    model = _Model(block)
-    sizes = {"links": len(model.links), "values": len(model.values), "bodies": len(model.bodies)}
-    report = Report(
-        model=hashlib.sha256(block).hexdigest(),
-        sizes=sizes | {"pieces": sum(len(body.pieces) for body in model.bodies)},
-        left_out=tuple(map(model.named, model.apart)),
-        uncovered=tuple(body.name for body in model.bodies if body.inside),
-        deviations={},
-        motions=(),
-        tightest=None,
-        common=None,
-    )
-    if claim == 2:
-        return replace(report, common=_common_point(model, proof))
-    checker = _Checker(model, proof)
-    pairs, motions = checker.run()
+    checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
+    common, tightest, bodies = checker.common_point() if claim == 2 else None, None, checker.bodies
+    if claim == 1:
+        checker.run()
     if checker.tightest:
         spare, pair, number, ends = checker.tightest
         start, end = (Fraction(t, 1 << DEEPEST) for t in ends)
-        tightest = *model.named(pair), number, start, end, Fraction(spare, ONE)
-    deviations = {name: x for (name, *_), x in zip(model.values, checker.deviations, strict=True) if x}
-    sizes = report.sizes | {"pairs": pairs, "planes": checker.planes, "intervals": checker.intervals}
-    return replace(report, sizes=sizes, deviations=deviations, motions=motions, tightest=tightest)
+        tightest = *checker.named(pair), number, start, end, Fraction(spare, ONE)
+    sizes = {"links": len(checker.links), "values": len(checker.values), "bodies": len(bodies)}
+    sizes |= {"pieces": sum(len(body.pieces) for body in bodies), "pairs": len(checker.pairs)}
+    return Report(
+        model=hashlib.sha256(data[24 : 24 + size]).hexdigest(),
+        sizes=sizes | {"planes": checker.planes, "intervals": checker.intervals},
+        left_out=tuple(map(checker.named, checker.apart)),
+        uncovered=tuple(body.name for body in bodies if body.inside),
+        deviations={name: x for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x},
+        motions=tuple(checker.motions),
+        tightest=tightest,
+        common=common,
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -689,27 +633,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (OSError, Refused) as error:
         print(f"refused: {error}" if isinstance(error, Refused) else f"cannot read {path}: {error}", file=sys.stderr)
         return 1 if isinstance(error, Refused) else 2
-    print(f"model        {report.model}")
-    print(f"             {', '.join(f'{count} {what}' for what, count in report.sizes.items())}")
-    for number, (degree, joined, inside, configurations) in enumerate(report.motions):
+    lines = [("model", report.model), ("", ", ".join(f"{count} {what}" for what, count in report.sizes.items()))]
+    for number, (degree, joined, inside, places) in enumerate(report.motions):
         start = "starts where the last one ends" if joined and number else "starts anew" if number else "the first"
         limits = "within limits" if inside else "NOT WITHIN LIMITS"
-        print(f"motion {number:<5} degree {degree}, {start}, {limits}, {configurations} configurations")
+        lines.append((f"motion {number}", f"degree {degree}, {start}, {limits}, {places} configurations"))
     if report.tightest:
-        first, second, number, since, until, spare = report.tightest
-        length = f"{_down(1000 * spare) >> BITS}.{_down(10**6 * spare) // ONE % 1000:03d} mm"
-        print(f"tightest     {length} to spare, motion {number} from {since} to {until}: {_shown(first, second)}")
-    print(
-        f"left out     {len(report.left_out)} pairs"
-        + "".join(f"\n             {_shown(*pair)}" for pair in report.left_out)
-    )
-    for name, deviation in report.deviations.items():
-        print(f"deviation    {_shown(name)}: {deviation!r}")
-    for name in report.uncovered:
-        print(f"not covered  the interior of {_shown(name)}")
-    if report.common:
-        print(f"common point {_shown(*report.common)}")
-    print("verified")
+        *pair, number, since, until, spare = report.tightest
+        length = f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm"
+        lines.append(("tightest", f"{length} to spare, motion {number} from {since} to {until}: {_shown(*pair)}"))
+    lines += [("left out", _shown(*pair)) for pair in report.left_out]
+    lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations.items()]
+    lines += [("not covered", f"the interior of {_shown(name)}") for name in report.uncovered]
+    lines += [("common point", _shown(*report.common))] if report.common else []
+    print("".join(f"{what:12} {text}\n" for what, text in lines) + "verified")
     return 0
 
 
