@@ -31,8 +31,7 @@ from typing import Any
 
 __all__ = ["Refused", "Report", "main", "verify"]
 
-BITS = 72  # lengths, sines and entries of matrices are multiples of 2^-BITS
-ONE = 1 << BITS
+BITS, ONE = 72, 1 << 72  # lengths, sines and entries of matrices are multiples of 2^-BITS
 GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GUARD
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
 TURN = 64  # error of a rotation for each link of its chain; derived: 41
@@ -62,18 +61,15 @@ class Report:
         SHA-256 of the model.
     sizes : dict of str to int
         Numbers of links, values, bodies, pieces, pairs that are proven apart, planes, and intervals of pairs.
-    left_out : tuple of (str, str)
-        Pairs that the model exempts.
-    uncovered : tuple of str
-        Bodies with an interior that their pieces do not cover: the proof is about their surfaces.
+    left_out, uncovered : tuple of (str, str), and of str
+        Pairs that the model exempts; bodies with an interior that their pieces do not cover, which are not excluded.
     deviations : dict of str to float
         Values that may deviate from the motions, and by how much.
     motions : tuple of (int, bool, bool, int)
         For each motion its degree, whether it starts where the one before ends, whether its control points are within
         the limits of the values, and the number of its configurations at which planes were checked.
     tightest : (str, str, int, Fraction, Fraction, Fraction) or None
-        The check with the least to spare: two bodies, a motion, an interval of it, and the length by which the gap
-        exceeds what the margin, the interval and rounding require.
+        The check with the least to spare: two bodies, a motion, an interval, and the spare length.
     common : (str, str) or None
         Two bodies with a common point, if this is what the file proves.
     """
@@ -88,11 +84,8 @@ class Report:
     common: tuple[str, str] | None
 
 
-# Doubles are only compared and converted.
-
-
 def _down(x: float | Fraction, bits: int = BITS) -> int:
-    """Multiply by 2^bits and round down."""
+    """Multiply a number by 2^bits and round down. Doubles are only converted and compared."""
     n, d = x.as_integer_ratio()
     return (n << bits) // d
 
@@ -196,13 +189,11 @@ class _Link:
             raise Refused(
                 f"Link {name} is below link {self.above}, has kind {self.kind}, or a quaternion or axis of 0."
             )
-        if (self.value != -1) if self.kind == 0 else self.value < 0:
-            raise Refused(f"Link {name} has kind {self.kind} and value {self.value}, which do not go together.")
         base = links[self.above] if self.above >= 0 else None
         self.depth: int = base.depth + 1 if base else 1
         self.group: int = base.group if base and not self.kind else len(links)
-        if self.depth > MOST_LINKS:
-            raise Refused(f"More than {MOST_LINKS} links are above each other.")
+        if self.depth > MOST_LINKS or ((self.value != -1) if self.kind == 0 else self.value < 0):
+            raise Refused(f"Link {name} has {self.depth} links above it, or kind {self.kind} and value {self.value}.")
         cross, rest = (0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0), 2 * w * w - size
         self.rotation = [(2 * v[i] * v[k] + 2 * w * cross[3 * i + k] + rest * (i == k)) / size for i, k in EVERY]
         self.turn, self.shift = _vector(self.rotation), _vector(self.place)
@@ -225,10 +216,8 @@ class _Link:
         return _product(self.turn, turned), self.shift
 
     def pass_ball(self, c: Whole, radius: int, upward: bool) -> tuple[Whole, int]:
-        """Carry a ball past the joint; if this turns, the radius is then the largest distance from the axis.
-
-        A turned or projected center has an error of at most 3 |c| for the matrix, 2 for rounding and 2 for the shift.
-        """
+        """Carry a ball past the joint; if this turns, the radius is then the largest distance from the axis."""
+        # A turned or projected center has an error of at most 3 |c| for the matrix, 2 for rounding, 2 for the shift.
         off = 8 + (8 * (_norm_up(c) + self.reach) >> BITS)
         if not upward:
             c = _apply(_transposed(self.turn), _sum(c, self.shift, -1))
@@ -313,7 +302,8 @@ class _Body:
         (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
         if kind in (1, 2, 3):
             away = _less(point, _moved(self.turn, numbers[:3], self.place))
-            u = _solved([_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)], away)
+            g = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
+            u = _solved([list(row) for row in zip(*g, away, strict=True)])
             if radius or any(four) or not u:
                 return False
             allowed = (one - u[2] ** 2, one, ((1 - u[2]) / 2) ** 2)[kind - 1]
@@ -323,7 +313,7 @@ class _Body:
             return False
         corners = [_moved(self.turn, numbers[width * k : width * k + 3], self.place) for k in four]
         for some in (some for count in range(1, 5) for some in combinations(corners, count) if kind == 0):
-            weights = _solved([[*corner, one] for corner in some], [*point, one])
+            weights = _solved([list(row) for row in zip(*some, point, strict=True)] + [[one] * (len(some) + 1)])
             if weights and min(weights) >= 0:
                 return True
         away, along = _less(point, corners[0]), _less(corners[1], corners[0])
@@ -345,18 +335,14 @@ def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
     return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
 
 
-def _solved(columns: list[list[Fraction]], right: list[Fraction]) -> list[Fraction]:
-    """Solve a system of equations if it has exactly one solution; otherwise return nothing."""
-    rows = [list(row) for row in zip(*columns, right, strict=True)]
-    for k in range(len(columns)):
-        pivot = next((row for row in rows[k:] if row[k]), None)
-        if pivot is None:
-            return []
-        rows.remove(pivot)
-        pivot = [x / pivot[k] for x in pivot]
-        rows = [_less(row, [row[k] * x for x in pivot]) for row in rows]
-        rows.insert(k, pivot)
-    return [] if any(row[-1] for row in rows[len(columns) :]) else [row[-1] for row in rows[: len(columns)]]
+def _solved(rows: list[list[Fraction]]) -> list[Fraction] | None:
+    """Solve equations, whose last entries are on the right, if there is exactly one solution."""
+    if not rows or len(rows[0]) == 1:
+        return None if any(row[0] for row in rows) else []
+    pivot = next((row for row in rows if row[0]), rows[0])
+    rest = [_less(row, [row[0] / pivot[0] * x for x in pivot])[1:] for row in rows if row is not pivot and pivot[0]]
+    found = _solved(rest) if pivot[0] else None
+    return None if found is None else [(pivot[-1] - _dot(pivot[1:-1], found)) / pivot[0], *found]
 
 
 class _Motion:
@@ -384,19 +370,16 @@ class _Checker:
             self.links.append(_Link(reader, self.links))
         for _ in range(reader.count(18, "values")):
             self.values.append((reader.name(), *reader.take("2d")))
-        if any(low != low or high != high for _, low, high in self.values):
-            raise Refused("A limit is not a number.")
-        if any(link.value >= len(self.values) for link in self.links):
-            raise Refused(f"A link follows a value that is not one of the {len(self.values)} of the model.")
+        if any(a != a or b != b for _, a, b in self.values) or any(x.value >= len(self.values) for x in self.links):
+            raise Refused("A limit is not a number, or a link follows a value that does not exist.")
         self.bodies = [_Body(reader, self.links) for _ in range(reader.count(132, "bodies"))]
-        self.apart = self.read_pairs(reader, 8, "pairs not to be checked")
-        self.margin = reader.doubles(1, "margin")[0]
+        self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
         self.margins = self.read_pairs(reader, 16, "margins")
         reader.end()
         self.work = self.planes = self.intervals = 0
         self.deviations, self.pairs, self.motions = list[float](), list[Pair](), list[tuple[int, bool, bool, int]]()
         self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
-        self.tightest: tuple[int, Pair, int, Pair] | None = None
+        self.tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None = None
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
         """Read pairs of bodies, and a margin of each if this belongs to the list."""
@@ -455,8 +438,8 @@ class _Checker:
         for motion in motions:
             for pair in self.pairs:
                 self.tree(motion, pair)
-            points = motion.points
-            joined = not motion.number or points[0] == motions[motion.number - 1].points[-1]
+            points, before = motion.points, motions[max(motion.number - 1, 0)].points
+            joined = not motion.number or points[0] == before[-1]
             inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
             self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
             motion.poses.clear()
@@ -489,9 +472,7 @@ class _Checker:
         below, above = self.bodies[low], self.bodies[high]
         n = _apply(below.matrix, tuple(x << BITS for x in normal))
         norm = _norm_up(n)
-        self.spend(
-            100 + below.counts[some[1]] - below.counts[some[0]] + above.counts[others[1]] - above.counts[others[0]]
-        )
+        self.spend(100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others))))
         gaps = []
         for t in (start, end):
             (turn, place), (other, there) = (self.poses(motion, t)[k] for k in (below.link, above.link))
@@ -506,13 +487,12 @@ class _Checker:
         slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
         needed = _up(self.margins.get(pair, self.margin)) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
         spare = (min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack) // norm - needed
+        since, until = (Fraction(t, 1 << DEEPEST) for t in spans[0])
         if spare <= 0:
-            where = f"motion {motion.number} from {Fraction(start, 1 << DEEPEST)} to {Fraction(end, 1 << DEEPEST)}"
-            raise Refused(
-                f"{_shown(*self.named(pair))}: the plane for {where} lacks {-spare * 10**6 >> BITS} micrometres."
-            )
-        if self.tightest is None or spare < self.tightest[0]:
-            self.tightest = spare, pair, motion.number, spans[0]
+            where = f"in motion {motion.number} from {since} to {until}"
+            raise Refused(f"{_shown(*self.named(pair))}: a plane {where} lacks {-spare * 10**6 >> BITS} micrometres.")
+        if self.tightest is None or self.tightest[-1] > Fraction(spare, ONE):
+            self.tightest = *self.named(pair), motion.number, since, until, Fraction(spare, ONE)
         self.intervals += 1
 
     def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
@@ -536,30 +516,35 @@ class _Checker:
 
     def bound(self, motion: _Motion, link: int, high: int) -> Pair:
         """A and V of a body seen from a link, rounded up."""
-        if (link, high) not in self.balls:
-            self.balls[link, high] = self.passed(self.bodies[high], link)
-        if (link, high) not in motion.bounds:
-            slides, moving = 0, list[Whole]()
-            for k, reach in self.balls[link, high]:
-                (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
-                if kind:
-                    moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
-                slides += -(-norm * far >> BITS) if kind == 2 else 0
-            before = a = v = 0
-            for reach, turn, rate, bend, stray in reversed(moving):
-                a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
-                v -= -reach * stray >> BITS
-                before += turn
-            motion.bounds[link, high] = a, v
-        return motion.bounds[link, high]
+        if (link, high) in motion.bounds:
+            return motion.bounds[link, high]
+        slides, moving = 0, list[Whole]()
+        for k, reach in self.passed(link, high):
+            (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
+            if kind:
+                moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
+            slides += -(-norm * far >> BITS) if kind == 2 else 0
+        before = a = v = 0
+        for reach, turn, rate, bend, stray in reversed(moving):
+            a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
+            v -= -reach * stray >> BITS
+            before += turn
+        motion.bounds[link, high] = a, v
+        return a, v
 
-    def passed(self, body: _Body, below: int) -> list[Pair]:
+    def passed(self, below: int, high: int) -> list[Pair]:
         """Links between a body and another link, from the body on, and the body's reach about them without slides."""
-        above, center, radius, up, down, found = body.link, body.center, body.radius, list[int](), list[int](), []
+        if (found := self.balls.setdefault((below, high), [])) or below == self.bodies[high].link:
+            return found
+        above, center, radius = self.bodies[high].link, self.bodies[high].center, self.bodies[high].radius
+        up, down = list[int](), list[int]()
         while above != below:  # a link comes after the one above it, so the later of two is not the common one
-            later = max(above, below)
-            (up if above == later else down).append(later)
-            above, below = (self.links[k].above if k == later else k for k in (above, below))
+            if above > below:
+                up.append(above)
+                above = self.links[above].above
+            else:
+                down.append(below)
+                below = self.links[below].above
         self.spend(100 * len(up + down))
         for k in up + down[::-1]:
             center, radius = self.links[k].pass_ball(center, radius, k in up)
@@ -595,13 +580,9 @@ def verify(data: bytes) -> Report:
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
     checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
-    common, tightest, bodies = checker.common_point() if claim == 2 else None, None, checker.bodies
+    bodies, common = checker.bodies, checker.common_point() if claim == 2 else None
     if claim == 1:
         checker.run()
-    if checker.tightest:
-        spare, pair, number, ends = checker.tightest
-        start, end = (Fraction(t, 1 << DEEPEST) for t in ends)
-        tightest = *checker.named(pair), number, start, end, Fraction(spare, ONE)
     sizes = {"links": len(checker.links), "values": len(checker.values), "bodies": len(bodies)}
     sizes |= {"pieces": sum(len(body.pieces) for body in bodies), "pairs": len(checker.pairs)}
     return Report(
@@ -611,7 +592,7 @@ def verify(data: bytes) -> Report:
         uncovered=tuple(body.name for body in bodies if body.inside),
         deviations={name: x for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x},
         motions=tuple(checker.motions),
-        tightest=tightest,
+        tightest=checker.tightest,
         common=common,
     )
 
@@ -640,8 +621,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         lines.append((f"motion {number}", f"degree {degree}, {start}, {limits}, {places} configurations"))
     if report.tightest:
         *pair, number, since, until, spare = report.tightest
-        length = f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm"
-        lines.append(("tightest", f"{length} to spare, motion {number} from {since} to {until}: {_shown(*pair)}"))
+        where = f"to spare in motion {number} from {since} to {until}: {_shown(*pair)}"
+        lines.append(("tightest", f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm {where}"))
     lines += [("left out", _shown(*pair)) for pair in report.left_out]
     lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations.items()]
     lines += [("not covered", f"the interior of {_shown(name)}") for name in report.uncovered]
