@@ -17,6 +17,7 @@ from loewner._kernels import columns, records
 from loewner._measure import measure
 from loewner._rotations import rotations_of
 from loewner._validate import Bools, Floats, Ints
+from loewner.bodies import Packed
 from loewner.errors import ConvergenceError
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import BALL, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
@@ -138,6 +139,7 @@ class _Search:
         self.named = np.full((len(model.pairs), 4), -1, dtype=np.int64)
         self.recent = np.zeros((len(model.pairs), 4), dtype=np.int64)
         links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
+        self.kernel = _kernel(self.ready.packed, model)
         self.link = np.where(links < 0, len(ready.robot.link_names), links)
 
     def of(self, courses: Floats) -> bytes:
@@ -362,9 +364,6 @@ class _Search:
         total = 2 * len(tasks.node)
         operands: list[Any] = [np.array([[total], [2], [1], [2], [1]]), np.empty((2, 0), dtype=np.int64)]
         kept = []
-        kernel = self.ready.packed.kernel
-        layout = kernel.layout.copy()
-        layout[layout[:, columns.KIND] <= columns.SURFACE, columns.KIND] = columns.POLYTOPE  # the box around it
         for k, cluster in enumerate((tasks.a, tasks.b)):
             body = self.model.pairs[tasks.pair, k]
             ends = np.stack([self.clusters.first[cluster], self.clusters.last[cluster]], axis=1)
@@ -372,7 +371,7 @@ class _Search:
             frame = np.tile(np.eye(4), (len(body), 1, 1))
             frame[:, :3, :3], frame[:, :3, 3] = self.model.turn[body], self.model.shift[body]
             T = np.ascontiguousarray((placed[k] @ frame[:, None]).reshape(-1, 4, 4))
-            record = kernel._replace(layout=layout, piece_start=start, roots=np.full(total * 2, -1))
+            record = self.kernel._replace(piece_start=start, roots=np.full(total * 2, -1))
             kept.append((record, records.table_of(record)))
             operands += [kept[-1][1].ctypes.data, T]
         found = measure(True, total, tuple(operands))
@@ -413,10 +412,10 @@ class _Search:
         leaves = np.flatnonzero(~inner)
         leaves = leaves[np.lexsort((place[leaves], pair[leaves]))]
         plane = np.column_stack([token[leaves], normal[leaves]])
-        first = np.append(True, np.diff(pair[leaves]) > 0)
+        first = np.append(True, np.diff(pair[leaves]) > 0)[: len(leaves)]
         before = np.roll(plane, 1, axis=0)
         before[first] = self.named[pair[leaves[first]]]
-        last = np.append(first[1:], True)
+        last = np.append(first[1:], True)[: len(leaves)]
         self.named[pair[leaves[last]]] = plane[last]
         token[leaves[(plane == before).all(axis=1) & (plane[:, 0] >= NORMAL)]] = SAME
         laid_out()
@@ -450,11 +449,30 @@ def rounded(n: Floats, scales: int) -> Ints:
     for scale in np.array_split(multiples, min(scales, 1 + scales * len(flat) // PRODUCTS)):
         whole = np.rint(scale[:, None, None] * flat)
         along = (whole * unit).sum(axis=2)
-        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-300) ** 2
+        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-150) ** 2
         best = off.argmin(axis=0)
         better = off[best, each] < least
         found[better], least[better] = whole[best, each][better], off[best, each][better]
     return found.astype(np.int64).reshape(n.shape)
+
+
+def _kernel(packed: Packed, model: Model) -> records.Pieces:
+    """Return the arrays for kernels with surfaces as the hulls of their corners."""
+    kernel, layout = packed.kernel, packed.kernel.layout.copy()
+    blocks, count = [kernel.points], len(kernel.points) // 3
+    for k in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
+        own = model.pieces.points[k]
+        own = np.concatenate([own, np.repeat(own[-1:], -len(own) % columns.BLOCK, axis=0)])
+        layout[k, : columns.POINTS_TO + 1] = columns.POLYTOPE, count, count + len(own)
+        blocks.append(own.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1).ravel())
+        count += len(own)
+    if len(blocks) == 1:
+        return kernel
+    points = records.aligned(3 * count)
+    points[:] = np.concatenate(blocks)
+    vertices = records.aligned(len(points) if len(kernel.single) else 0, np.float32)
+    vertices[:] = points[: len(vertices)]
+    return kernel._replace(layout=layout, points=points, vertices=vertices)
 
 
 class _Curved(NamedTuple):
