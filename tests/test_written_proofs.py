@@ -344,10 +344,10 @@ def test_supports_of_clusters(rng, tmp_path):
     search.clusters = made
     for body in (0, 1):
         whole = made.of_body[body]
-        reach = search._supports(np.full(100, whole), n)
-        _, _, center, edges = (getattr(made, key)[whole] for key in ("first", "last", "center", "edges"))
-        assert (reach <= n @ center + np.abs(n @ edges).sum(axis=1) + 1e-12).all()
-        halves = np.maximum(*(search._supports(np.full(100, k), n) for k in (made.left[whole], made.right[whole])))
+        reach = search.supports(np.full(100, whole), n.T)
+        turned = n @ model.turn[body]
+        assert (reach <= n @ made.center[:, whole] + np.abs(turned) @ made.half[:, whole] + 1e-12).all()
+        halves = np.maximum(*(search.supports(np.full(100, k), n.T) for k in (made.left[whole], made.right[whole])))
         assert np.allclose(reach, halves)
         center, radius = made.balls[body, :3], made.balls[body, 3]
         assert (reach <= n @ center + radius * np.linalg.norm(n, axis=1) + 1e-12).all()
@@ -362,5 +362,5 @@ def test_gaps_are_distances(rng, tmp_path, k):
     found = loewner.distance(body, None, body, translation(1.0, 0.5, 0.3), exact=True)
     search = object.__new__(separations._Search)
     search.clusters = separations.clusters_of(proof_models.model_of(CollisionChecker(robot, scene)._ready()))
-    gap = -search._supports(search.clusters.of_body, np.stack([found.normal, -found.normal])).sum()
+    gap = -search.supports(search.clusters.of_body, np.stack([found.normal, -found.normal], axis=1)).sum()
     assert gap == pytest.approx(found.distance, abs=1e-9)
