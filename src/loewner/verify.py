@@ -2,8 +2,8 @@
 
 This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
-whole numbers of units of 2^-72. Errors are in units, and lengths that multiply them in metres; a matrix is measured by
-the root of the sum of squares, a vector by its norm. Rounding is bounded as follows:
+whole numbers of units of 2^-72. Rounding is bounded as follows, in units, for the norms of vectors and the roots of the
+sums of squares of matrices; lengths that multiply errors are in metres.
 
 - A double, a fixed rotation and an axis are rounded by less than 1 in each entry, a sine or cosine by less than 2: 1/10
   for the angle, 1/1000 for the series, 1 for the result. In a joint's rotation c + s e + (1 - c) e e the terms have
@@ -38,7 +38,6 @@ TURN = 64  # error of a rotation for each link of its chain; derived: 41
 DEEPEST = 64  # a tree is nested this deep at most, so intervals end at multiples of 2^-DEEPEST
 MOST_LINKS, MOST_BYTES = 10_000, 1 << 24  # links of a model, bytes of a file
 MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
-
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
@@ -151,7 +150,6 @@ class _Reader:
         return struct.unpack_from("<" + form, self.data, start)
 
     def count(self, size: int, what: str, least: int = 0, most: int = MOST_BYTES) -> int:
-        """Read how many things of at least `size` bytes follow."""
         number = int(*self.take("I"))
         if not least <= number <= most or number * size > len(self.data) - self.at:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
@@ -186,9 +184,7 @@ class _Link:
         square, size = sum(n * n for n in self.axis), w * w + sum(n * n for n in v)
         wrong = self.kind > 2 or ((self.value != -1) if self.kind == 0 else self.value < 0)
         if wrong or not -1 <= self.above < len(links) or size == 0 or (self.kind == 1 and square == 0):
-            raise Refused(
-                f"Link {name}: its link above, its kind, its value, its quaternion or its axis is impossible."
-            )
+            raise Refused(f"Link {name} has an impossible link above it, kind, value, quaternion or axis.")
         base = links[self.above] if self.above >= 0 else None
         self.depth: int = base.depth + 1 if base else 1
         self.group: int = base.group if base and not self.kind else len(links)
@@ -258,7 +254,7 @@ class _Body:
         # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
         self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1
         # A ball has the norm of the matrix as its radius, √2 times this for kinds 2 and 3.
-        parts = (part for piece in self.pieces for part in piece)
+        parts = [part for piece in self.pieces for part in piece]
         balls = [(r + (_norm_up(g * min(kind, 2)) if g else 0), points) for kind, r, points, g in parts]
         low = [min(min(point[k] for point in points) - r for r, points in balls) for k in range(3)]
         high = [max(max(point[k] for point in points) + r for r, points in balls) for k in range(3)]
@@ -364,8 +360,9 @@ class _Checker:
         self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
         self.margins = self.read_pairs(reader, 16, "margins")
         reader.end()
-        self.work = self.planes = self.intervals = self.pairs = 0
-        self.deviations, self.motions = list[float](), list[tuple[int, bool, bool, int]]()
+        self.sizes = {"links": len(self.links), "values": len(self.values), "bodies": len(self.bodies)}
+        self.sizes |= {"pieces": sum(len(x.pieces) for x in self.bodies), "pairs": 0, "planes": 0, "intervals": 0}
+        self.work, self.deviations, self.motions = 0, list[float](), list[tuple[int, bool, bool, int]]()
         self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
         self.tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None = None
 
@@ -407,8 +404,7 @@ class _Checker:
 
     def run(self) -> None:
         """Check the proof of all motions."""
-        motions = list[_Motion]()
-        self.deviations = self.reader.doubles(len(self.values), "deviation")
+        motions, self.deviations = list[_Motion](), self.reader.doubles(len(self.values), "deviation")
         for number in range(self.reader.count(1, "motions")):
             (degree,) = self.reader.take("B")
             if degree == 0:
@@ -417,10 +413,10 @@ class _Checker:
             motions.append(_Motion(number, points, self.links, self.deviations))
         for motion in motions:
             self.spend(len(self.bodies) ** 2 // 8)
-            self.pairs = 0
+            self.sizes["pairs"] = 0
             for i, j in combinations(range(len(self.bodies)), 2):
                 if self.bodies[i].group != self.bodies[j].group and (i, j) not in self.apart:
-                    self.pairs += 1
+                    self.sizes["pairs"] += 1
                     self.tree(motion, (i, j))
             points, before = motion.points, motions[max(motion.number - 1, 0)].points
             joined = not motion.number or points[0] == before[-1]
@@ -442,7 +438,7 @@ class _Checker:
                 rest += [([*spans[:token], x, *spans[token + 1 :]], depth + 1) for x in ((half, high), (low, half))]
                 continue
             if 3 < token < 18:
-                self.planes += 1
+                self.sizes["planes"] += 1
                 normal = self.reader.take("3h") if token > 15 else AXES[(token - 4) % 6]
                 self.last[pair] = token < 10 or token == 16, normal
             if token > 17 or pair not in self.last or not any(self.last[pair][1]):
@@ -455,9 +451,8 @@ class _Checker:
         (low, high), (some, others) = (pair, spans[1:]) if first else (pair[::-1], spans[:0:-1])
         below, above = self.bodies[low], self.bodies[high]
         n = _apply(below.matrix, tuple(x << BITS for x in normal))
-        norm = _norm_up(n)
         self.spend(100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others))))
-        gaps = []
+        gaps, norm = list[int](), _norm_up(n)
         for t in (start, end):
             (turn, place), (other, there) = (self.poses(motion, t)[k] for k in (below.link, above.link))
             a, b, c = n if below.link < 0 else _apply(turn, n)
@@ -477,7 +472,7 @@ class _Checker:
             raise Refused(f"{_shown(*self.named(pair))}: a plane {where} lacks {-spare * 10**6 >> BITS} micrometres.")
         if self.tightest is None or self.tightest[-1] > Fraction(spare, ONE):
             self.tightest = *self.named(pair), motion.number, since, until, Fraction(spare, ONE)
-        self.intervals += 1
+        self.sizes["intervals"] += 1
 
     def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
         """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
@@ -511,8 +506,7 @@ class _Checker:
                 center, radius = self.links[k].pass_ball(center, radius, k in up)
                 self.balls[key].append((k, radius))
         if key not in motion.bounds:
-            before = a = v = slides = 0
-            moving = list[Whole]()
+            moving, before, slides, a, v = list[Whole](), 0, 0, 0, 0
             for k, reach in self.balls[key]:
                 (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
                 if kind:
@@ -527,7 +521,7 @@ class _Checker:
 
 
 def verify(data: bytes) -> Report:
-    """Check a proof.
+    """Check a proof, and raise `Refused` if the file is none.
 
     Parameters
     ----------
@@ -537,7 +531,6 @@ def verify(data: bytes) -> Report:
     Returns
     -------
     Report
-        Of a proof. Otherwise, `Refused` is raised.
 
     Examples
     --------
@@ -554,25 +547,14 @@ def verify(data: bytes) -> Report:
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
     checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
-    bodies, common = checker.bodies, checker.common_point() if claim == 2 else None
+    common = checker.common_point() if claim == 2 else None
     if claim == 1:
         checker.run()
-    names = ("links", "values", "bodies", "pieces", "pairs", "planes", "intervals")
-    pieces = sum(len(body.pieces) for body in bodies)
-    sizes = (
-        len(checker.links),
-        len(checker.values),
-        len(bodies),
-        pieces,
-        checker.pairs,
-        checker.planes,
-        checker.intervals,
-    )
     return Report(
         model=hashlib.sha256(data[24 : 24 + size]).hexdigest(),
-        sizes=dict(zip(names, sizes, strict=True)),
+        sizes=checker.sizes,
         left_out=tuple(map(checker.named, checker.apart)),
-        uncovered=tuple(body.name for body in bodies if body.inside),
+        uncovered=tuple(body.name for body in checker.bodies if body.inside),
         deviations=tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x),
         motions=tuple(checker.motions),
         tightest=checker.tightest,
