@@ -27,6 +27,7 @@ EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal goals.csv -o path.csv
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
   loewner plan panda.urdf --srdf panda.srdf --start ready --goal-pose panda_hand "0.4 0.2 0.5 0 1 0 0"
+  loewner plan panda.urdf --srdf panda.srdf --start ready --goal above --proof plan.proof
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
@@ -71,6 +72,7 @@ def add(commands: Any) -> None:
         help="a group of the SRDF, or a joint: these move, all others stay; joints are repeatable (all)",
     )
     plan.add_argument("-o", "--out", type=Path, metavar="FILE", help="write the path (.csv or .json)")
+    plan.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
     plan.add_argument("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
     plan.add_argument(
         "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (100000)"
@@ -124,6 +126,8 @@ def _run(options: argparse.Namespace) -> int:
         return NO_PATH
     if options.out is not None:
         configurations.write(options.out, robot, found.path)
+    if options.proof is not None and found.proof is not None:
+        found.proof.save(options.proof)
     answer = _answer(checker, found, options)
     if options.json:
         print(json.dumps(answer, indent=2))
@@ -157,6 +161,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
+    if options.proof is not None and options.sampled:
+        raise InputError("--proof: expected no --sampled with it; samples prove nothing")
     if options.weights is not None and not options.improve_for:
         raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
@@ -185,6 +191,7 @@ def _found(
             simplify=not options.no_simplify,
             seed=options.seed,
             full=True,
+            proof=options.proof is not None,
             improve_for=options.improve_for,
             weights=None if weights is None else _weights(weights),
             **{name: value for name, value in given.items() if value is not None},
@@ -243,6 +250,8 @@ def _answer(checker: loewner.CollisionChecker, plan: planners.Plan, options: arg
         "seconds": plan.seconds,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
+        "proof": None if plan.proof is None else str(options.proof),
+        "proof_bytes": None if plan.proof is None else plan.proof.size,
     }
 
 
@@ -275,8 +284,9 @@ def _print_answer(answer: dict[str, Any]) -> None:
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
     )
     print(f"found in  {1e3 * answer['seconds']:.3g} ms, this machine, this run")
-    if answer["out"] is not None:
-        print(f"written   {answer['out']}")
+    for written, what in ((answer["out"], ""), (answer["proof"], f", a proof of {answer['proof_bytes']} bytes")):
+        if written is not None:
+            print(f"written   {written}{what}")
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:

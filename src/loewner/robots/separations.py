@@ -1,0 +1,634 @@
+"""Find planes that separate all pairs of bodies along motions: the trees of a proof, see docs/proof-format.md.
+
+The search proceeds by levels of the trees, and handles all open intervals of a level, of all motions and pairs,
+together. It knows nothing of how the kernel proved the motions.
+"""
+
+from __future__ import annotations
+
+import struct
+from itertools import pairwise
+from math import comb
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels import columns, records
+from loewner._measure import measure
+from loewner._rotations import rotations_of
+from loewner._validate import Bools, Floats, Ints
+from loewner.errors import ConvergenceError
+from loewner.robots.problem import Problem
+from loewner.robots.proof_models import BALL, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
+from loewner.robots.robot import link_poses
+
+# Tokens of the trees.
+HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL = 0, 1, 2, 3, 4, 16
+
+# Checkers may refuse trees that are deeper.
+DEEPEST = 64
+
+# What is left for checkers that compute with enclosures: of the lengths on the right, and of the model's size.
+SHARE, ROOM = 1.0 + 2e-9, 2e-11
+
+# Normals are whole numbers up to this one. Some scales are tried, on deep levels many, since rounding turns a normal.
+LARGEST, SCALES, DEEP, DEEP_SCALES = 32767, 3, 10, 4096
+
+# Normals that are rounded at a time.
+PRODUCTS = 2**14
+
+# Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
+BOX_ROOM = 4e-6
+
+# Trees that are made at a time.
+AT_ONCE = 2**15
+
+# Candidates among the axes that are tried after the boxes.
+BEST_AXES = 3
+
+
+class Clusters(NamedTuple):
+    """Consecutive pieces of bodies, as trees may divide them.
+
+    Attributes
+    ----------
+    of_body : ndarray of int64
+        The cluster of all pieces of each body.
+    first, last : ndarray of int64
+        The first piece, and the one after the last.
+    left, right : ndarray of int64
+        Its two halves; -1 if it is a single piece.
+    center, edges : ndarray, shapes (C, 3) and (C, 3, 3)
+        A box around it along the axes of the body, in the frame of the link; half edges in columns.
+    points : ndarray, shape (V, 4)
+        Corners of hulls in the frame of the link, and the radius about each.
+    begin, end : ndarray of int64
+        The cluster's rows of these.
+    curved : list of lists of _Curved
+        Its other pieces.
+    balls : ndarray, shape (bodies, 4)
+        Centers and radii of the balls around bodies, as the format defines them.
+    """
+
+    of_body: Ints
+    first: Ints
+    last: Ints
+    left: Ints
+    right: Ints
+    center: Floats
+    edges: Floats
+    points: Floats
+    begin: Ints
+    end: Ints
+    curved: list[list[_Curved]]
+    balls: Floats
+
+
+class Bends(NamedTuple):
+    """What a plane has to allow for: arrays of shape (motions, pairs, 2), with the first or the second body as the
+    lower one: A and V of the format."""
+
+    curvature: Floats
+    deviation: Floats
+
+
+class Tasks(NamedTuple):
+    """Open intervals: numbers of motion, pair, both clusters and node, and the interval."""
+
+    motion: Ints
+    pair: Ints
+    a: Ints
+    b: Ints
+    node: Ints
+    low: Floats
+    high: Floats
+
+    def at(self, chosen: Any) -> Tasks:
+        """Select some."""
+        return Tasks(*(array[chosen] for array in self))
+
+
+class Planes(NamedTuple):
+    """Candidates, or planes that were found: the side whose body is the lower one, and normals in whole numbers."""
+
+    side: Ints
+    normal: Ints
+
+
+def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> bytes:
+    """Make the trees of all motions and pairs, in order.
+
+    Raises
+    ------
+    ConvergenceError
+        If planes that the format can express do not prove a pair to be apart.
+    """
+    search = _Search(ready.in_parts, model, deviations)
+    step = max(1, AT_ONCE // max(1, len(model.pairs)))
+    return b"".join(search.of(courses[k : k + step]) for k in range(0, len(courses), step))
+
+
+class _Search:
+    """The search for the trees of some motions; `named` is the plane that was named last for each pair."""
+
+    def __init__(self, ready: Problem, model: Model, deviations: Floats) -> None:
+        self.ready, self.model, self.deviations = ready, model, deviations
+        self.clusters = clusters_of(model)
+        self.chains = _Chains(model, self.clusters.balls, deviations)
+        self.named = np.full((len(model.pairs), 4), -1, dtype=np.int64)
+        self.recent = np.zeros((len(model.pairs), 4), dtype=np.int64)
+        links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
+        self.link = np.where(links < 0, len(ready.robot.link_names), links)
+
+    def of(self, courses: Floats) -> bytes:
+        """Make the trees of some motions."""
+        motions, pairs = len(courses), len(self.model.pairs)
+        self.courses = courses
+        self.bends, self.size = self.chains.bends(courses)
+        m, p = (array.ravel() for array in np.indices((motions, pairs)))
+        a, b = self.clusters.of_body[self.model.pairs[p]].T
+        open_ = Tasks(m, p, a, b, np.arange(len(m)), np.zeros(len(m)), np.ones(len(m)))
+        token, normal = np.zeros(len(m), dtype=np.int64), np.zeros((len(m), 3), dtype=np.int64)
+        child = np.full(len(m), -1, dtype=np.int64)
+        owner, count, begins = p, len(m), [0]
+        for depth in range(DEEPEST + 1):
+            if not len(open_.node):
+                break
+            if depth == DEEPEST:
+                self._fail(open_, 0)
+            found, planes, divide = self._level(open_, depth)
+            at = open_.node[found]
+            token[at], normal[at] = planes.side, planes.normal
+            rest = open_.at(~found)
+            token[rest.node] = divide
+            child[rest.node] = count + 2 * np.arange(len(rest.node))
+            open_ = self._halves(rest, divide, count)
+            begins.append(count)
+            count += len(open_.node)
+            token, child = (np.append(array, np.full(len(open_.node), -1)) for array in (token, child))
+            normal = np.append(normal, np.zeros((len(open_.node), 3), dtype=np.int64), axis=0)
+            owner = np.append(owner, open_.pair)
+        return self._written(token, normal, child, owner, motions * pairs, [*begins, count])
+
+    # -- levels -------------------------------------------------------------------------------
+
+    def _level(self, tasks: Tasks, depth: int) -> tuple[Bools, Planes, Ints]:
+        """Find planes for some of the tasks.
+
+        Returns
+        -------
+        found : ndarray of bool
+        planes : Planes
+            For those found; instead of a side, the token.
+        divide : ndarray of int64
+            For the others, how they are divided.
+        """
+        total = len(tasks.node)
+        placed = self._poses(tasks)
+        need = self.bends.deviation[tasks.motion, tasks.pair]
+        need = need + self.bends.curvature[tasks.motion, tasks.pair] * ((tasks.high - tasks.low) ** 2 / 8)[:, None]
+        need = SHARE * (self.model.margins[tasks.pair][:, None] + need)
+        token, normal = np.full(total, -1), np.zeros((total, 3), dtype=np.int64)
+        scores = self._boxes(tasks, placed, need)
+        best = scores.argmax(axis=1)
+        sure = scores[np.arange(total), best] > BOX_ROOM * self.size
+        token[sure] = AXES + best[sure]
+        at = np.flatnonzero(~sure)
+        divide = np.zeros(total, dtype=np.int64)
+        if len(at):
+            some = tuple(T[at] for T in placed)
+            token[at], normal[at], divide[at] = self._search(tasks.at(at), some, need[at], scores[at], depth)
+        found = token >= 0
+        return found, Planes(token[found], normal[found]), divide[~found]
+
+    def _search(
+        self, tasks: Tasks, placed: Any, need: Floats, scores: Floats, depth: int
+    ) -> tuple[Ints, Ints, Ints]:  # fmt: skip
+        """Look for planes of tasks that boxes do not settle.
+
+        Returns
+        -------
+        token : ndarray of int64
+            -1 for those without a plane.
+        normal : ndarray of int64, shape (T, 3)
+        divide : ndarray of int64
+            How those without a plane are divided.
+        """
+        # The best axes, and the plane that was found last for this pair.
+        order = np.argsort(-scores, axis=1)[:, :BEST_AXES].T
+        recent = self.recent[tasks.pair]
+        tried = Planes(
+            np.append(order // 6, recent[None, :, 0], axis=0), np.append(_AXES[order], recent[None, :, 1:], axis=0)
+        )
+        token, normal, gaps = self._tried(tasks, placed, need, tried)
+        axis = token >= 0
+        axis[axis] = token[axis] < BEST_AXES
+        token = np.where(axis, AXES + order[np.minimum(token, BEST_AXES - 1), np.arange(len(token))], token)
+        token[(token >= 0) & ~axis] = NORMAL + recent[(token >= 0) & ~axis, 0]
+        divide = np.zeros(len(token), dtype=np.int64)
+        open_ = np.flatnonzero(token < 0)
+        if len(open_) == 0:
+            return token, normal, divide
+        some, T, need, gaps = tasks.at(open_), tuple(T[open_] for T in placed), need[open_], gaps[:, open_]
+        distance, normals = self._distances(some, T)
+        allowed = self.model.margins[some.pair]
+        least = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1)
+        counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
+        near = np.flatnonzero((distance > need.min(axis=1)[:, None] + ROOM * self.size).all(axis=1))
+        if len(near):
+            chosen, T = some.at(near), tuple(T_[near] for T_ in T)
+            tried = self._normals(chosen, T, normals[near], depth)
+            which, own, more = self._tried(chosen, T, need[near], tried)
+            gaps[:, near] = np.fmax(gaps[:, near], more)
+            good = which >= 0
+            at = open_[near[good]]
+            side = tried.side[which[good], good]
+            token[at], normal[at] = NORMAL + side, own[good]
+            self.recent[chosen.pair[good]] = np.column_stack([side, own[good]])
+        # Halving does not help where one end is too near, of which distances tell, and precise normals of two pieces.
+        sunk = (distance < (least - BOX_ROOM * self.size)[:, None]).any(axis=1)
+        if depth >= DEEP:
+            sunk[near] |= ((gaps <= least + ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
+        for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
+            self._fail(some, k)
+        # Pieces that no plane separates, although they are apart, are divided.
+        stuck = (gaps <= allowed + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
+        divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
+        return token, normal, divide
+
+    def _tried(self, tasks: Tasks, placed: Any, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
+        """Return for each task the number of the first candidate that proves it, or -1; its normal; and the largest
+        gap of all candidates at either end, shape (2, T)."""
+        length = np.linalg.norm(tried.normal, axis=2)
+        gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)[:, None]
+        gaps[np.broadcast_to(length[:, None] == 0, gaps.shape)] = -np.inf
+        each = np.arange(len(need))
+        held = gaps.min(axis=1) > need[each, tried.side] + ROOM * self.size
+        which = np.where(held.any(axis=0), held.argmax(axis=0), -1)
+        return which, tried.normal[which, each], gaps.max(axis=0)
+
+    def _halves(self, tasks: Tasks, divide: Ints, count: int) -> Tasks:
+        """Make the two halves of each task, one after the other."""
+        middle = (tasks.low + tasks.high) / 2
+        twice = Tasks(*(np.repeat(array, 2) for array in tasks))
+        second = np.tile([False, True], len(tasks.node))
+        kind = np.repeat(divide, 2)
+        low = np.where((kind == HALVED) & second, np.repeat(middle, 2), twice.low)
+        high = np.where((kind == HALVED) & ~second, np.repeat(middle, 2), twice.high)
+        halves = [np.where(second, self.clusters.right[c], self.clusters.left[c]) for c in (twice.a, twice.b)]
+        a = np.where(kind == FIRST_DIVIDED, halves[0], twice.a)
+        b = np.where(kind == SECOND_DIVIDED, halves[1], twice.b)
+        return Tasks(twice.motion, twice.pair, a, b, count + np.arange(len(a)), low, high)
+
+    def _fail(self, tasks: Tasks, k: int) -> None:
+        a, b = (self.ready.names[n] for n in self.model.pairs[tasks.pair[k]])
+        raise ConvergenceError(
+            f"proof: expected planes between {a} and {b} all along motion {tasks.motion[k]}, found none from the "
+            f"fraction {tasks.low[k]:.6g} to {tasks.high[k]:.6g} that a proof can hold, although the motion is free: "
+            "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
+        )
+
+    # -- geometry -----------------------------------------------------------------------------
+
+    def _poses(self, tasks: Tasks) -> tuple[Floats, Floats]:
+        """Return the world poses of the links of both bodies at both ends: two arrays of shape (T, 2, 4, 4)."""
+        times = np.stack([tasks.low, tasks.high], axis=1)
+        keys = tasks.motion[:, None] + times / 2  # times are fractions with few digits
+        known, where = np.unique(keys, return_inverse=True)
+        number = np.minimum(known.astype(np.int64), len(self.courses) - 1)
+        t = (2 * (known - number))[:, None]
+        degree = self.courses.shape[1] - 1
+        Q = sum(comb(degree, k) * t**k * (1 - t) ** (degree - k) * self.courses[number, k] for k in range(degree + 1))
+        world = link_poses(self.ready.robot, np.ascontiguousarray(Q))
+        world = np.concatenate([world, np.broadcast_to(np.eye(4), (len(world), 1, 4, 4))], axis=1)
+        where = where.reshape(-1, 2)
+        bodies = self.model.pairs[tasks.pair]
+        return tuple(world[where, self.link[body][:, None]] for body in bodies.T)  # type: ignore[return-value]
+
+    def _boxes(self, tasks: Tasks, placed: Any, need: Floats) -> Floats:
+        """Compute by how much the gaps of boxes along twelve axes, in the order of tokens, exceed what is needed."""
+        (Ta, Tb), made = placed, self.clusters
+        centers, edges, axes = [], [], []
+        for T, cluster, body in ((Ta, tasks.a, 0), (Tb, tasks.b, 1)):
+            R = T[..., :3, :3]
+            centers.append(np.einsum("tesk,tk->tes", R, made.center[cluster]) + T[..., :3, 3])
+            edges.append(np.einsum("tesk,tkj->tesj", R, made.edges[cluster]))
+            axes.append(np.einsum("tesk,tkj->tesj", R, self.model.turn[self.model.pairs[tasks.pair, body]]))
+        apart = centers[1] - centers[0]
+        scores = np.empty((len(need), 2, 6))
+        for side in (0, 1):
+            along = np.einsum("tes,tesj->tej", apart if side == 0 else -apart, axes[side])
+            widths = sum(np.abs(np.einsum("tesk,tesj->tekj", E, axes[side])).sum(axis=2) for E in edges)
+            for sign, first in ((1, 0), (-1, 3)):
+                scores[:, side, first : first + 3] = (sign * along - widths).min(axis=1) - need[:, side, None]
+        return scores.reshape(-1, 12)
+
+    def _gaps(self, tasks: Tasks, placed: Any, tried: Planes) -> Floats:
+        """Compute the gaps of candidates at both ends, shape (K, 2, T), undivided by the lengths of their normals."""
+        side = tried.side.astype(bool)
+        bodies = self.model.pairs[tasks.pair].T
+        n = np.einsum("ktij,ktj->kti", self.model.turn[np.where(side, bodies[1], bodies[0])], tried.normal)
+        which = side[..., None, None, None]
+        T, S = np.where(which, placed[1], placed[0]), np.where(which, placed[0], placed[1])
+        world = np.einsum("kteij,ktj->ktei", T[..., :3, :3], n)
+        offset = np.einsum("ktei,ktei->ket", world, S[..., :3, 3] - T[..., :3, 3])
+        turned = -np.einsum("kteji,ktej->ekti", S[..., :3, :3], world)
+        lower, upper = np.where(side, tasks.b, tasks.a), np.where(side, tasks.a, tasks.b)
+        directions = np.concatenate([n[None], turned]).reshape(-1, 3)
+        reach = self._supports(np.stack([lower, upper, upper]).ravel(), directions).reshape(3, *side.shape)
+        return np.asarray(offset - reach[1:].swapaxes(0, 1) - reach[:1].swapaxes(0, 1))
+
+    def _supports(self, cluster: Ints, directions: Floats) -> Floats:
+        """Compute the largest products of directions with points of clusters."""
+        made = self.clusters
+        order = np.argsort(cluster, kind="stable")
+        rows = np.column_stack([directions, np.linalg.norm(directions, axis=1)])[order]
+        sorted_ = cluster[order]
+        bounds = [0, *(np.flatnonzero(np.diff(sorted_)) + 1).tolist(), len(order)]
+        best = np.full(len(order), -np.inf)
+        for first, last in pairwise(bounds):
+            c = sorted_[first]
+            n, points = rows[first:last], made.points[made.begin[c] : made.end[c]]
+            if len(points):
+                (n @ points.T).max(axis=1, out=best[first:last])
+            for shape in made.curved[c]:
+                best[first:last] = np.maximum(best[first:last], shape.reach(n))
+        found = np.empty(len(order))
+        found[order] = best
+        return found
+
+    def _distances(self, tasks: Tasks, placed: Any) -> tuple[Floats, Floats]:
+        """Compute distances of the clusters at both ends, shape (T, 2), and normals from a to b, shape (T, 2, 3)."""
+        total = 2 * len(tasks.node)
+        operands: list[Any] = [np.array([[total], [2], [1], [2], [1]]), np.empty((2, 0), dtype=np.int64)]
+        kept = []
+        kernel = self.ready.packed.kernel
+        layout = kernel.layout.copy()
+        layout[layout[:, columns.KIND] <= columns.SURFACE, columns.KIND] = columns.POLYTOPE  # the box around it
+        for k, cluster in enumerate((tasks.a, tasks.b)):
+            body = self.model.pairs[tasks.pair, k]
+            ends = np.stack([self.clusters.first[cluster], self.clusters.last[cluster]], axis=1)
+            start = np.repeat(ends, 2, axis=0).ravel()
+            frame = np.tile(np.eye(4), (len(body), 1, 1))
+            frame[:, :3, :3], frame[:, :3, 3] = self.model.turn[body], self.model.shift[body]
+            T = np.ascontiguousarray((placed[k] @ frame[:, None]).reshape(-1, 4, 4))
+            record = kernel._replace(layout=layout, piece_start=start, roots=np.full(total * 2, -1))
+            kept.append((record, records.table_of(record)))
+            operands += [kept[-1][1].ctypes.data, T]
+        found = measure(True, total, tuple(operands))
+        distance = np.where(found.unsettled, found.upper, found.distance)
+        return distance.reshape(-1, 2), np.nan_to_num(found.normal).reshape(-1, 2, 3)
+
+    def _normals(self, tasks: Tasks, placed: Any, normals: Floats, depth: int) -> Planes:
+        """Make candidates of the normals at both ends: their mean and each of them, in the frame of either body."""
+        tried = []
+        for side, sign in ((0, 1.0), (1, -1.0)):
+            turn = self.model.turn[self.model.pairs[tasks.pair, side]]
+            local = sign * np.einsum("tkj,telk,tel->etj", turn, placed[side][..., :3, :3], normals)
+            tried += [local.sum(axis=0), *local]
+        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), DEEP_SCALES if depth >= DEEP else SCALES)
+        return Planes(np.broadcast_to(np.array([[0], [1], [0], [0], [1], [1]]), whole.shape[:2]), whole)
+
+    # -- bytes --------------------------------------------------------------------------------
+
+    def _written(self, token: Ints, normal: Ints, child: Ints, pair: Ints, roots: int, begins: list[int]) -> bytes:
+        """Write trees by depth, first children first."""
+        inner = child >= 0
+        size, place = np.ones(len(token), dtype=np.int64), np.zeros(len(token), dtype=np.int64)
+
+        def laid_out() -> None:
+            """Find where each node begins, in units that keep the order."""
+            size[:] = 1 + 6 * (token >= NORMAL)
+            for first, last in reversed(list(pairwise(begins))):
+                at = first + np.flatnonzero(inner[first:last])
+                size[at] += size[child[at]] + size[child[at] + 1]
+            place[:roots] = np.append(0, np.cumsum(size[:roots])[:-1])
+            for first, last in pairwise(begins):
+                at = first + np.flatnonzero(inner[first:last])
+                place[child[at]] = place[at] + 1
+                place[child[at] + 1] = place[at] + 1 + size[child[at]]
+
+        laid_out()
+        # A plane that was the last one for its pair need not be named again.
+        leaves = np.flatnonzero(~inner)
+        leaves = leaves[np.lexsort((place[leaves], pair[leaves]))]
+        plane = np.column_stack([token[leaves], normal[leaves]])
+        first = np.append(True, np.diff(pair[leaves]) > 0)
+        before = np.roll(plane, 1, axis=0)
+        before[first] = self.named[pair[leaves[first]]]
+        last = np.append(first[1:], True)
+        self.named[pair[leaves[last]]] = plane[last]
+        token[leaves[(plane == before).all(axis=1) & (plane[:, 0] >= NORMAL)]] = SAME
+        laid_out()
+        data = np.zeros(int(size[:roots].sum()), dtype=np.uint8)
+        data[place] = token
+        at = np.flatnonzero(token >= NORMAL)
+        data[place[at][:, None] + np.arange(1, 7)] = normal[at].astype("<i2").view(np.uint8).reshape(-1, 6)
+        return data.tobytes()
+
+
+# -- directions and shapes --------------------------------------------------------------------
+
+_AXES = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (2, 1)).astype(np.int64)
+
+
+def width(kind: int, v: Floats) -> Floats:
+    """Compute the largest products of directions v, shape (N, 3), with points of a unit shape."""
+    across = np.hypot(v[:, 0], v[:, 1])
+    if kind == BALL:
+        return np.hypot(across, v[:, 2])
+    return across + np.abs(v[:, 2]) if kind == CYLINDER else np.maximum(v[:, 2], across - v[:, 2])
+
+
+def rounded(n: Floats, scales: int) -> Ints:
+    """Round directions, shape (..., 3), to whole numbers: of some multiples, the one that is turned least."""
+    flat = n.reshape(-1, 3)
+    flat = flat / np.maximum(np.abs(flat).max(axis=1), 1e-300)[:, None]
+    unit = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
+    found, least, each = np.zeros(flat.shape), np.full(len(flat), np.inf), np.arange(len(flat))
+    multiples = np.linspace(LARGEST, LARGEST / 2, scales)
+    for scale in np.array_split(multiples, min(scales, 1 + scales * len(flat) // PRODUCTS)):
+        whole = np.rint(scale[:, None, None] * flat)
+        along = (whole * unit).sum(axis=2)
+        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-300) ** 2
+        best = off.argmin(axis=0)
+        better = off[best, each] < least
+        found[better], least[better] = whole[best, each][better], off[best, each][better]
+    return found.astype(np.int64).reshape(n.shape)
+
+
+class _Curved(NamedTuple):
+    """A curved piece in the frame of a link."""
+
+    kind: int
+    radius: float
+    center: Floats
+    factor: Floats
+
+    def reach(self, n: Floats) -> Floats:
+        """Compute the largest products of directions with its points; n has their lengths in a fourth column."""
+        v = n[:, :3] @ self.factor
+        across = np.hypot(v[:, 0], v[:, 1])
+        if self.kind == BALL:
+            wide = np.hypot(across, v[:, 2])
+        elif self.kind == CYLINDER:
+            wide = across + np.abs(v[:, 2])
+        else:
+            wide = np.maximum(v[:, 2], across - v[:, 2])
+        return np.asarray(n[:, :3] @ self.center + self.radius * n[:, 3] + wide)
+
+    @property
+    def ball(self) -> Floats:
+        """The center and the radius of the ball around it that the format names."""
+        share = 1.0 if self.kind == BALL else np.sqrt(2.0)
+        return np.append(self.center, self.radius + share * np.linalg.norm(self.factor))
+
+
+def clusters_of(model: Model) -> Clusters:
+    """Place the pieces of all bodies, and divide those of each body again and again."""
+    start, pieces = model.pieces.start, model.pieces
+    body_of = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    hull = pieces.kind == HULL
+    counts = np.array([len(points) if own else 0 for points, own in zip(pieces.points, hull, strict=True)])
+    begin = np.append(0, np.cumsum(counts))
+    owner, piece = np.repeat(body_of, counts), np.repeat(np.arange(len(counts)), counts)
+    given = [pieces.points[k] for k in np.flatnonzero(hull)]
+    points = np.zeros((len(owner), 4))
+    points[:, :3] = np.einsum("vij,vj->vi", model.turn[owner], np.concatenate([*given, np.empty((0, 3))]))
+    points[:, :3] += model.shift[owner]
+    points[:, 3] = pieces.radius[piece]
+    # How far pieces reach along the axes of their bodies, and the balls of which the format makes one around a body.
+    lengths = np.linalg.norm(model.turn, axis=1)
+    low, high = np.empty((len(counts), 3)), np.empty((len(counts), 3))
+    if len(given):
+        along = np.einsum("vij,vi->vj", model.turn[owner], points[:, :3])
+        grown, first = points[:, 3:] * lengths[owner], begin[:-1][hull]
+        low[hull], high[hull] = np.minimum.reduceat(along - grown, first), np.maximum.reduceat(along + grown, first)
+    curved = {}
+    for k in np.flatnonzero(~hull).tolist():
+        M, s = model.turn[body_of[k]], model.shift[body_of[k]]
+        own = pieces.points[k]
+        curved[k] = _Curved(int(pieces.kind[k]), float(pieces.radius[k]), M @ own[0] + s, M @ own[1:])
+        both = np.column_stack([np.concatenate([M.T, -M.T]), np.tile(lengths[body_of[k]], 2)])
+        high[k], low[k] = np.split(curved[k].reach(both), 2) * np.array([[1], [-1]])
+    at = begin[list(curved)]
+    balls, of_ball = points, owner
+    if curved:
+        balls = np.insert(points, at, [one.ball for one in curved.values()], axis=0)
+        of_ball = np.insert(owner, at, body_of[list(curved)])
+    return _divided(model, body_of, begin, points, curved, (low, high), balls, of_ball)
+
+
+def _divided(
+    model: Model, body_of: Ints, begin: Ints, points: Floats, curved: dict[int, _Curved], ends: tuple[Floats, Floats],
+    balls: Floats, of_ball: Ints,
+) -> Clusters:  # fmt: skip
+    """Make the clusters and the balls of placed pieces."""
+    start = model.pieces.start
+    rows, of_body = [], []
+    for body, (first, last) in enumerate(pairwise(start.tolist())):
+        k = len(rows)
+        of_body.append(k)
+        rows.append([body, first, last, -1, -1])
+        while k < len(rows):
+            _, first, last, _, _ = rows[k]
+            if last - first > 1:
+                middle = first + (last - first) // 2
+                rows[k][3:] = len(rows), len(rows) + 1
+                rows += [[body, first, middle, -1, -1], [body, middle, last, -1, -1]]
+            k += 1
+    body, first, last, left, right = np.array(rows, dtype=np.int64).reshape(-1, 5).T
+    low, high = (array[first] for array in ends)
+    for k in np.flatnonzero(last - first > 1):
+        low[k], high[k] = ends[0][first[k] : last[k]].min(axis=0), ends[1][first[k] : last[k]].max(axis=0)
+    M = model.turn[body]
+    square = (M * M).sum(axis=1)
+    center = np.einsum("cij,cj->ci", M, (low + high) / 2 / square)
+    edges = M * ((high - low) / 2 / square)[:, None]
+    own = [[curved[piece] for piece in range(*ends_) if piece in curved] for ends_ in zip(first, last, strict=True)]
+    of = np.searchsorted(of_ball, np.arange(len(start) - 1))
+    least = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], of)
+    middle = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
+    radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - middle[of_ball], axis=1) + balls[:, 3], of)
+    return Clusters(
+        np.array(of_body, dtype=np.int64), first, last, left, right, center, edges, points, begin[first], begin[last],
+        own, np.column_stack([middle, radius]),
+    )  # fmt: skip
+
+
+# -- bounds -----------------------------------------------------------------------------------
+
+
+class _Chains:
+    """The joints between the links of all pairs, and how far bodies are from them.
+
+    Chains are numbered (pair, side), flat. Joints are in the order in which the ball passes them, from the upper body
+    to the lower one.
+    """
+
+    def __init__(self, model: Model, balls: Floats, deviations: Floats) -> None:
+        links, pairs = model.links, model.pairs
+        self.links, self.deviations = links, deviations
+        self.path: list[list[int]] = []
+        for k, (above, moves) in enumerate(zip(links.above.tolist(), links.moves.tolist(), strict=True)):
+            self.path.append((self.path[above] if above >= 0 else []) + ([k] if moves != STAYS else []))
+        lower, upper = pairs.ravel(), pairs[:, ::-1].ravel()
+        count = len(links.above) + 1
+        ends, number = np.unique(count * (model.link[upper] + 1) + model.link[lower] + 1, return_inverse=True)
+        chains = []
+        for end in ends.tolist():
+            up, down = ([*self.path, []][k - 1] for k in divmod(end, count))
+            common = sum(x == y for x, y in zip(up, down, strict=False))
+            chains.append([(k, True) for k in reversed(up[common:])] + [(k, False) for k in down[common:]])
+        length = max(map(len, chains), default=0)
+        table = np.full((len(chains), length, 2), [-1, 0])
+        for row, chain in zip(table, chains, strict=True):
+            row[: len(chain)] = np.array(chain, dtype=np.int64).reshape(-1, 2)
+        self.joint, climbs = table[number, :, 0], table[number, :, 1] == 1
+        self.radius, c = balls[upper, 3], balls[upper, :3]
+        self.longest = float(np.linalg.norm(balls[:, :3], axis=1).max(initial=0.0) + balls[:, 3].max(initial=0.0))
+        F = rotations_of(links.quaternion / np.linalg.norm(links.quaternion, axis=1, keepdims=True))
+        e = links.axis / np.maximum(np.linalg.norm(links.axis, axis=1), 1e-300)[:, None]
+        # How far the center is from the axis of each joint that turns.
+        self.away = np.zeros(self.joint.shape)
+        for k in range(length):
+            j, up, there = self.joint[:, k], climbs[:, k], self.joint[:, k] >= 0
+            c = np.where((up | ~there)[:, None], c, np.einsum("tji,tj->ti", F[j], c - links.translation[j]))
+            onto = (c * e[j]).sum(axis=1)[:, None] * e[j]
+            turns = there & (links.moves[j] == TURNS)
+            self.away[:, k] = np.where(turns, np.linalg.norm(c - onto, axis=1), 0.0)
+            c = np.where(turns[:, None], onto, c)
+            c = np.where((up & there)[:, None], np.einsum("tij,tj->ti", F[j], c) + links.translation[j], c)
+
+    def bends(self, courses: Floats) -> tuple[Bends, float]:
+        """Compute the bounds for motions, and the size of the model on them."""
+        links, degree = self.links, courses.shape[1] - 1
+        value, m = np.maximum(links.value, 0), np.where(links.value < 0, 0.0, np.abs(links.multiplier))
+        P = courses[:, :, value]
+        rates = m * degree * np.abs(np.diff(P, axis=1)).max(axis=1)
+        bend = m * degree * (degree - 1) * np.abs(np.diff(P, n=2, axis=1)).max(axis=1, initial=0.0)
+        off, length, slides = m * self.deviations[value], np.linalg.norm(links.axis, axis=1), links.moves == SLIDES
+        far = np.abs(links.multiplier * P + links.offset).max(axis=1)
+        far = np.where(slides, length * (far + off), 0.0)
+        there = self.joint >= 0
+        grows = there * (np.where(slides[self.joint], far[:, self.joint], 0.0) + self.away)
+        reach = np.where(slides[self.joint], length[self.joint], self.radius[:, None] + np.cumsum(grows, axis=2))
+        curvature, deviation, turned = (np.zeros(reach.shape[:2]) for _ in range(3))
+        for k in reversed(range(self.joint.shape[1])):  # from the lower body to the upper one
+            j = self.joint[:, k]
+            own, turns = np.where(there[:, k], reach[:, :, k], 0.0), there[:, k] & ~slides[j]
+            rate = rates[:, j]
+            curvature += own * (rate * (turns * rate + 2 * turned) + bend[:, j])
+            deviation += own * off[j]
+            turned += turns * rate
+        shape = (len(courses), -1, 2)
+        steps = np.linalg.norm(links.translation, axis=1) + far.max(axis=0, initial=0.0)
+        longest = max((steps[path].sum() for path in self.path), default=0.0)
+        return Bends(curvature.reshape(shape), deviation.reshape(shape)), max(1.0, 2 * float(longest + self.longest))
+
+
+def written(deviations: Floats, courses: Floats) -> bytes:
+    """Write the motions of a proof."""
+    head = deviations.astype("<f8").tobytes() + struct.pack("<I", len(courses))
+    degree = struct.pack("<B", courses.shape[1] - 1)
+    return head + b"".join(degree + course.astype("<f8").tobytes() for course in courses)
