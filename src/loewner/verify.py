@@ -2,8 +2,8 @@
 
 This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
-whole numbers of units of 2^-72. Rounding is bounded as follows, in units, for the norms of vectors and the roots of the
-sums of squares of matrices; lengths that multiply errors are in metres.
+whole numbers of units of 2^-72. Rounding has these bounds, in units, for the norms of vectors and matrices (the root of
+the sum of squares); lengths that multiply them are in metres.
 
 - A double, a fixed rotation and an axis are rounded by less than 1 in each entry, a sine or cosine by less than 2: 1/10
   for the angle, 1/1000 for the series, 1 for the result. In a joint's rotation c + s e + (1 - c) e e the terms have
@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 __all__ = ["Refused", "Report", "main", "verify"]
-
 BITS, ONE = 72, 1 << 72  # lengths, sines and entries of matrices are multiples of 2^-BITS
 GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GUARD
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
@@ -365,6 +364,7 @@ class _Checker:
         self.work, self.deviations, self.motions = 0, list[float](), list[tuple[int, bool, bool, int]]()
         self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
         self.tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None = None
+        self.common: tuple[str, str] | None = None
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
         """Read pairs of bodies, and a margin of each if this belongs to the list."""
@@ -384,11 +384,10 @@ class _Checker:
         if self.work > MOST_WORK:
             raise Refused("The proof takes more than 2^30 steps to check.")
 
-    def common_point(self) -> tuple[str, str]:
-        """Check that two bodies have a common point; return their names."""
+    def common_point(self) -> None:
+        """Check that two bodies have a common point."""
         places = [self.reader.take("6I") for _ in range(2)]
         world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
-        self.reader.end()
         if pair[0] == pair[1] or max(pair) >= len(self.bodies) or any(link.kind for link in self.links):
             raise Refused("A common point is proven for two different bodies of a model that does not move.")
         for k, piece, *four in places:
@@ -400,7 +399,7 @@ class _Checker:
                 point = _moved([link.rotation[3 * i + m] for m, i in EVERY], point, (0, 0, 0))
             if piece >= len(self.bodies[k].pieces) or not self.bodies[k].contains(piece, tuple(four), point):
                 raise Refused(f"The point is not shown to belong to {_shown(self.bodies[k].name)}.")
-        return self.named(pair)
+        self.common = self.named(pair)
 
     def run(self) -> None:
         """Check the proof of all motions."""
@@ -423,7 +422,6 @@ class _Checker:
             inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
             self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
             motion.poses.clear()
-        self.reader.end()
 
     def tree(self, motion: _Motion, pair: Pair) -> None:
         """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
@@ -547,9 +545,8 @@ def verify(data: bytes) -> Report:
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
     checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
-    common = checker.common_point() if claim == 2 else None
-    if claim == 1:
-        checker.run()
+    (checker.run if claim == 1 else checker.common_point)()
+    checker.reader.end()
     return Report(
         model=hashlib.sha256(data[24 : 24 + size]).hexdigest(),
         sizes=checker.sizes,
@@ -558,7 +555,7 @@ def verify(data: bytes) -> Report:
         deviations=tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x),
         motions=tuple(checker.motions),
         tightest=checker.tightest,
-        common=common,
+        common=checker.common,
     )
 
 
@@ -581,14 +578,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1 if isinstance(error, Refused) else 2
     lines = [("model", report.model), ("", ", ".join(f"{count} {what}" for what, count in report.sizes.items()))]
     for number, (degree, joined, inside, places) in enumerate(report.motions):
-        start = "starts where the last one ends" if joined and number else "starts anew" if number else "the first"
+        start = ("starts anew", "starts where the last one ends")[joined] if number else "the first"
         limits = "within limits" if inside else "NOT WITHIN LIMITS"
         lines.append((f"motion {number}", f"degree {degree}, {start}, {limits}, {places} configurations"))
     if report.tightest:
         *pair, number, since, until, spare = report.tightest
         where = f"to spare in motion {number} from {since} to {until}: {_shown(*pair)}"
         lines.append(("tightest", f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm {where}"))
-    lines += [("left out", _shown(*pair)) for pair in report.left_out]
+    left_out = dict[str, list[str]]()
+    for first, second in report.left_out:
+        left_out.setdefault(first, []).append(second)
+    lines += [("left out", f"{_shown(name)} and {', '.join(map(_shown, some))}") for name, some in left_out.items()]
     lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations]
     lines += [("not covered", f"the interior of {_shown(name)}") for name in report.uncovered]
     lines += [("common point", _shown(*report.common))] if report.common else []
