@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 __all__ = ["Refused", "Report", "main", "verify"]
+
 BITS, ONE = 72, 1 << 72  # lengths, sines and entries of matrices are multiples of 2^-BITS
 GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GUARD
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
@@ -68,7 +69,7 @@ class Report:
     tightest : (str, str, int, Fraction, Fraction, Fraction) or None
         The check with the least to spare: two bodies, a motion, an interval, and by how much the gap is too large.
     common : (str, str) or None
-        Two bodies with a common point, if this is what the file proves.
+        Two bodies with a common point, if this is the claim of the file.
     """
 
     model: str
@@ -149,6 +150,7 @@ class _Reader:
         return struct.unpack_from("<" + form, self.data, start)
 
     def count(self, size: int, what: str, least: int = 0, most: int = MOST_BYTES) -> int:
+        """Read how many things of at least `size` bytes follow."""
         number = int(*self.take("I"))
         if not least <= number <= most or number * size > len(self.data) - self.at:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
@@ -162,10 +164,7 @@ class _Reader:
         return list(found)
 
     def name(self) -> str:
-        try:
-            return bytes(*self.take(f"{self.take('H')[0]}s")).decode()
-        except UnicodeDecodeError:
-            raise Refused(f"A name before byte {self.at} of the {self.part} is not UTF-8.") from None
+        return bytes(*self.take(f"{self.take('H')[0]}s")).decode(errors="backslashreplace")
 
     def end(self) -> None:
         if self.at != len(self.data):
@@ -221,7 +220,7 @@ class _Link:
 
 
 class _Body:
-    """A body: what the file has, its pieces in units in the frame of its link, and a ball that contains it.
+    """A body: the numbers of the file, its pieces in units in the frame of its link, and a ball that contains it.
 
     The error of a placed point, and of a matrix times its radius, is at most `fuzz`.
     """
@@ -560,7 +559,7 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print what it proves; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read.
+    """Check a file and print its claim; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read.
 
     Parameters
     ----------
