@@ -2,8 +2,8 @@
 
 This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
-whole numbers of units of 2^-72. Errors are in units, and lengths that multiply them in metres; a matrix is measured by
-the root of the sum of squares, a vector by its norm. Rounding is bounded as follows:
+whole numbers of units of 2^-72. Rounding has these bounds, in units, for the norms of vectors and matrices (the root of
+the sum of squares); lengths that multiply them are in metres.
 
 - A double, a fixed rotation and an axis are rounded by less than 1 in each entry, a sine or cosine by less than 2: 1/10
   for the angle, 1/1000 for the series, 1 for the result. In a joint's rotation c + s e + (1 - c) e e the terms have
@@ -36,11 +36,9 @@ GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GU
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
 TURN = 64  # error of a rotation for each link of its chain; derived: 41
 DEEPEST = 64  # a tree is nested this deep at most, so intervals end at multiples of 2^-DEEPEST
-MOST_LINKS, MOST_BYTES = 1000, 1 << 26  # links above each other; bytes of a file
+MOST_LINKS, MOST_BYTES = 10_000, 1 << 24  # links of a model, bytes of a file
 MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
-
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
-Exact = Sequence[float | Fraction]
 Pair = tuple[int, int]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
@@ -63,22 +61,22 @@ class Report:
         Numbers of links, values, bodies, pieces, pairs that are proven apart, planes, and intervals of pairs.
     left_out, uncovered : tuple of (str, str), and of str
         Pairs that the model exempts; bodies with an interior that their pieces do not cover, which are not excluded.
-    deviations : dict of str to float
+    deviations : tuple of (str, float)
         Values that may deviate from the motions, and by how much.
     motions : tuple of (int, bool, bool, int)
         For each motion its degree, whether it starts where the one before ends, whether its control points are within
         the limits of the values, and the number of its configurations at which planes were checked.
     tightest : (str, str, int, Fraction, Fraction, Fraction) or None
-        The check with the least to spare: two bodies, a motion, an interval, and the spare length.
+        The check with the least to spare: two bodies, a motion, an interval, and by how much the gap is too large.
     common : (str, str) or None
-        Two bodies with a common point, if this is what the file proves.
+        Two bodies with a common point, if this is the claim of the file.
     """
 
     model: str
     sizes: dict[str, int]
     left_out: tuple[tuple[str, str], ...]
     uncovered: tuple[str, ...]
-    deviations: dict[str, float]
+    deviations: tuple[tuple[str, float], ...]
     motions: tuple[tuple[int, bool, bool, int], ...]
     tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None
     common: tuple[str, str] | None
@@ -151,10 +149,10 @@ class _Reader:
             raise Refused(f"The {self.part} ends too early.")
         return struct.unpack_from("<" + form, self.data, start)
 
-    def count(self, size: int, what: str, least: int = 0) -> int:
+    def count(self, size: int, what: str, least: int = 0, most: int = MOST_BYTES) -> int:
         """Read how many things of at least `size` bytes follow."""
         number = int(*self.take("I"))
-        if number < least or number * size > len(self.data) - self.at:
+        if not least <= number <= most or number * size > len(self.data) - self.at:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
         return number
 
@@ -166,10 +164,7 @@ class _Reader:
         return list(found)
 
     def name(self) -> str:
-        try:
-            return bytes(*self.take(f"{self.take('H')[0]}s")).decode()
-        except UnicodeDecodeError:
-            raise Refused(f"A name before byte {self.at} of the {self.part} is not UTF-8.") from None
+        return bytes(*self.take(f"{self.take('H')[0]}s")).decode(errors="backslashreplace")
 
     def end(self) -> None:
         if self.at != len(self.data):
@@ -185,15 +180,12 @@ class _Link:
         self.by, self.off, w, *numbers = map(Fraction, reader.doubles(12))
         v, self.place, self.axis = numbers[:3], numbers[3:6], numbers[6:]
         square, size = sum(n * n for n in self.axis), w * w + sum(n * n for n in v)
-        if not -1 <= self.above < len(links) or self.kind > 2 or size == 0 or (self.kind == 1 and square == 0):
-            raise Refused(
-                f"Link {name} is below link {self.above}, has kind {self.kind}, or a quaternion or axis of 0."
-            )
+        wrong = self.kind > 2 or ((self.value != -1) if self.kind == 0 else self.value < 0)
+        if wrong or not -1 <= self.above < len(links) or size == 0 or (self.kind == 1 and square == 0):
+            raise Refused(f"Link {name} has an impossible link above it, kind, value, quaternion or axis.")
         base = links[self.above] if self.above >= 0 else None
         self.depth: int = base.depth + 1 if base else 1
         self.group: int = base.group if base and not self.kind else len(links)
-        if self.depth > MOST_LINKS or ((self.value != -1) if self.kind == 0 else self.value < 0):
-            raise Refused(f"Link {name} has {self.depth} links above it, or kind {self.kind} and value {self.value}.")
         cross, rest = (0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0), 2 * w * w - size
         self.rotation = [(2 * v[i] * v[k] + 2 * w * cross[3 * i + k] + rest * (i == k)) / size for i, k in EVERY]
         self.turn, self.shift = _vector(self.rotation), _vector(self.place)
@@ -226,21 +218,11 @@ class _Link:
             c, radius = foot, radius + off + _norm_up(_sum(c, foot, -1))
         return (_sum(self.shift, _apply(self.turn, c)) if upward else c), radius + off
 
-    def rates(self, column: list[Fraction], deviation: float) -> Whole:
-        """Bounds w and w' for a value with these control points, |m| times its deviation, and the largest value."""
-        degree, first = len(column) - 1, [b - a for a, b in pairwise(column)]
-        second = max((abs(b - a) for a, b in pairwise(first)), default=Fraction(0))
-        rate, bend = max(map(abs, first)) * degree, second * degree * (degree - 1)
-        stray, far = abs(self.by) * Fraction(deviation), max(abs(self.by * x + self.off) for x in column)
-        if self.kind == 1 and far > 10**6:
-            raise Refused("A motion turns a joint beyond 1e6 rad.")
-        return _up(abs(self.by) * rate), _up(abs(self.by) * bend), _up(stray), _up(far + stray)
-
 
 class _Body:
-    """A body: what the file has, and its pieces in units in the frame of its link.
+    """A body: the numbers of the file, its pieces in units in the frame of its link, and a ball that contains it.
 
-    The error of a placed point, and of a matrix times its radius, is at most `fuzz`. The ball contains the body.
+    The error of a placed point, and of a matrix times its radius, is at most `fuzz`.
     """
 
     def __init__(self, reader: _Reader, links: list[_Link]) -> None:
@@ -258,32 +240,26 @@ class _Body:
             width = (3, 12, 12, 12, 4)[kind]
             numbers = reader.doubles(width * (1 if width == 12 else reader.count(8 * width, "points", 1)))
             self.kinds.append((kind, radius, numbers))
-            self.pieces.append(self.placed(kind, radius, numbers, width))
             self.counts.append(self.counts[-1] + len(numbers) // width + 5)
+            if kind == 4 and min(numbers[3::4]) < 0:
+                raise Refused("A ball has a negative radius.")
+            points, g = dict[int, list[Whole]](), _vector(numbers[3:] if width == 12 else ())
+            for k in range(0, len(numbers), width):
+                y, own = _vector(numbers[k : k + 3]), _up(numbers[k + 3]) if kind == 4 else 0
+                points.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, y)))
+                self.largest = max(self.largest, abs(y[0]) + abs(y[1]) + abs(y[2]) + ONE, _norm_up(g) + ONE)
+            self.pieces.append([(kind, r, some, g and _product(self.matrix, g)) for r, some in points.items()])
         # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
         self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1
         # A ball has the norm of the matrix as its radius, √2 times this for kinds 2 and 3.
-        parts = (part for piece in self.pieces for part in piece)
+        parts = [part for piece in self.pieces for part in piece]
         balls = [(r + (_norm_up(g * min(kind, 2)) if g else 0), points) for kind, r, points, g in parts]
         low = [min(min(point[k] for point in points) - r for r, points in balls) for k in range(3)]
         high = [max(max(point[k] for point in points) + r for r, points in balls) for k in range(3)]
-        self.center = x, y, z = tuple((a + b) // 2 for a, b in zip(low, high, strict=True))
+        x, y, z = ((a + b) // 2 for a, b in zip(low, high, strict=True))
         squares = ((r, max((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 for a, b, c in points)) for r, points in balls)
-        self.radius = self.fuzz + max(isqrt(square) + 1 + r for r, square in squares)
-        self.size = _norm_up(self.center) + self.radius
-
-    def placed(self, kind: int, radius: float, numbers: list[float], width: int) -> list[Part]:
-        """Place a piece; points with the same radius are one part."""
-        found: dict[int, list[Whole]] = {}
-        for k in range(0, len(numbers), width):
-            if kind == 4 and numbers[k + 3] < 0:
-                raise Refused("A ball has a negative radius.")
-            y, own = _vector(numbers[k : k + 3]), _up(numbers[k + 3]) if kind == 4 else 0
-            found.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, y)))
-            self.largest = max(self.largest, abs(y[0]) + abs(y[1]) + abs(y[2]) + ONE)
-        g = _vector(numbers[3:]) if width == 12 else ()
-        self.largest = max(self.largest, _norm_up(g) + ONE)
-        return [(kind, r, points, _product(self.matrix, g) if g else g) for r, points in found.items()]
+        radius = self.fuzz + max(isqrt(square) + 1 + r for r, square in squares)
+        self.ball, self.size = (self.link, (x, y, z), radius), _norm_up((x, y, z)) + radius
 
     def support(self, part: Pair, n: Whole, norm: int) -> int:
         """Largest product of n, which is not longer than `norm`, with a point of some pieces, rounded up."""
@@ -301,13 +277,11 @@ class _Body:
         """Whether an exact point in the frame of the link belongs to a piece, as four numbers show."""
         (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
         if kind in (1, 2, 3):
-            away = _less(point, _moved(self.turn, numbers[:3], self.place))
-            g = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
-            u = _solved([list(row) for row in zip(*g, away, strict=True)])
-            if radius or any(four) or not u:
-                return False
+            columns = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
+            rest = _less(point, _moved(self.turn, numbers[:3], self.place))
+            u = _solved([list(row) for row in zip(*columns, rest, strict=True)]) or [2 * one] * 3
             allowed = (one - u[2] ** 2, one, ((1 - u[2]) / 2) ** 2)[kind - 1]
-            return abs(u[2]) <= 1 and u[0] ** 2 + u[1] ** 2 <= allowed
+            return not radius and not any(four) and abs(u[2]) <= 1 and u[0] ** 2 + u[1] ** 2 <= allowed
         width = 3 if kind == 0 else 4
         if max(four) >= len(numbers) // width:
             return False
@@ -323,7 +297,7 @@ class _Body:
         return _dot(away, away) <= reach**2
 
 
-def _moved(m: Exact, v: Exact, shift: Exact) -> list[Fraction]:
+def _moved(m: Sequence[Any], v: Sequence[Any], shift: Sequence[Any]) -> list[Fraction]:
     return [sum((Fraction(m[3 * i + k]) * Fraction(v[k]) for k in range(3)), Fraction(shift[i])) for i in range(3)]
 
 
@@ -353,9 +327,17 @@ class _Motion:
         self.columns = [list(map(Fraction, column)) for column in zip(*points, strict=True)]
         self.poses, self.bounds = dict[int, list[tuple[Whole, Whole]]](), dict[Pair, Pair]()
         for link in links:
-            found = link.rates(self.columns[link.value], deviations[link.value]) if link.kind else (0, 0, 0, 0)
-            slide = -(-link.axis_norm * found[3] >> BITS) if link.kind == 2 else 0
-            self.rates.append(found)
+            rate = bend = stray = far = Fraction(0)
+            if link.kind:
+                column, by, degree = self.columns[link.value], abs(link.by), len(points) - 1
+                first = [b - a for a, b in pairwise(column)]
+                rate, stray = by * degree * max(map(abs, first)), by * Fraction(deviations[link.value])
+                bend = by * degree * (degree - 1) * max((abs(b - a) for a, b in pairwise(first)), default=0)
+                far = max(abs(link.by * x + link.off) for x in column)
+            if link.kind == 1 and far > 10**6:
+                raise Refused(f"Motion {number} turns a joint beyond 1e6 rad.")
+            self.rates.append((_up(rate), _up(bend), _up(stray), _up(far + stray)))
+            slide = -(-link.axis_norm * self.rates[-1][3] >> BITS) if link.kind == 2 else 0
             self.lengths.append((self.lengths[link.above] if link.above >= 0 else 0) + link.reach + slide)
         self.lengths.append(0)  # number -1 is the world
 
@@ -366,7 +348,7 @@ class _Checker:
     def __init__(self, model: bytes, proof: bytes) -> None:
         reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
         self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
-        for _ in range(reader.count(107, "links")):
+        for _ in range(reader.count(107, "links", most=MOST_LINKS)):
             self.links.append(_Link(reader, self.links))
         for _ in range(reader.count(18, "values")):
             self.values.append((reader.name(), *reader.take("2d")))
@@ -376,10 +358,12 @@ class _Checker:
         self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
         self.margins = self.read_pairs(reader, 16, "margins")
         reader.end()
-        self.work = self.planes = self.intervals = 0
-        self.deviations, self.pairs, self.motions = list[float](), list[Pair](), list[tuple[int, bool, bool, int]]()
+        self.sizes = {"links": len(self.links), "values": len(self.values), "bodies": len(self.bodies)}
+        self.sizes |= {"pieces": sum(len(x.pieces) for x in self.bodies), "pairs": 0, "planes": 0, "intervals": 0}
+        self.work, self.deviations, self.motions = 0, list[float](), list[tuple[int, bool, bool, int]]()
         self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
         self.tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None = None
+        self.common: tuple[str, str] | None = None
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
         """Read pairs of bodies, and a margin of each if this belongs to the list."""
@@ -399,51 +383,44 @@ class _Checker:
         if self.work > MOST_WORK:
             raise Refused("The proof takes more than 2^30 steps to check.")
 
-    def common_point(self) -> tuple[str, str]:
-        """Check that two bodies have a common point; return their names."""
-        places = [(self.reader.take("2I"), self.reader.take("4I")) for _ in range(2)]
-        world = list(map(Fraction, self.reader.doubles(3)))
-        self.reader.end()
-        pair = places[0][0][0], places[1][0][0]
-        if pair[0] == pair[1] or any(link.kind for link in self.links):
+    def common_point(self) -> None:
+        """Check that two bodies have a common point."""
+        places = [self.reader.take("6I") for _ in range(2)]
+        world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
+        if pair[0] == pair[1] or max(pair) >= len(self.bodies) or any(link.kind for link in self.links):
             raise Refused("A common point is proven for two different bodies of a model that does not move.")
-        for (k, piece), four in places:
-            if k >= len(self.bodies) or piece >= len(self.bodies[k].pieces):
-                raise Refused(f"There is no piece {piece} of a body {k}.")
-            point, link, chain = world, self.bodies[k].link, list[_Link]()
-            while link >= 0:
-                chain.append(self.links[link])
-                link = chain[-1].above
-            for step in reversed(chain):
-                point = _less(point, step.place)
-                point = _moved([step.rotation[3 * i + m] for m, i in EVERY], point, (0, 0, 0))
-            if not self.bodies[k].contains(piece, four, point):
+        for k, piece, *four in places:
+            point, chain = world, [self.bodies[k].link]
+            while chain[-1] >= 0:
+                chain.append(self.links[chain[-1]].above)
+            for link in (self.links[m] for m in chain[-2::-1]):
+                point = _less(point, link.place)
+                point = _moved([link.rotation[3 * i + m] for m, i in EVERY], point, (0, 0, 0))
+            if piece >= len(self.bodies[k].pieces) or not self.bodies[k].contains(piece, tuple(four), point):
                 raise Refused(f"The point is not shown to belong to {_shown(self.bodies[k].name)}.")
-        return self.named(pair)
+        self.common = self.named(pair)
 
     def run(self) -> None:
         """Check the proof of all motions."""
-        motions = list[_Motion]()
-        self.deviations = self.reader.doubles(len(self.values), "deviation")
+        motions, self.deviations = list[_Motion](), self.reader.doubles(len(self.values), "deviation")
         for number in range(self.reader.count(1, "motions")):
             (degree,) = self.reader.take("B")
             if degree == 0:
                 raise Refused(f"Motion {number} has the degree 0.")
             points = [self.reader.doubles(len(self.values)) for _ in range(degree + 1)]
             motions.append(_Motion(number, points, self.links, self.deviations))
-        self.spend(len(self.bodies) ** 2 // 8)
-        pairs = combinations(range(len(self.bodies)), 2)
-        self.pairs = [(i, j) for i, j in pairs if self.bodies[i].group != self.bodies[j].group]
-        self.pairs = [pair for pair in self.pairs if pair not in self.apart]
         for motion in motions:
-            for pair in self.pairs:
-                self.tree(motion, pair)
+            self.spend(len(self.bodies) ** 2 // 8)
+            self.sizes["pairs"] = 0
+            for i, j in combinations(range(len(self.bodies)), 2):
+                if self.bodies[i].group != self.bodies[j].group and (i, j) not in self.apart:
+                    self.sizes["pairs"] += 1
+                    self.tree(motion, (i, j))
             points, before = motion.points, motions[max(motion.number - 1, 0)].points
             joined = not motion.number or points[0] == before[-1]
             inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
             self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
             motion.poses.clear()
-        self.reader.end()
 
     def tree(self, motion: _Motion, pair: Pair) -> None:
         """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
@@ -458,7 +435,7 @@ class _Checker:
                 rest += [([*spans[:token], x, *spans[token + 1 :]], depth + 1) for x in ((half, high), (low, half))]
                 continue
             if 3 < token < 18:
-                self.planes += 1
+                self.sizes["planes"] += 1
                 normal = self.reader.take("3h") if token > 15 else AXES[(token - 4) % 6]
                 self.last[pair] = token < 10 or token == 16, normal
             if token > 17 or pair not in self.last or not any(self.last[pair][1]):
@@ -471,9 +448,8 @@ class _Checker:
         (low, high), (some, others) = (pair, spans[1:]) if first else (pair[::-1], spans[:0:-1])
         below, above = self.bodies[low], self.bodies[high]
         n = _apply(below.matrix, tuple(x << BITS for x in normal))
-        norm = _norm_up(n)
         self.spend(100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others))))
-        gaps = []
+        gaps, norm = list[int](), _norm_up(n)
         for t in (start, end):
             (turn, place), (other, there) = (self.poses(motion, t)[k] for k in (below.link, above.link))
             a, b, c = n if below.link < 0 else _apply(turn, n)
@@ -493,7 +469,7 @@ class _Checker:
             raise Refused(f"{_shown(*self.named(pair))}: a plane {where} lacks {-spare * 10**6 >> BITS} micrometres.")
         if self.tightest is None or self.tightest[-1] > Fraction(spare, ONE):
             self.tightest = *self.named(pair), motion.number, since, until, Fraction(spare, ONE)
-        self.intervals += 1
+        self.sizes["intervals"] += 1
 
     def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
         """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
@@ -514,46 +490,35 @@ class _Checker:
         motion.poses[t] = [*found, ((ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0))]
         return motion.poses[t]
 
-    def bound(self, motion: _Motion, link: int, high: int) -> Pair:
+    def bound(self, motion: _Motion, below: int, high: int) -> Pair:
         """A and V of a body seen from a link, rounded up."""
-        if (link, high) in motion.bounds:
-            return motion.bounds[link, high]
-        slides, moving = 0, list[Whole]()
-        for k, reach in self.passed(link, high):
-            (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
-            if kind:
-                moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
-            slides += -(-norm * far >> BITS) if kind == 2 else 0
-        before = a = v = 0
-        for reach, turn, rate, bend, stray in reversed(moving):
-            a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
-            v -= -reach * stray >> BITS
-            before += turn
-        motion.bounds[link, high] = a, v
-        return a, v
-
-    def passed(self, below: int, high: int) -> list[Pair]:
-        """Links between a body and another link, from the body on, and the body's reach about them without slides."""
-        if (found := self.balls.setdefault((below, high), [])) or below == self.bodies[high].link:
-            return found
-        above, center, radius = self.bodies[high].link, self.bodies[high].center, self.bodies[high].radius
-        up, down = list[int](), list[int]()
-        while above != below:  # a link comes after the one above it, so the later of two is not the common one
-            if above > below:
-                up.append(above)
-                above = self.links[above].above
-            else:
-                down.append(below)
-                below = self.links[below].above
-        self.spend(100 * len(up + down))
-        for k in up + down[::-1]:
-            center, radius = self.links[k].pass_ball(center, radius, k in up)
-            found.append((k, radius))
-        return found
+        key, above, center, radius = (below, high), *self.bodies[high].ball
+        if key not in self.balls:  # the links in between, from the body on, and its reach about them without slides
+            up, down, self.balls[key] = list[int](), list[int](), []
+            while above != below:  # a link comes after the one above it, so the later of two is not the common one
+                (up if above > below else down).append(max(above, below))
+                above, below = (self.links[k].above if k == max(above, below) else k for k in (above, below))
+            self.spend(100 * len(up + down))
+            for k in up + down[::-1]:
+                center, radius = self.links[k].pass_ball(center, radius, k in up)
+                self.balls[key].append((k, radius))
+        if key not in motion.bounds:
+            moving, before, slides, a, v = list[Whole](), 0, 0, 0, 0
+            for k, reach in self.balls[key]:
+                (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
+                if kind:
+                    moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
+                slides += -(-norm * far >> BITS) if kind == 2 else 0
+            for reach, turn, rate, bend, stray in reversed(moving):
+                a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
+                v -= -reach * stray >> BITS
+                before += turn
+            motion.bounds[key] = a, v
+        return motion.bounds[key]
 
 
 def verify(data: bytes) -> Report:
-    """Check a proof.
+    """Check a proof, and raise `Refused` if the file is none.
 
     Parameters
     ----------
@@ -563,7 +528,6 @@ def verify(data: bytes) -> Report:
     Returns
     -------
     Report
-        Of a proof. Otherwise, `Refused` is raised.
 
     Examples
     --------
@@ -580,25 +544,22 @@ def verify(data: bytes) -> Report:
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
     checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
-    bodies, common = checker.bodies, checker.common_point() if claim == 2 else None
-    if claim == 1:
-        checker.run()
-    sizes = {"links": len(checker.links), "values": len(checker.values), "bodies": len(bodies)}
-    sizes |= {"pieces": sum(len(body.pieces) for body in bodies), "pairs": len(checker.pairs)}
+    (checker.run if claim == 1 else checker.common_point)()
+    checker.reader.end()
     return Report(
         model=hashlib.sha256(data[24 : 24 + size]).hexdigest(),
-        sizes=sizes | {"planes": checker.planes, "intervals": checker.intervals},
+        sizes=checker.sizes,
         left_out=tuple(map(checker.named, checker.apart)),
-        uncovered=tuple(body.name for body in bodies if body.inside),
-        deviations={name: x for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x},
+        uncovered=tuple(body.name for body in checker.bodies if body.inside),
+        deviations=tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x),
         motions=tuple(checker.motions),
         tightest=checker.tightest,
-        common=common,
+        common=checker.common,
     )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print what it proves; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read.
+    """Check a file and print its claim; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read.
 
     Parameters
     ----------
@@ -616,15 +577,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1 if isinstance(error, Refused) else 2
     lines = [("model", report.model), ("", ", ".join(f"{count} {what}" for what, count in report.sizes.items()))]
     for number, (degree, joined, inside, places) in enumerate(report.motions):
-        start = "starts where the last one ends" if joined and number else "starts anew" if number else "the first"
+        start = ("starts anew", "starts where the last one ends")[joined] if number else "the first"
         limits = "within limits" if inside else "NOT WITHIN LIMITS"
         lines.append((f"motion {number}", f"degree {degree}, {start}, {limits}, {places} configurations"))
     if report.tightest:
         *pair, number, since, until, spare = report.tightest
         where = f"to spare in motion {number} from {since} to {until}: {_shown(*pair)}"
         lines.append(("tightest", f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm {where}"))
-    lines += [("left out", _shown(*pair)) for pair in report.left_out]
-    lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations.items()]
+    left_out = dict[str, list[str]]()
+    for first, second in report.left_out:
+        left_out.setdefault(first, []).append(second)
+    lines += [("left out", f"{_shown(name)} and {', '.join(map(_shown, some))}") for name, some in left_out.items()]
+    lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations]
     lines += [("not covered", f"the interior of {_shown(name)}") for name in report.uncovered]
     lines += [("common point", _shown(*report.common))] if report.common else []
     print("".join(f"{what:12} {text}\n" for what, text in lines) + "verified")
