@@ -33,7 +33,7 @@ DEEPEST = 40
 SHARE, ROOM = 1.0 + 2e-9, 2e-11
 
 # Normals are whole numbers up to this one. Some scales are tried, on deep levels many, since rounding turns a normal.
-LARGEST, SCALES, DEEP, DEEP_SCALES = 32767, 3, 10, 4096
+LARGEST, SCALES, DEEP, DEEP_SCALES, MOST_SCALED = 32767, 3, 10, 4096, 2**21
 
 # Normals that are rounded at a time.
 PRODUCTS = 2**14
@@ -210,8 +210,9 @@ class _Search:
         at = np.flatnonzero(~sure)
         divide = np.zeros(total, dtype=np.int64)
         if len(at):
-            found = self._search(tasks.at(at), placed.at(at), need[at], scores[:, at], depth)
-            token[at], normal[at], divide[at] = found
+            token[at], normal[at], divide[at] = self._search(
+                tasks.at(at), placed.at(at), need[at], scores[:, at], depth
+            )
         found = token >= 0
         return found, Planes(token[found], normal[found]), divide[~found]
 
@@ -245,8 +246,7 @@ class _Search:
             return token, normal, divide
         some, placed, need, gaps = tasks.at(open_), placed.at(open_), need[open_], gaps[:, open_]
         distance, normals = self._distances(some, placed)
-        allowed = self.model.margins[some.pair]
-        least = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1)
+        least = self.model.margins[some.pair] + self.bends.deviation[some.motion, some.pair].min(axis=1)
         counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
         near = np.flatnonzero((distance > need.min(axis=1) + ROOM * self.size).all(axis=0))
         if len(near):
@@ -266,7 +266,7 @@ class _Search:
         for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
             self._fail(some, k)
         # Pieces that no plane separates, although they are apart, are divided.
-        stuck = (gaps <= allowed + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
+        stuck = (gaps <= least + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
         divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
         return token, normal, divide
 
@@ -284,7 +284,7 @@ class _Search:
     def _halves(self, tasks: Tasks, divide: Ints, count: int) -> Tasks:
         """Make the two halves of each task, one after the other."""
         middle = (tasks.low + tasks.high) / 2
-        twice = Tasks(*(np.repeat(array, 2) for array in tasks))
+        twice = tasks.at(np.repeat(np.arange(len(tasks.node)), 2))
         second = np.tile([False, True], len(tasks.node))
         kind = np.repeat(divide, 2)
         low = np.where((kind == HALVED) & second, np.repeat(middle, 2), twice.low)
@@ -405,7 +405,8 @@ class _Search:
             turn = self.turn[:, :, self.model.pairs[tasks.pair, side]]
             local = sign * np.einsum("kjt,lket,let->etj", turn, placed.turn[:, :, side], normals, optimize=True)
             tried += [local.sum(axis=0), *local]
-        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), DEEP_SCALES if depth >= DEEP else SCALES)
+        scales = SCALES if depth < DEEP else min(DEEP_SCALES, max(SCALES, MOST_SCALED // (6 * len(tasks.node))))
+        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), scales)
         return Planes(np.broadcast_to(np.array([[0], [1], [0], [0], [1], [1]]), whole.shape[:2]), whole)
 
     # -- bytes --------------------------------------------------------------------------------
@@ -476,7 +477,7 @@ def rounded(n: Floats, scales: int) -> Ints:
     return found.astype(np.int64).reshape(n.shape)
 
 
-def _kernel(packed: Packed, model: Model) -> records.Pieces:
+def _kernel(packed: Packed, model: Model) -> Any:
     """Return the arrays for kernels with surfaces as the hulls of their corners."""
     kernel, layout = packed.kernel, packed.kernel.layout.copy()
     blocks, count = [kernel.points], len(kernel.points) // 3
@@ -563,34 +564,38 @@ def _divided(
 ) -> Clusters:  # fmt: skip
     """Make the clusters and the balls of placed pieces."""
     start = model.pieces.start
-    rows, of_body = [], []
-    for body, (first, last) in enumerate(pairwise(start.tolist())):
+    rows: list[list[int]] = []
+    of_body = []
+    for one, ends_ in enumerate(pairwise(start.tolist())):
         k = len(rows)
         of_body.append(k)
-        rows.append([body, first, last, -1, -1])
+        rows.append([one, *ends_, -1, -1])
         while k < len(rows):
-            _, first, last, _, _ = rows[k]
-            if last - first > 1:
-                middle = first + (last - first) // 2
+            begins, stops = rows[k][1:3]
+            if stops - begins > 1:
+                middle = begins + (stops - begins) // 2
                 rows[k][3:] = len(rows), len(rows) + 1
-                rows += [[body, first, middle, -1, -1], [body, middle, last, -1, -1]]
+                rows += [[one, begins, middle, -1, -1], [one, middle, stops, -1, -1]]
             k += 1
     body, first, last, left, right = np.array(rows, dtype=np.int64).reshape(-1, 5).T
     low, high = (array[first] for array in ends)
-    for k in np.flatnonzero(last - first > 1):
+    for k in np.flatnonzero(last - first > 1).tolist():
         low[k], high[k] = ends[0][first[k] : last[k]].min(axis=0), ends[1][first[k] : last[k]].max(axis=0)
     M = model.turn[body]
     square = (M * M).sum(axis=1)
     center = np.einsum("cij,cj->ic", M, (low + high) / 2 / square)
     half = ((high - low) / 2 / square).T
-    own = [[curved[piece] for piece in range(*ends_) if piece in curved] for ends_ in zip(first, last, strict=True)]
+    own = [
+        [curved[piece] for piece in range(*ends_) if piece in curved]
+        for ends_ in zip(first.tolist(), last.tolist(), strict=True)
+    ]
     of = np.searchsorted(of_ball, np.arange(len(start) - 1))
     least = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], of)
-    middle = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
-    radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - middle[of_ball], axis=1) + balls[:, 3], of)
+    centers = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
+    radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - centers[of_ball], axis=1) + balls[:, 3], of)
     return Clusters(
         np.array(of_body, dtype=np.int64), first, last, left, right, center, half, points, begin[first], begin[last],
-        own, np.column_stack([middle, radius]),
+        own, np.column_stack([centers, radius]),
     )  # fmt: skip
 
 
