@@ -1,8 +1,8 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
 `robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read. Users call `checker`;
-`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them; `written_proofs`
-lets other programs verify the answers. `sampling` finds pairs that need no check.
+`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `sampling`
+finds pairs that need no check, and `written_proofs` writes proofs that other programs verify.
 """
 
 from loewner.robots.assembly import Part

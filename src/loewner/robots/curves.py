@@ -138,10 +138,17 @@ def certified(
             part: Any = (array[first:last] for array in proven)
             one = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             if model is not None and one.verdict == Verdict.FREE:
-                one = replace(one, proof=proof_of(model, ready, curves[k].courses, curves[k].off.max(axis=0)))
+                one = replace(one, proof=proof_of(model, ready, *_joined(curves[k])))
             found[k] = one
             first = last
     return [one for one in found if one is not None]
+
+
+def _joined(curve: Curve) -> tuple[Floats, Floats]:
+    """Let each segment begin exactly where the one before ends; return the courses and how far values may deviate."""
+    courses = curve.courses.copy()
+    courses[1:, 0] = courses[:-1, -1]
+    return courses, curve.off.max(axis=0) + np.abs(courses - curve.courses).max(axis=(0, 1))
 
 
 def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:

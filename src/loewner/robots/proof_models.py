@@ -1,7 +1,7 @@
 """Models of a robot and its surroundings as proofs hold them: in bytes, and as arrays for the search of planes.
 
 docs/proof-format.md describes the bytes. Links that do not move become frames of bodies, planar joints two links that
-slide and one that turns, and surfaces the boxes that proofs of motions take for them.
+slide and one that turns, and surfaces the hulls of their parts.
 """
 
 from __future__ import annotations
@@ -211,9 +211,9 @@ def _groups(links: Links, link: Ints) -> Ints:
 
 
 def pieces_of(packed: Packed) -> Pieces:
-    """List the pieces of packed bodies; surfaces are the boxes around them."""
-    kinds, corners, layout = [], [], packed.kernel.layout
-    for k, (row, frame) in enumerate(zip(packed.layout.tolist(), packed.frames, strict=True)):
+    """List the pieces of packed bodies; surfaces, or parts of them, are the hulls of their corners."""
+    kinds, corners = [], []
+    for row, frame in zip(packed.layout.tolist(), packed.frames, strict=True):
         kind = row[columns.KIND]
         kinds.append(_CURVED.get(kind, HULL))
         center, factor = frame[1:4], frame[4:].reshape(3, 3)
@@ -223,11 +223,9 @@ def pieces_of(packed: Packed) -> Pieces:
             corners.append(center[None])
         elif kind == columns.SEGMENT:
             corners.append(np.stack([center - factor[:, 2], center + factor[:, 2]]))
-        elif kind <= columns.SURFACE:
-            at = 3 * layout[k, columns.POINTS_FROM]
-            corners.append(packed.kernel.points[at : at + 3 * columns.BLOCK].reshape(3, columns.BLOCK).T)
         else:
-            corners.append(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]])
+            own = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+            corners.append(np.unique(own + 0.0, axis=0) if kind <= columns.SURFACE else own)
     return Pieces(packed.piece_start, np.array(kinds, dtype=np.int64), packed.frames[:, 0], corners)
 
 

@@ -17,6 +17,7 @@ from loewner._kernels import columns, records
 from loewner._measure import measure
 from loewner._rotations import rotations_of
 from loewner._validate import Bools, Floats, Ints
+from loewner.bodies import Packed
 from loewner.errors import ConvergenceError
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import BALL, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
@@ -25,8 +26,8 @@ from loewner.robots.robot import link_poses
 # Tokens of the trees.
 HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL = 0, 1, 2, 3, 4, 16
 
-# Checkers may refuse trees that are deeper.
-DEEPEST = 64
+# Trees get no deeper, so that intervals have few digits; checkers allow 64.
+DEEPEST = 40
 
 # What is left for checkers that compute with enclosures: of the lengths on the right, and of the model's size.
 SHARE, ROOM = 1.0 + 2e-9, 2e-11
@@ -40,8 +41,8 @@ PRODUCTS = 2**14
 # Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
 BOX_ROOM = 4e-6
 
-# Trees that are made at a time.
-AT_ONCE = 2**15
+# Trees, and motions, that are proven at a time.
+AT_ONCE, MOTIONS_AT_ONCE = 2**15, 2**10
 
 # Candidates among the axes that are tried after the boxes.
 BEST_AXES = 3
@@ -58,8 +59,8 @@ class Clusters(NamedTuple):
         The first piece, and the one after the last.
     left, right : ndarray of int64
         Its two halves; -1 if it is a single piece.
-    center, edges : ndarray, shapes (C, 3) and (C, 3, 3)
-        A box around it along the axes of the body, in the frame of the link; half edges in columns.
+    center, half : ndarray, shape (3, C)
+        A box around it along the axes of the body: its center in the frame of the link, and half of its edges.
     points : ndarray, shape (V, 4)
         Corners of hulls in the frame of the link, and the radius about each.
     begin, end : ndarray of int64
@@ -76,7 +77,7 @@ class Clusters(NamedTuple):
     left: Ints
     right: Ints
     center: Floats
-    edges: Floats
+    half: Floats
     points: Floats
     begin: Ints
     end: Ints
@@ -108,6 +109,17 @@ class Tasks(NamedTuple):
         return Tasks(*(array[chosen] for array in self))
 
 
+class Placed(NamedTuple):
+    """Poses of the links of both bodies at both ends: arrays of shapes (3, 3, 2, 2, T) and (3, 2, 2, T)."""
+
+    turn: Floats
+    shift: Floats
+
+    def at(self, chosen: Any) -> Placed:
+        """Select some tasks."""
+        return Placed(self.turn[..., chosen], self.shift[..., chosen])
+
+
 class Planes(NamedTuple):
     """Candidates, or planes that were found: the side whose body is the lower one, and normals in whole numbers."""
 
@@ -124,8 +136,8 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
         If planes that the format can express do not prove a pair to be apart.
     """
     search = _Search(ready.in_parts, model, deviations)
-    step = max(1, AT_ONCE // max(1, len(model.pairs)))
-    return b"".join(search.of(courses[k : k + step]) for k in range(0, len(courses), step))
+    step = min(max(1, AT_ONCE // max(1, len(model.pairs))), MOTIONS_AT_ONCE)
+    return b"".join(search.of(courses[k : k + step], k) for k in range(0, len(courses), step))
 
 
 class _Search:
@@ -138,12 +150,14 @@ class _Search:
         self.named = np.full((len(model.pairs), 4), -1, dtype=np.int64)
         self.recent = np.zeros((len(model.pairs), 4), dtype=np.int64)
         links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
+        self.turn = np.ascontiguousarray(model.turn.transpose(1, 2, 0))
+        self.kernel = _kernel(self.ready.packed, model)
         self.link = np.where(links < 0, len(ready.robot.link_names), links)
 
-    def of(self, courses: Floats) -> bytes:
-        """Make the trees of some motions."""
+    def of(self, courses: Floats, first: int) -> bytes:
+        """Make the trees of some motions, from number `first` on."""
         motions, pairs = len(courses), len(self.model.pairs)
-        self.courses = courses
+        self.courses, self.first = courses, first
         self.bends, self.size = self.chains.bends(courses)
         m, p = (array.ravel() for array in np.indices((motions, pairs)))
         a, b = self.clusters.of_body[self.model.pairs[p]].T
@@ -190,19 +204,19 @@ class _Search:
         need = SHARE * (self.model.margins[tasks.pair][:, None] + need)
         token, normal = np.full(total, -1), np.zeros((total, 3), dtype=np.int64)
         scores = self._boxes(tasks, placed, need)
-        best = scores.argmax(axis=1)
-        sure = scores[np.arange(total), best] > BOX_ROOM * self.size
+        best = scores.argmax(axis=0)
+        sure = scores[best, np.arange(total)] > BOX_ROOM * self.size
         token[sure] = AXES + best[sure]
         at = np.flatnonzero(~sure)
         divide = np.zeros(total, dtype=np.int64)
         if len(at):
-            some = tuple(T[at] for T in placed)
-            token[at], normal[at], divide[at] = self._search(tasks.at(at), some, need[at], scores[at], depth)
+            found = self._search(tasks.at(at), placed.at(at), need[at], scores[:, at], depth)
+            token[at], normal[at], divide[at] = found
         found = token >= 0
         return found, Planes(token[found], normal[found]), divide[~found]
 
     def _search(
-        self, tasks: Tasks, placed: Any, need: Floats, scores: Floats, depth: int
+        self, tasks: Tasks, placed: Placed, need: Floats, scores: Floats, depth: int
     ) -> tuple[Ints, Ints, Ints]:  # fmt: skip
         """Look for planes of tasks that boxes do not settle.
 
@@ -215,7 +229,7 @@ class _Search:
             How those without a plane are divided.
         """
         # The best axes, and the plane that was found last for this pair.
-        order = np.argsort(-scores, axis=1)[:, :BEST_AXES].T
+        order = np.argsort(-scores, axis=0)[:BEST_AXES]
         recent = self.recent[tasks.pair]
         tried = Planes(
             np.append(order // 6, recent[None, :, 0], axis=0), np.append(_AXES[order], recent[None, :, 1:], axis=0)
@@ -229,16 +243,16 @@ class _Search:
         open_ = np.flatnonzero(token < 0)
         if len(open_) == 0:
             return token, normal, divide
-        some, T, need, gaps = tasks.at(open_), tuple(T[open_] for T in placed), need[open_], gaps[:, open_]
-        distance, normals = self._distances(some, T)
+        some, placed, need, gaps = tasks.at(open_), placed.at(open_), need[open_], gaps[:, open_]
+        distance, normals = self._distances(some, placed)
         allowed = self.model.margins[some.pair]
         least = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1)
         counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
-        near = np.flatnonzero((distance > need.min(axis=1)[:, None] + ROOM * self.size).all(axis=1))
+        near = np.flatnonzero((distance > need.min(axis=1) + ROOM * self.size).all(axis=0))
         if len(near):
-            chosen, T = some.at(near), tuple(T_[near] for T_ in T)
-            tried = self._normals(chosen, T, normals[near], depth)
-            which, own, more = self._tried(chosen, T, need[near], tried)
+            chosen, placed = some.at(near), placed.at(near)
+            tried = self._normals(chosen, placed, normals[..., near], depth)
+            which, own, more = self._tried(chosen, placed, need[near], tried)
             gaps[:, near] = np.fmax(gaps[:, near], more)
             good = which >= 0
             at = open_[near[good]]
@@ -246,7 +260,7 @@ class _Search:
             token[at], normal[at] = NORMAL + side, own[good]
             self.recent[chosen.pair[good]] = np.column_stack([side, own[good]])
         # Halving does not help where one end is too near, of which distances tell, and precise normals of two pieces.
-        sunk = (distance < (least - BOX_ROOM * self.size)[:, None]).any(axis=1)
+        sunk = (distance < least - BOX_ROOM * self.size).any(axis=0)
         if depth >= DEEP:
             sunk[near] |= ((gaps <= least + ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
         for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
@@ -256,16 +270,16 @@ class _Search:
         divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
         return token, normal, divide
 
-    def _tried(self, tasks: Tasks, placed: Any, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
+    def _tried(self, tasks: Tasks, placed: Placed, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
         """Return for each task the number of the first candidate that proves it, or -1; its normal; and the largest
         gap of all candidates at either end, shape (2, T)."""
         length = np.linalg.norm(tried.normal, axis=2)
-        gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)[:, None]
-        gaps[np.broadcast_to(length[:, None] == 0, gaps.shape)] = -np.inf
+        gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)
+        gaps[:, length == 0] = -np.inf
         each = np.arange(len(need))
-        held = gaps.min(axis=1) > need[each, tried.side] + ROOM * self.size
+        held = gaps.min(axis=0) > need[each, tried.side] + ROOM * self.size
         which = np.where(held.any(axis=0), held.argmax(axis=0), -1)
-        return which, tried.normal[which, each], gaps.max(axis=0)
+        return which, tried.normal[which, each], gaps.max(axis=1)
 
     def _halves(self, tasks: Tasks, divide: Ints, count: int) -> Tasks:
         """Make the two halves of each task, one after the other."""
@@ -282,109 +296,114 @@ class _Search:
 
     def _fail(self, tasks: Tasks, k: int) -> None:
         a, b = (self.ready.names[n] for n in self.model.pairs[tasks.pair[k]])
+        why = "normals of 16 bits are too coarse for how near they come; keep a margin of some micrometres"
+        if self.deviations.any():
+            why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
         raise ConvergenceError(
-            f"proof: expected planes between {a} and {b} all along motion {tasks.motion[k]}, found none from the "
-            f"fraction {tasks.low[k]:.6g} to {tasks.high[k]:.6g} that a proof can hold, although the motion is free: "
-            "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
+            f"proof: expected planes between {a} and {b} all along motion {self.first + tasks.motion[k]}, found none "
+            f"from the fraction {tasks.low[k]:.6g} to {tasks.high[k]:.6g} that a proof can hold, although the motion "
+            f"is free: {why}"
         )
 
     # -- geometry -----------------------------------------------------------------------------
 
-    def _poses(self, tasks: Tasks) -> tuple[Floats, Floats]:
-        """Return the world poses of the links of both bodies at both ends: two arrays of shape (T, 2, 4, 4)."""
-        times = np.stack([tasks.low, tasks.high], axis=1)
-        keys = tasks.motion[:, None] + times / 2  # times are fractions with few digits
-        known, where = np.unique(keys, return_inverse=True)
+    def _poses(self, tasks: Tasks) -> Placed:
+        """Return the world poses of the links of both bodies at both ends."""
+        times = np.stack([tasks.low, tasks.high])
+        known, where = np.unique(tasks.motion + times / 2, return_inverse=True)  # fractions have few digits
         number = np.minimum(known.astype(np.int64), len(self.courses) - 1)
         t = (2 * (known - number))[:, None]
         degree = self.courses.shape[1] - 1
         Q = sum(comb(degree, k) * t**k * (1 - t) ** (degree - k) * self.courses[number, k] for k in range(degree + 1))
-        world = link_poses(self.ready.robot, np.ascontiguousarray(Q))
-        world = np.concatenate([world, np.broadcast_to(np.eye(4), (len(world), 1, 4, 4))], axis=1)
-        where = where.reshape(-1, 2)
-        bodies = self.model.pairs[tasks.pair]
-        return tuple(world[where, self.link[body][:, None]] for body in bodies.T)  # type: ignore[return-value]
+        world = np.empty((4, 4, len(known), len(self.ready.robot.link_names) + 1))
+        world[..., :-1] = link_poses(self.ready.robot, np.ascontiguousarray(Q)).transpose(2, 3, 0, 1)
+        world[..., -1] = np.eye(4)[..., None]
+        bodies = self.model.pairs[tasks.pair].T
+        flat = (
+            where.reshape(times.shape) * world.shape[3] + self.link[bodies][:, None]
+        )  # which is a body, an end, a task
+        found = np.take(world.reshape(4, 4, -1), flat, axis=2)
+        return Placed(found[:3, :3], found[:3, 3])
 
-    def _boxes(self, tasks: Tasks, placed: Any, need: Floats) -> Floats:
+    def _boxes(self, tasks: Tasks, placed: Placed, need: Floats) -> Floats:
         """Compute by how much the gaps of boxes along twelve axes, in the order of tokens, exceed what is needed."""
-        (Ta, Tb), made = placed, self.clusters
-        centers, edges, axes = [], [], []
-        for T, cluster, body in ((Ta, tasks.a, 0), (Tb, tasks.b, 1)):
-            R = T[..., :3, :3]
-            centers.append(np.einsum("tesk,tk->tes", R, made.center[cluster]) + T[..., :3, 3])
-            edges.append(np.einsum("tesk,tkj->tesj", R, made.edges[cluster]))
-            axes.append(np.einsum("tesk,tkj->tesj", R, self.model.turn[self.model.pairs[tasks.pair, body]]))
-        apart = centers[1] - centers[0]
-        scores = np.empty((len(need), 2, 6))
-        for side in (0, 1):
-            along = np.einsum("tes,tesj->tej", apart if side == 0 else -apart, axes[side])
-            widths = sum(np.abs(np.einsum("tesk,tesj->tekj", E, axes[side])).sum(axis=2) for E in edges)
-            for sign, first in ((1, 0), (-1, 3)):
-                scores[:, side, first : first + 3] = (sign * along - widths).min(axis=1) - need[:, side, None]
-        return scores.reshape(-1, 12)
+        made, bodies, clusters = self.clusters, self.model.pairs[tasks.pair].T, np.stack([tasks.a, tasks.b])
+        axes = np.einsum("ikbet,kjbt->ijbet", placed.turn, self.turn[:, :, bodies])
+        centers = np.einsum("ikbet,kbt->ibet", placed.turn, made.center[:, clusters]) + placed.shift
+        half = made.half[:, clusters]
+        apart = centers[:, 1] - centers[:, 0]
+        cross = np.abs(np.einsum("ijet,iket->jket", axes[:, :, 0], axes[:, :, 1]))
+        scores = np.empty((2, 2, 3, len(need)))
+        for side, widths in enumerate(
+            (np.einsum("jket,kt->jet", cross, half[:, 1]), np.einsum("jket,jt->ket", cross, half[:, 0]))
+        ):
+            along = np.einsum("iet,ijet->jet", apart if side == 0 else -apart, axes[:, :, side])
+            widths += half[:, side, None]
+            scores[side, 0] = (along - widths).min(axis=1) - need[:, side]
+            scores[side, 1] = (-along - widths).min(axis=1) - need[:, side]
+        return scores.reshape(12, -1)
 
-    def _gaps(self, tasks: Tasks, placed: Any, tried: Planes) -> Floats:
-        """Compute the gaps of candidates at both ends, shape (K, 2, T), undivided by the lengths of their normals."""
+    def _gaps(self, tasks: Tasks, placed: Placed, tried: Planes) -> Floats:
+        """Compute the gaps of candidates at both ends, shape (2, K, T), undivided by the lengths of their normals."""
         side = tried.side.astype(bool)
         bodies = self.model.pairs[tasks.pair].T
-        n = np.einsum("ktij,ktj->kti", self.model.turn[np.where(side, bodies[1], bodies[0])], tried.normal)
-        which = side[..., None, None, None]
-        T, S = np.where(which, placed[1], placed[0]), np.where(which, placed[0], placed[1])
-        world = np.einsum("kteij,ktj->ktei", T[..., :3, :3], n)
-        offset = np.einsum("ktei,ktei->ket", world, S[..., :3, 3] - T[..., :3, 3])
-        turned = -np.einsum("kteji,ktej->ekti", S[..., :3, :3], world)
+        normal = np.ascontiguousarray(np.moveaxis(tried.normal, 2, 0), dtype=np.float64)
+        n = np.einsum("ijkt,jkt->ikt", self.turn[:, :, np.where(side, bodies[1], bodies[0])], normal)
+        R, t = placed.turn[:, :, :, :, None], placed.shift[:, :, :, None]
+        world = np.einsum("ijekt,jkt->iekt", np.where(side, R[:, :, 1], R[:, :, 0]), n)
+        apart = t[:, 1] - t[:, 0]
+        offset = np.einsum("iekt,iekt->ekt", world, np.where(side, -apart, apart))
+        turned = -np.einsum("jiekt,jekt->iekt", np.where(side, R[:, :, 0], R[:, :, 1]), world)
         lower, upper = np.where(side, tasks.b, tasks.a), np.where(side, tasks.a, tasks.b)
-        directions = np.concatenate([n[None], turned]).reshape(-1, 3)
-        reach = self._supports(np.stack([lower, upper, upper]).ravel(), directions).reshape(3, *side.shape)
-        return np.asarray(offset - reach[1:].swapaxes(0, 1) - reach[:1].swapaxes(0, 1))
+        directions = np.concatenate([n[:, None], turned], axis=1).reshape(3, -1)
+        reach = self.supports(np.stack([lower, upper, upper]).ravel(), directions).reshape(3, *side.shape)
+        return np.asarray(offset - reach[1:] - reach[:1])
 
-    def _supports(self, cluster: Ints, directions: Floats) -> Floats:
-        """Compute the largest products of directions with points of clusters."""
+    def supports(self, cluster: Ints, directions: Floats) -> Floats:
+        """Compute the largest products of directions, shape (3, N), with points of clusters, shape (N,)."""
         made = self.clusters
         order = np.argsort(cluster, kind="stable")
-        rows = np.column_stack([directions, np.linalg.norm(directions, axis=1)])[order]
-        sorted_ = cluster[order]
-        bounds = [0, *(np.flatnonzero(np.diff(sorted_)) + 1).tolist(), len(order)]
+        rows = np.vstack([directions, np.sqrt((directions * directions).sum(axis=0))])[:, order]
+        cluster = cluster[order]
+        bounds = [0, *(np.flatnonzero(np.diff(cluster)) + 1).tolist(), len(order)]
         best = np.full(len(order), -np.inf)
-        for first, last in pairwise(bounds):
-            c = sorted_[first]
-            n, points = rows[first:last], made.points[made.begin[c] : made.end[c]]
+        for first, last in pairwise(bounds if len(order) else []):
+            c = cluster[first]
+            n, points = rows[:, first:last], made.points[made.begin[c] : made.end[c]]
             if len(points):
-                (n @ points.T).max(axis=1, out=best[first:last])
+                (points @ n).max(axis=0, out=best[first:last])
             for shape in made.curved[c]:
-                best[first:last] = np.maximum(best[first:last], shape.reach(n))
+                best[first:last] = np.maximum(best[first:last], shape.reach(n.T))
         found = np.empty(len(order))
         found[order] = best
         return found
 
-    def _distances(self, tasks: Tasks, placed: Any) -> tuple[Floats, Floats]:
-        """Compute distances of the clusters at both ends, shape (T, 2), and normals from a to b, shape (T, 2, 3)."""
-        total = 2 * len(tasks.node)
+    def _distances(self, tasks: Tasks, placed: Placed) -> tuple[Floats, Floats]:
+        """Compute distances of the clusters at both ends, shape (2, T), and normals from a to b, shape (3, 2, T)."""
+        count = len(tasks.node)
+        total = 2 * count
         operands: list[Any] = [np.array([[total], [2], [1], [2], [1]]), np.empty((2, 0), dtype=np.int64)]
         kept = []
-        kernel = self.ready.packed.kernel
-        layout = kernel.layout.copy()
-        layout[layout[:, columns.KIND] <= columns.SURFACE, columns.KIND] = columns.POLYTOPE  # the box around it
         for k, cluster in enumerate((tasks.a, tasks.b)):
             body = self.model.pairs[tasks.pair, k]
-            ends = np.stack([self.clusters.first[cluster], self.clusters.last[cluster]], axis=1)
-            start = np.repeat(ends, 2, axis=0).ravel()
-            frame = np.tile(np.eye(4), (len(body), 1, 1))
-            frame[:, :3, :3], frame[:, :3, 3] = self.model.turn[body], self.model.shift[body]
-            T = np.ascontiguousarray((placed[k] @ frame[:, None]).reshape(-1, 4, 4))
-            record = kernel._replace(layout=layout, piece_start=start, roots=np.full(total * 2, -1))
+            start = np.tile(np.stack([self.clusters.first[cluster], self.clusters.last[cluster]], axis=1), (2, 1))
+            R, t, T = placed.turn[:, :, k], placed.shift[:, k], np.zeros((4, 4, 2, count))
+            T[:3, :3] = np.einsum("ijet,jkt->iket", R, self.turn[:, :, body])
+            T[:3, 3] = np.einsum("ijet,jt->iet", R, self.model.shift[body].T) + t
+            T[3, 3] = 1.0
+            record = self.kernel._replace(piece_start=start.ravel(), roots=np.full(2 * total, -1))
             kept.append((record, records.table_of(record)))
-            operands += [kept[-1][1].ctypes.data, T]
+            operands += [kept[-1][1].ctypes.data, np.ascontiguousarray(T.transpose(2, 3, 0, 1).reshape(-1, 4, 4))]
         found = measure(True, total, tuple(operands))
         distance = np.where(found.unsettled, found.upper, found.distance)
-        return distance.reshape(-1, 2), np.nan_to_num(found.normal).reshape(-1, 2, 3)
+        return distance.reshape(2, -1), np.nan_to_num(found.normal).T.reshape(3, 2, -1)
 
-    def _normals(self, tasks: Tasks, placed: Any, normals: Floats, depth: int) -> Planes:
+    def _normals(self, tasks: Tasks, placed: Placed, normals: Floats, depth: int) -> Planes:
         """Make candidates of the normals at both ends: their mean and each of them, in the frame of either body."""
         tried = []
         for side, sign in ((0, 1.0), (1, -1.0)):
-            turn = self.model.turn[self.model.pairs[tasks.pair, side]]
-            local = sign * np.einsum("tkj,telk,tel->etj", turn, placed[side][..., :3, :3], normals)
+            turn = self.turn[:, :, self.model.pairs[tasks.pair, side]]
+            local = sign * np.einsum("kjt,lket,let->etj", turn, placed.turn[:, :, side], normals, optimize=True)
             tried += [local.sum(axis=0), *local]
         whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), DEEP_SCALES if depth >= DEEP else SCALES)
         return Planes(np.broadcast_to(np.array([[0], [1], [0], [0], [1], [1]]), whole.shape[:2]), whole)
@@ -413,10 +432,10 @@ class _Search:
         leaves = np.flatnonzero(~inner)
         leaves = leaves[np.lexsort((place[leaves], pair[leaves]))]
         plane = np.column_stack([token[leaves], normal[leaves]])
-        first = np.append(True, np.diff(pair[leaves]) > 0)
+        first = np.append(True, np.diff(pair[leaves]) > 0)[: len(leaves)]
         before = np.roll(plane, 1, axis=0)
         before[first] = self.named[pair[leaves[first]]]
-        last = np.append(first[1:], True)
+        last = np.append(first[1:], True)[: len(leaves)]
         self.named[pair[leaves[last]]] = plane[last]
         token[leaves[(plane == before).all(axis=1) & (plane[:, 0] >= NORMAL)]] = SAME
         laid_out()
@@ -450,11 +469,30 @@ def rounded(n: Floats, scales: int) -> Ints:
     for scale in np.array_split(multiples, min(scales, 1 + scales * len(flat) // PRODUCTS)):
         whole = np.rint(scale[:, None, None] * flat)
         along = (whole * unit).sum(axis=2)
-        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-300) ** 2
+        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-150) ** 2
         best = off.argmin(axis=0)
         better = off[best, each] < least
         found[better], least[better] = whole[best, each][better], off[best, each][better]
     return found.astype(np.int64).reshape(n.shape)
+
+
+def _kernel(packed: Packed, model: Model) -> records.Pieces:
+    """Return the arrays for kernels with surfaces as the hulls of their corners."""
+    kernel, layout = packed.kernel, packed.kernel.layout.copy()
+    blocks, count = [kernel.points], len(kernel.points) // 3
+    for k in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
+        own = model.pieces.points[k]
+        own = np.concatenate([own, np.repeat(own[-1:], -len(own) % columns.BLOCK, axis=0)])
+        layout[k, : columns.POINTS_TO + 1] = columns.POLYTOPE, count, count + len(own)
+        blocks.append(own.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1).ravel())
+        count += len(own)
+    if len(blocks) == 1:
+        return kernel
+    points = records.aligned(3 * count)
+    points[:] = np.concatenate(blocks)
+    vertices = records.aligned(len(points) if len(kernel.single) else 0, np.float32)
+    vertices[:] = points[: len(vertices)]
+    return kernel._replace(layout=layout, points=points, vertices=vertices)
 
 
 class _Curved(NamedTuple):
@@ -543,15 +581,15 @@ def _divided(
         low[k], high[k] = ends[0][first[k] : last[k]].min(axis=0), ends[1][first[k] : last[k]].max(axis=0)
     M = model.turn[body]
     square = (M * M).sum(axis=1)
-    center = np.einsum("cij,cj->ci", M, (low + high) / 2 / square)
-    edges = M * ((high - low) / 2 / square)[:, None]
+    center = np.einsum("cij,cj->ic", M, (low + high) / 2 / square)
+    half = ((high - low) / 2 / square).T
     own = [[curved[piece] for piece in range(*ends_) if piece in curved] for ends_ in zip(first, last, strict=True)]
     of = np.searchsorted(of_ball, np.arange(len(start) - 1))
     least = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], of)
     middle = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
     radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - middle[of_ball], axis=1) + balls[:, 3], of)
     return Clusters(
-        np.array(of_body, dtype=np.int64), first, last, left, right, center, edges, points, begin[first], begin[last],
+        np.array(of_body, dtype=np.int64), first, last, left, right, center, half, points, begin[first], begin[last],
         own, np.column_stack([middle, radius]),
     )  # fmt: skip
 
