@@ -532,7 +532,7 @@ def verify(data: bytes) -> Report:
     >>> from loewner.verify import verify
     >>> verify(b"nothing")
     Traceback (most recent call last):
-    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 67108864.
+    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 16777216.
     """
     if not 56 <= len(data) <= MOST_BYTES:
         raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
