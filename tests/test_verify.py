@@ -217,6 +217,14 @@ def test_counts_that_a_file_cannot_hold_are_refused_at_once():
     assert refused > 100
 
 
+def test_work_is_bounded(monkeypatch):
+    """A short file that announces much work is refused before it is done: many motions of high degree."""
+    monkeypatch.setattr(checker, "MOST_WORK", 1 << 24)  # a 64th of what is allowed
+    still = model([link()], [], [])
+    with pytest.raises(Refused, match="steps"):
+        verify(sealed(still, struct.pack("<I", 10**5) + b"\xff" * 10**5))
+
+
 def test_each_changed_byte_is_found():
     """A changed byte is refused by the hash; if this is repaired, the file is refused or is still a proof."""
     data, dice = turning(margin=0.3), random.Random(0)
@@ -246,7 +254,7 @@ def test_no_planes_prove_a_motion_that_collides():
         normal = (round(3e4 * math.cos(angle)), round(3e4 * math.sin(angle)), dice.randrange(-2, 3))
         return plane(normal, dice.choice((16, 17)))
 
-    for _ in range(300):
+    for _ in range(150):
         with pytest.raises(Refused, match="lacks"):
             verify(turning(post, tree(5), [[(0.0,), (math.pi / 2,)]]))
     # Parts of the motion can be proven: up to an eighth, with a plane between the rod and the post.
@@ -280,7 +288,9 @@ def test_pairs_left_out_are_reported():
         verify(sealed(given, proof([[(0.0,), (0.5,)]], ALONG_Y * 2)))
 
 
-# Random chains, placed by NumPy.
+# Random chains, placed by NumPy: a few in the quick suite, many in `make verify`.
+
+FEW_OR_MANY = pytest.mark.parametrize("chains", [25, pytest.param(1000, marks=pytest.mark.verify)])
 
 
 def matrix_of(w, x, y, z):
@@ -289,6 +299,13 @@ def matrix_of(w, x, y, z):
     rows.append([2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)])
     rows.append([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z])
     return np.array(rows)
+
+
+def values(control, t):
+    """Values on a motion, by de Casteljau's scheme."""
+    while len(control) > 1:
+        control = (1 - t) * control[:-1] + t * control[1:]
+    return control[0]
 
 
 def placed(links, values):
@@ -356,23 +373,18 @@ def random_robot(rng):
     return links, bodies, points
 
 
-def test_bounds_hold_for_random_chains():
+@FEW_OR_MANY
+def test_bounds_hold_for_random_chains(chains):
     """No point of a body has a larger second derivative than A, strays farther than V, or passes a support."""
     rng = np.random.default_rng(5)
     closest = 0.0
-    for _ in range(25):
+    for _ in range(chains):
         links, bodies, points = random_robot(rng)
         given = model([link(**some) for some in links], [(-1, 1)] * 2, bodies)
         control = rng.normal(size=(int(rng.integers(2, 5)), 2))
         off = rng.random(2) * 0.02
         found = checker._Checker(given, doubles(*off) + b"\0" * 4)
         motion = checker._Motion(0, control.tolist(), found.links, off.tolist())
-
-        def values(t, control=control):
-            rows = control
-            while len(rows) > 1:
-                rows = (1 - t) * rows[:-1] + t * rows[1:]
-            return rows[0]
 
         def seen(q, low, high, links=links, points=points):
             poses = placed(links, q)
@@ -384,21 +396,22 @@ def test_bounds_hold_for_random_chains():
                 continue
             a, v = (x / 2**72 for x in found.bound(motion, points[low][0], high))
             for t in rng.uniform(0.01, 0.99, 6):
-                at = seen(values(t), low, high)
-                bent = seen(values(t - 1e-3), low, high) - 2 * at + seen(values(t + 1e-3), low, high)
+                at = seen(values(control, t), low, high)
+                bent = seen(values(control, t - 1e-3), low, high) - 2 * at + seen(values(control, t + 1e-3), low, high)
                 most = np.linalg.norm(bent, axis=1).max() / 1e-6
                 assert most <= a * (1 + 1e-3) + 1e-3
                 closest = max(closest, most / (a + 1e-3))
-                strayed = seen(values(t) + off * rng.choice([-1, 1], 2), low, high) - at
+                strayed = seen(values(control, t) + off * rng.choice([-1, 1], 2), low, high) - at
                 assert np.linalg.norm(strayed, axis=1).max() <= v * (1 + 1e-9) + 1e-12
     assert closest > 0.9  # the test can find a bound that is too small
 
 
-def test_accepted_planes_separate():
+@FEW_OR_MANY
+def test_accepted_planes_separate(chains):
     """What is proven with random planes is true at random instants, deviations included."""
     rng = np.random.default_rng(6)
     accepted = 0
-    for _ in range(40):
+    for _ in range(chains):
         links, bodies, points = random_robot(rng)
         bodies = bodies[:2]
         control = rng.normal(size=(int(rng.integers(2, 4)), 2)) * 0.3
@@ -414,13 +427,64 @@ def test_accepted_planes_separate():
                 continue
             accepted += 1
             for t in rng.random(20):
-                rows = control
-                while len(rows) > 1:
-                    rows = (1 - t) * rows[:-1] + t * rows[1:]
-                poses = placed(links, rows[0] + rng.uniform(-1, 1, 2) * off)
+                poses = placed(links, values(control, t) + rng.uniform(-1, 1, 2) * off)
                 first, second = (some @ poses[k][0].T + poses[k][1] for k, some in points[:2])
                 assert np.linalg.norm(first[:, None] - second[None], axis=2).min() > margin
     assert accepted > 5
+
+
+@FEW_OR_MANY
+def test_no_plane_proves_more_than_the_closest_approach(chains):
+    """A margin that two balls miss by 1e-9 m, or by 1e-9 m with deviations, is proven by no plane in no interval."""
+    rng, proven, meetings = np.random.default_rng(7), 0, 0
+    while meetings < chains // 5:
+        links, _, _ = random_robot(rng)
+        where = [int(k) for k in rng.integers(-1, len(links), 2)]
+        centers, control = rng.normal(size=(2, 3)) * 0.3, rng.normal(size=(int(rng.integers(2, 5)), 2)) * 0.7
+        off = rng.random(2) * rng.choice([0.0, 0.01])
+
+        def apart(q, links=links, where=where, centers=centers):
+            poses = placed(links, q)
+            (a, s), (b, t) = (poses[k] for k in where)
+            return a, b, b @ centers[1] + t - a @ centers[0] - s
+
+        times = np.linspace(0, 1, 101)
+        distances = [np.linalg.norm(apart(values(control, t))[2]) for t in times]
+        low, high = times[max(int(np.argmin(distances)) - 1, 0)], times[min(int(np.argmin(distances)) + 1, 100)]
+        for _ in range(50):
+            one, two = low + (high - low) * 0.382, low + (high - low) * 0.618
+            if np.linalg.norm(apart(values(control, one))[2]) < np.linalg.norm(apart(values(control, two))[2]):
+                high = two
+            else:
+                low = one
+        meeting, corners = (low + high) / 2, [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        nearest = min(np.linalg.norm(apart(values(control, meeting) + off * corner)[2]) for corner in corners)
+        if nearest < 0.05:
+            continue
+        for margin in (nearest / 2 + 1e-9, nearest / 4):
+            bodies = [body(k, balls([(*c, nearest / 4)])) for k, c in zip(where, centers, strict=True)]
+            found = checker._Checker(model([link(**x) for x in links], [(-9, 9)] * 2, bodies, margin=margin), b"")
+            if found.bodies[0].group == found.bodies[1].group:
+                break
+            motion = checker._Motion(0, control.tolist(), found.links, off.tolist())
+            start, end = 0, 1 << 64
+            for _ in range(30):
+                for t in (start, end, (start + end) // 2):
+                    a, b, n = apart(values(control, t / 2**64))
+                    for first, normal in ((True, a.T @ n), (False, -b.T @ n)):
+                        rounded = (int(x) for x in np.round(normal / abs(normal).max() * 32767))
+                        found.last[0, 1] = first, tuple(rounded)
+                        try:
+                            found.leaf(motion, (0, 1), [(start, end), (0, 1), (0, 1)])
+                        except Refused:
+                            continue
+                        assert margin < nearest / 2
+                        proven += 1
+                half = (start + end) // 2
+                start, end = (start, half) if meeting * 2**64 < half else (half, end)
+        else:
+            meetings += 1
+    assert proven > 30 * meetings  # with a smaller margin, most intervals are proven
 
 
 # Common points.

@@ -245,9 +245,9 @@ class _Body:
                 raise Refused("A ball has a negative radius.")
             points, g = dict[int, list[Whole]](), _vector(numbers[3:] if width == 12 else ())
             for k in range(0, len(numbers), width):
-                y, own = _vector(numbers[k : k + 3]), _up(numbers[k + 3]) if kind == 4 else 0
-                points.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, y)))
-                self.largest = max(self.largest, abs(y[0]) + abs(y[1]) + abs(y[2]) + ONE, _norm_up(g) + ONE)
+                at, own = _vector(numbers[k : k + 3]), _up(numbers[k + 3]) if kind == 4 else 0
+                points.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, at)))
+                self.largest = max(self.largest, _norm_up(at) + ONE, _norm_up(g) + ONE)
             self.pieces.append([(kind, r, some, g and _product(self.matrix, g)) for r, some in points.items()])
         # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
         self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1
@@ -259,7 +259,8 @@ class _Body:
         x, y, z = ((a + b) // 2 for a, b in zip(low, high, strict=True))
         squares = ((r, max((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 for a, b, c in points)) for r, points in balls)
         radius = self.fuzz + max(isqrt(square) + 1 + r for r, square in squares)
-        self.ball, self.size = (self.link, (x, y, z), radius), _norm_up((x, y, z)) + radius
+        self.center: Whole = (x, y, z)
+        self.radius, self.size = radius, _norm_up(self.center) + radius
 
     def support(self, part: Pair, n: Whole, norm: int) -> int:
         """Largest product of n, which is not longer than `norm`, with a point of some pieces, rounded up."""
@@ -402,25 +403,22 @@ class _Checker:
 
     def run(self) -> None:
         """Check the proof of all motions."""
-        motions, self.deviations = list[_Motion](), self.reader.doubles(len(self.values), "deviation")
+        motions, self.deviations = list[list[list[float]]](), self.reader.doubles(len(self.values), "deviation")
         for number in range(self.reader.count(1, "motions")):
             (degree,) = self.reader.take("B")
             if degree == 0:
                 raise Refused(f"Motion {number} has the degree 0.")
-            points = [self.reader.doubles(len(self.values)) for _ in range(degree + 1)]
-            motions.append(_Motion(number, points, self.links, self.deviations))
-        for motion in motions:
-            self.spend(len(self.bodies) ** 2 // 8)
-            self.sizes["pairs"] = 0
+            self.spend(1000 * (degree + 1) + 100 * len(self.links) + len(self.bodies) ** 2 // 8)
+            motions.append([self.reader.doubles(len(self.values)) for _ in range(degree + 1)])
+        for number, points in enumerate(motions):
+            motion, self.sizes["pairs"] = _Motion(number, points, self.links, self.deviations), 0
             for i, j in combinations(range(len(self.bodies)), 2):
                 if self.bodies[i].group != self.bodies[j].group and (i, j) not in self.apart:
                     self.sizes["pairs"] += 1
                     self.tree(motion, (i, j))
-            points, before = motion.points, motions[max(motion.number - 1, 0)].points
-            joined = not motion.number or points[0] == before[-1]
+            joined = number == 0 or points[0] == motions[number - 1][-1]
             inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
             self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
-            motion.poses.clear()
 
     def tree(self, motion: _Motion, pair: Pair) -> None:
         """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
@@ -492,9 +490,9 @@ class _Checker:
 
     def bound(self, motion: _Motion, below: int, high: int) -> Pair:
         """A and V of a body seen from a link, rounded up."""
-        key, above, center, radius = (below, high), *self.bodies[high].ball
+        key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
         if key not in self.balls:  # the links in between, from the body on, and its reach about them without slides
-            up, down, self.balls[key] = list[int](), list[int](), []
+            up, down, self.balls[key], radius = list[int](), list[int](), [], self.bodies[high].radius
             while above != below:  # a link comes after the one above it, so the later of two is not the common one
                 (up if above > below else down).append(max(above, below))
                 above, below = (self.links[k].above if k == max(above, below) else k for k in (above, below))
@@ -534,7 +532,7 @@ def verify(data: bytes) -> Report:
     >>> from loewner.verify import verify
     >>> verify(b"nothing")
     Traceback (most recent call last):
-    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 67108864.
+    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 16777216.
     """
     if not 56 <= len(data) <= MOST_BYTES:
         raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
