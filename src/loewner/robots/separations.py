@@ -235,7 +235,7 @@ class _Search:
         tried = Planes(
             np.append(order // 6, recent[None, :, 0], axis=0), np.append(_AXES[order], recent[None, :, 1:], axis=0)
         )
-        token, normal, gaps = self._tried(tasks, placed, need, tried)
+        token, normal, spare = self._tried(tasks, placed, need, tried)
         axis = token >= 0
         axis[axis] = token[axis] < BEST_AXES
         token = np.where(axis, AXES + order[np.minimum(token, BEST_AXES - 1), np.arange(len(token))], token)
@@ -244,7 +244,7 @@ class _Search:
         open_ = np.flatnonzero(token < 0)
         if len(open_) == 0:
             return token, normal, divide
-        some, placed, need, gaps = tasks.at(open_), placed.at(open_), need[open_], gaps[:, open_]
+        some, placed, need, spare = tasks.at(open_), placed.at(open_), need[open_], spare[:, open_]
         distance, normals = self._distances(some, placed)
         least = self.model.margins[some.pair] + self.bends.deviation[some.motion, some.pair].min(axis=1)
         counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
@@ -253,7 +253,7 @@ class _Search:
             chosen, placed = some.at(near), placed.at(near)
             tried = self._normals(chosen, placed, normals[..., near], depth)
             which, own, more = self._tried(chosen, placed, need[near], tried)
-            gaps[:, near] = np.fmax(gaps[:, near], more)
+            spare[:, near] = np.fmax(spare[:, near], more)
             good = which >= 0
             at = open_[near[good]]
             side = tried.side[which[good], good]
@@ -262,23 +262,24 @@ class _Search:
         # Halving does not help where one end is too near, of which distances tell, and precise normals of two pieces.
         sunk = (distance < least - BOX_ROOM * self.size).any(axis=0)
         if depth >= DEEP:
-            sunk[near] |= ((gaps <= least + ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
+            sunk[near] |= ((spare <= ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
         for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
             self._fail(some, k)
         # Pieces that no plane separates, although they are apart, are divided.
-        stuck = (gaps <= least + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
+        stuck = ((spare <= ROOM * self.size).any(axis=0) | (depth >= DEEP)) & (counts.max(axis=0) > 1)
         divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
         return token, normal, divide
 
     def _tried(self, tasks: Tasks, placed: Placed, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
-        """Return for each task the number of the first candidate that proves it, or -1; its normal; and the largest
-        gap of all candidates at either end, shape (2, T)."""
+        """Return for each task the number of the first candidate that proves it, or -1; its normal; and by how much the
+        gaps of all candidates exceed margin and deviations at either end, at most, shape (2, T)."""
         length = np.linalg.norm(tried.normal, axis=2)
         gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)
         gaps[:, length == 0] = -np.inf
         each = np.arange(len(need))
         held = gaps.min(axis=0) > need[each, tried.side] + ROOM * self.size
         which = np.where(held.any(axis=0), held.argmax(axis=0), -1)
+        gaps -= self.model.margins[tasks.pair] + self.bends.deviation[tasks.motion, tasks.pair][each, tried.side]
         return which, tried.normal[which, each], gaps.max(axis=1)
 
     def _halves(self, tasks: Tasks, divide: Ints, count: int) -> Tasks:
