@@ -141,7 +141,7 @@ def model_of(ready: Problem) -> Model:
 
 
 def _refuse(ready: Problem) -> None:
-    """Refuse what the format cannot express."""
+    """Refuse robots and scenes that the format cannot express."""
     if ready.paths is not None:
         raise InputError(
             "proof: expected bodies that stand or belong to the robot, found bodies that follow motions (Scene.follow)"

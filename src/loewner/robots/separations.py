@@ -1,7 +1,7 @@
 """Find planes that separate all pairs of bodies along motions: the trees of a proof, see docs/proof-format.md.
 
 The search proceeds by levels of the trees, and handles all open intervals of a level, of all motions and pairs,
-together. It knows nothing of how the kernel proved the motions.
+together. It uses no result of the kernel that proved the motions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL = 0, 1, 2, 3, 4, 16
 # Trees get no deeper, so that intervals have few digits; checkers allow 64.
 DEEPEST = 40
 
-# What is left for checkers that compute with enclosures: of the lengths on the right, and of the model's size.
+# Room for checkers that compute with enclosures: as a share of the lengths on the right, and of the model's size.
 SHARE, ROOM = 1.0 + 2e-9, 2e-11
 
 # Normals are whole numbers up to this one. Some scales are tried, on deep levels many, since rounding turns a normal.
@@ -64,7 +64,7 @@ class Clusters(NamedTuple):
     points : ndarray, shape (V, 4)
         Corners of hulls in the frame of the link, and the radius about each.
     begin, end : ndarray of int64
-        The cluster's rows of these.
+        The cluster's rows in `points`.
     curved : list of lists of _Curved
         Its other pieces.
     balls : ndarray, shape (bodies, 4)
@@ -86,7 +86,7 @@ class Clusters(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """What a plane has to allow for: arrays of shape (motions, pairs, 2), with the first or the second body as the
+    """Bounds that a plane has to allow for: arrays of shape (motions, pairs, 2), with the first or the second body as the
     lower one: A and V of the format."""
 
     curvature: Floats
@@ -259,7 +259,7 @@ class _Search:
             side = tried.side[which[good], good]
             token[at], normal[at] = NORMAL + side, own[good]
             self.recent[chosen.pair[good]] = np.column_stack([side, own[good]])
-        # Halving does not help where one end is too near, of which distances tell, and precise normals of two pieces.
+        # Halving does not help where the bodies are too near at one end, by their distance or by precise normals.
         sunk = (distance < least - BOX_ROOM * self.size).any(axis=0)
         if depth >= DEEP:
             sunk[near] |= ((spare <= ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
@@ -327,7 +327,7 @@ class _Search:
         return Placed(found[:3, :3], found[:3, 3])
 
     def _boxes(self, tasks: Tasks, placed: Placed, need: Floats) -> Floats:
-        """Compute by how much the gaps of boxes along twelve axes, in the order of tokens, exceed what is needed."""
+        """Compute by how much the gaps of boxes along twelve axes, in the order of tokens, exceed the gaps that are needed."""
         made, bodies, clusters = self.clusters, self.model.pairs[tasks.pair].T, np.stack([tasks.a, tasks.b])
         axes = np.einsum("ikbet,kjbt->ijbet", placed.turn, self.turn[:, :, bodies])
         centers = np.einsum("ikbet,kbt->ibet", placed.turn, made.center[:, clusters]) + placed.shift
@@ -525,7 +525,7 @@ class _Curved(NamedTuple):
 
 
 def clusters_of(model: Model) -> Clusters:
-    """Place the pieces of all bodies, and divide those of each body again and again."""
+    """Place the pieces of all bodies, and divide the pieces of each body again and again."""
     start, pieces = model.pieces.start, model.pieces
     body_of = np.repeat(np.arange(len(start) - 1), np.diff(start))
     hull = pieces.kind == HULL
@@ -537,7 +537,7 @@ def clusters_of(model: Model) -> Clusters:
     points[:, :3] = np.einsum("vij,vj->vi", model.turn[owner], np.concatenate([*given, np.empty((0, 3))]))
     points[:, :3] += model.shift[owner]
     points[:, 3] = pieces.radius[piece]
-    # How far pieces reach along the axes of their bodies, and the balls of which the format makes one around a body.
+    # How far pieces reach along the axes of their bodies, and the balls from which the format makes one around a body.
     lengths = np.linalg.norm(model.turn, axis=1)
     low, high = np.empty((len(counts), 3)), np.empty((len(counts), 3))
     if len(given):
