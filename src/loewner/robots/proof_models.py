@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -194,10 +194,10 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
             axis = np.einsum("ij,i->j", R, slides[0])
         at[k] = len(rows)
         rows.append((names[k], carrier, SLIDES if kind == columns.PRISMATIC else TURNS, value, m, f, R, t, axis, k))
-    label, above, moves, value, m, f, R, t, axis, own = (list(column) for column in zip(*rows, strict=True))
-    whole = (np.array(column, dtype=np.int64) for column in (above, moves, value))
-    vectors = quaternions_of(np.stack(R)), np.stack(t), np.stack(axis) + 0.0
-    made = Links(label, *whole, np.array(m), np.array(f), *vectors, np.array(own, dtype=np.int64))
+    column: list[Any] = [list(entries) for entries in zip(*rows, strict=True)]
+    above_, moves, values, own = (np.array(column[k], dtype=np.int64) for k in (1, 2, 3, 9))
+    numbers = np.array(column[4]), np.array(column[5]), quaternions_of(np.stack(column[6]))
+    made = Links(column[0], above_, moves, values, *numbers, np.stack(column[7]), np.stack(column[8]) + 0.0, own)
     return made, at, turns, shifts
 
 

@@ -33,7 +33,7 @@ DEEPEST = 40
 SHARE, ROOM = 1.0 + 2e-9, 2e-11
 
 # Normals are whole numbers up to this one. Some scales are tried, on deep levels many, since rounding turns a normal.
-LARGEST, SCALES, DEEP, DEEP_SCALES = 32767, 3, 10, 4096
+LARGEST, SCALES, DEEP, DEEP_SCALES, MOST_SCALED = 32767, 3, 10, 4096, 2**21
 
 # Normals that are rounded at a time.
 PRODUCTS = 2**14
@@ -210,8 +210,9 @@ class _Search:
         at = np.flatnonzero(~sure)
         divide = np.zeros(total, dtype=np.int64)
         if len(at):
-            found = self._search(tasks.at(at), placed.at(at), need[at], scores[:, at], depth)
-            token[at], normal[at], divide[at] = found
+            token[at], normal[at], divide[at] = self._search(
+                tasks.at(at), placed.at(at), need[at], scores[:, at], depth
+            )
         found = token >= 0
         return found, Planes(token[found], normal[found]), divide[~found]
 
@@ -234,7 +235,7 @@ class _Search:
         tried = Planes(
             np.append(order // 6, recent[None, :, 0], axis=0), np.append(_AXES[order], recent[None, :, 1:], axis=0)
         )
-        token, normal, gaps = self._tried(tasks, placed, need, tried)
+        token, normal, spare = self._tried(tasks, placed, need, tried)
         axis = token >= 0
         axis[axis] = token[axis] < BEST_AXES
         token = np.where(axis, AXES + order[np.minimum(token, BEST_AXES - 1), np.arange(len(token))], token)
@@ -243,17 +244,16 @@ class _Search:
         open_ = np.flatnonzero(token < 0)
         if len(open_) == 0:
             return token, normal, divide
-        some, placed, need, gaps = tasks.at(open_), placed.at(open_), need[open_], gaps[:, open_]
+        some, placed, need, spare = tasks.at(open_), placed.at(open_), need[open_], spare[:, open_]
         distance, normals = self._distances(some, placed)
-        allowed = self.model.margins[some.pair]
-        least = allowed + self.bends.deviation[some.motion, some.pair].min(axis=1)
+        least = self.model.margins[some.pair] + self.bends.deviation[some.motion, some.pair].min(axis=1)
         counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
         near = np.flatnonzero((distance > need.min(axis=1) + ROOM * self.size).all(axis=0))
         if len(near):
             chosen, placed = some.at(near), placed.at(near)
             tried = self._normals(chosen, placed, normals[..., near], depth)
             which, own, more = self._tried(chosen, placed, need[near], tried)
-            gaps[:, near] = np.fmax(gaps[:, near], more)
+            spare[:, near] = np.fmax(spare[:, near], more)
             good = which >= 0
             at = open_[near[good]]
             side = tried.side[which[good], good]
@@ -262,29 +262,30 @@ class _Search:
         # Halving does not help where one end is too near, of which distances tell, and precise normals of two pieces.
         sunk = (distance < least - BOX_ROOM * self.size).any(axis=0)
         if depth >= DEEP:
-            sunk[near] |= ((gaps <= least + ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
+            sunk[near] |= ((spare <= ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
         for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
             self._fail(some, k)
         # Pieces that no plane separates, although they are apart, are divided.
-        stuck = (gaps <= allowed + ROOM * self.size).any(axis=0) & (counts.max(axis=0) > 1)
+        stuck = ((spare <= ROOM * self.size).any(axis=0) | (depth >= DEEP)) & (counts.max(axis=0) > 1)
         divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
         return token, normal, divide
 
     def _tried(self, tasks: Tasks, placed: Placed, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
-        """Return for each task the number of the first candidate that proves it, or -1; its normal; and the largest
-        gap of all candidates at either end, shape (2, T)."""
+        """Return for each task the number of the first candidate that proves it, or -1; its normal; and by how much the
+        gaps of all candidates exceed margin and deviations at either end, at most, shape (2, T)."""
         length = np.linalg.norm(tried.normal, axis=2)
         gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)
         gaps[:, length == 0] = -np.inf
         each = np.arange(len(need))
         held = gaps.min(axis=0) > need[each, tried.side] + ROOM * self.size
         which = np.where(held.any(axis=0), held.argmax(axis=0), -1)
+        gaps -= self.model.margins[tasks.pair] + self.bends.deviation[tasks.motion, tasks.pair][each, tried.side]
         return which, tried.normal[which, each], gaps.max(axis=1)
 
     def _halves(self, tasks: Tasks, divide: Ints, count: int) -> Tasks:
         """Make the two halves of each task, one after the other."""
         middle = (tasks.low + tasks.high) / 2
-        twice = Tasks(*(np.repeat(array, 2) for array in tasks))
+        twice = tasks.at(np.repeat(np.arange(len(tasks.node)), 2))
         second = np.tile([False, True], len(tasks.node))
         kind = np.repeat(divide, 2)
         low = np.where((kind == HALVED) & second, np.repeat(middle, 2), twice.low)
@@ -405,7 +406,8 @@ class _Search:
             turn = self.turn[:, :, self.model.pairs[tasks.pair, side]]
             local = sign * np.einsum("kjt,lket,let->etj", turn, placed.turn[:, :, side], normals, optimize=True)
             tried += [local.sum(axis=0), *local]
-        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), DEEP_SCALES if depth >= DEEP else SCALES)
+        scales = SCALES if depth < DEEP else min(DEEP_SCALES, max(SCALES, MOST_SCALED // (6 * len(tasks.node))))
+        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), scales)
         return Planes(np.broadcast_to(np.array([[0], [1], [0], [0], [1], [1]]), whole.shape[:2]), whole)
 
     # -- bytes --------------------------------------------------------------------------------
@@ -476,7 +478,7 @@ def rounded(n: Floats, scales: int) -> Ints:
     return found.astype(np.int64).reshape(n.shape)
 
 
-def _kernel(packed: Packed, model: Model) -> records.Pieces:
+def _kernel(packed: Packed, model: Model) -> Any:
     """Return the arrays for kernels with surfaces as the hulls of their corners."""
     kernel, layout = packed.kernel, packed.kernel.layout.copy()
     blocks, count = [kernel.points], len(kernel.points) // 3
@@ -563,34 +565,38 @@ def _divided(
 ) -> Clusters:  # fmt: skip
     """Make the clusters and the balls of placed pieces."""
     start = model.pieces.start
-    rows, of_body = [], []
-    for body, (first, last) in enumerate(pairwise(start.tolist())):
+    rows: list[list[int]] = []
+    of_body = []
+    for one, ends_ in enumerate(pairwise(start.tolist())):
         k = len(rows)
         of_body.append(k)
-        rows.append([body, first, last, -1, -1])
+        rows.append([one, *ends_, -1, -1])
         while k < len(rows):
-            _, first, last, _, _ = rows[k]
-            if last - first > 1:
-                middle = first + (last - first) // 2
+            begins, stops = rows[k][1:3]
+            if stops - begins > 1:
+                middle = begins + (stops - begins) // 2
                 rows[k][3:] = len(rows), len(rows) + 1
-                rows += [[body, first, middle, -1, -1], [body, middle, last, -1, -1]]
+                rows += [[one, begins, middle, -1, -1], [one, middle, stops, -1, -1]]
             k += 1
     body, first, last, left, right = np.array(rows, dtype=np.int64).reshape(-1, 5).T
     low, high = (array[first] for array in ends)
-    for k in np.flatnonzero(last - first > 1):
+    for k in np.flatnonzero(last - first > 1).tolist():
         low[k], high[k] = ends[0][first[k] : last[k]].min(axis=0), ends[1][first[k] : last[k]].max(axis=0)
     M = model.turn[body]
     square = (M * M).sum(axis=1)
     center = np.einsum("cij,cj->ic", M, (low + high) / 2 / square)
     half = ((high - low) / 2 / square).T
-    own = [[curved[piece] for piece in range(*ends_) if piece in curved] for ends_ in zip(first, last, strict=True)]
+    own = [
+        [curved[piece] for piece in range(*ends_) if piece in curved]
+        for ends_ in zip(first.tolist(), last.tolist(), strict=True)
+    ]
     of = np.searchsorted(of_ball, np.arange(len(start) - 1))
     least = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], of)
-    middle = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
-    radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - middle[of_ball], axis=1) + balls[:, 3], of)
+    centers = (least + np.maximum.reduceat(balls[:, :3] + balls[:, 3:], of)) / 2
+    radius = np.maximum.reduceat(np.linalg.norm(balls[:, :3] - centers[of_ball], axis=1) + balls[:, 3], of)
     return Clusters(
         np.array(of_body, dtype=np.int64), first, last, left, right, center, half, points, begin[first], begin[last],
-        own, np.column_stack([middle, radius]),
+        own, np.column_stack([centers, radius]),
     )  # fmt: skip
 
 
