@@ -232,6 +232,7 @@ class _Body:
         self.group = links[self.link].group if self.link >= 0 else -1
         self.turn, self.place = reader.doubles(9), reader.doubles(3)
         self.matrix, self.shift, self.largest = _vector(self.turn), _vector(self.place), ONE
+        self.whole = [int(Fraction(x) * max(y.as_integer_ratio()[1] for y in self.turn)) for x in self.turn]
         self.kinds, self.pieces, self.counts = list[tuple[int, float, list[float]]](), list[list[Part]](), [0]
         for _ in range(reader.count(37, "pieces", 1)):
             (kind,), (radius,) = reader.take("B"), reader.doubles(1, "radius")
@@ -445,7 +446,9 @@ class _Checker:
         (first, normal), (start, end) = self.last[pair], spans[0]
         (low, high), (some, others) = (pair, spans[1:]) if first else (pair[::-1], spans[:0:-1])
         below, above = self.bodies[low], self.bodies[high]
-        n = _apply(below.matrix, tuple(x << BITS for x in normal))
+        exact = [sum(a * b for a, b in zip(below.whole[k : k + 3], normal, strict=True)) for k in (0, 3, 6)]
+        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N has any scale, and may be rounded
+        n = tuple(x << shift if shift > 0 else x >> -shift for x in exact)
         self.spend(100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others))))
         gaps, norm = list[int](), _norm_up(n)
         for t in (start, end):
