@@ -66,6 +66,7 @@ def around(robot, rng, scene, count=4, length=0.3):
 
 
 def test_an_arm_among_obstacles(panda, rng):
+    """Proofs of an arm of hulls among boxes and hulls are verified and small."""
     checker, Q, ends = around(panda, rng, ring(rng, 8, 0.5, 0.9, 0.3), 5, 0.5)
     proof, report = proven(checker, Q, ends)
     assert proof.size < 5000 * len(report.motions)
@@ -74,6 +75,7 @@ def test_an_arm_among_obstacles(panda, rng):
 
 
 def test_all_joints_and_curved_pieces(tmp_path, rng):
+    """So are proofs with planar, turning and sliding joints, all kinds of pieces, margins and joint errors."""
     bodies = {f"l{k}": body for k, body in enumerate(simple_bodies(rng)[3:8])}
     robot = robot_of(tmp_path, CART, bodies)
     scene = Scene(margin=0.01)
@@ -89,6 +91,7 @@ def test_all_joints_and_curved_pieces(tmp_path, rng):
 
 
 def test_bodies_of_many_pieces(tmp_path, rng):
+    """Pieces of one body are divided where no plane separates them together."""
     two, five, _, many, mixed = composed_bodies(rng)
     robot = robot_of(tmp_path, CART, {"l1": two, "l3": five, "l4": mixed})
     scene = Scene()
@@ -100,6 +103,7 @@ def test_bodies_of_many_pieces(tmp_path, rng):
 
 
 def test_surfaces_and_clouds(tmp_path, rng):
+    """Parts of surfaces and clouds are pieces, and a closed surface counts as not covered."""
     trimesh = pytest.importorskip("trimesh")
     ball = Body.from_surface(trimesh.creation.icosphere(3, 0.2))
     robot = robot_of(tmp_path, CART, {"l2": Body.capsule(0.04, 0.3), "l4": ball})
@@ -113,6 +117,7 @@ def test_surfaces_and_clouds(tmp_path, rng):
 
 
 def test_a_mimic_and_a_placed_base(tmp_path):
+    """Fingers that follow one value on a base with a pose of its own: the gap shrinks by both their deviations."""
     robot = written(tmp_path, FINGERS).placed([[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
     checker = CollisionChecker(robot)
     found = checker.certify_edges([0.1], [0.001], joint_error=5e-4, proof=True)
@@ -142,6 +147,7 @@ def test_motions_that_come_near(tmp_path):
 
 
 def test_curves(tmp_path, rng):
+    """Polynomials of any degree, and the segments of a spline begin exactly where the ones before end."""
     robot = robot_of(tmp_path, CART, {"l1": Body.box([0.2, 0.2, 0.1]), "l4": Body.cylinder(0.05, 0.2)})
     checker, Q, _ = around(robot, rng, ring(rng, 5, 0.6, 1.5, 0.3))
     for degree in (1, 2, 5):
@@ -156,6 +162,7 @@ def test_curves(tmp_path, rng):
 
 
 def test_plans(tmp_path):
+    """The proof of a plan has a motion for each of the path's, and needs `full` and `certified`."""
     urdf, srdf = gantry(tmp_path)
     robot, scene = Robot.from_urdf(urdf, srdf=srdf), wall()
     checker = CollisionChecker(robot, scene)
@@ -171,6 +178,7 @@ def test_plans(tmp_path):
 
 
 def test_without_pairs_or_motions(tmp_path):
+    """Proofs of nothing are proofs."""
     robot = robot_of(tmp_path, CART[:1], {"l1": Body.sphere(0.1)})
     checker = CollisionChecker(robot)
     assert verify(checker.certify_edges(np.zeros(3), np.ones(3), proof=True).proof.data).sizes["pairs"] == 0
@@ -181,6 +189,7 @@ def test_without_pairs_or_motions(tmp_path):
 
 
 def test_unproven_motions_have_no_proof(tmp_path):
+    """A proof is written only on request, and only if all motions are free."""
     urdf, srdf = gantry(tmp_path)
     checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
     found = checker.certify_edges([LEFT, LEFT], [LEFT + 0.1, RIGHT], proof=True)
@@ -190,6 +199,7 @@ def test_unproven_motions_have_no_proof(tmp_path):
 
 
 def test_what_a_proof_cannot_express(tmp_path):
+    """Floating joints, bodies that follow motions and rules of contact are refused by name."""
     afloat = replace(written(tmp_path, AFLOAT), bodies={"hand": Body.sphere(0.1), "base": Body.sphere(0.01)})
     with pytest.raises(InputError, match="floating or ball joint, that of the link base"):
         _ = CollisionChecker(afloat).model_hash
@@ -231,6 +241,7 @@ print(CollisionChecker(robot, scene).model_hash)
 
 
 def test_equal_models_have_equal_hashes(tmp_path):
+    """Hashes are equal in another process, and differ for each change of robot or scene."""
     urdf, srdf = gantry(tmp_path)
     robot, scene = Robot.from_urdf(urdf, srdf=srdf), wall()
     checker = CollisionChecker(robot, scene)
@@ -254,6 +265,7 @@ def test_equal_models_have_equal_hashes(tmp_path):
 
 
 def test_a_proof_of_another_model_is_refused(tmp_path):
+    """Planes of one model prove nothing about a model with a larger margin."""
     robot = written(tmp_path, FINGERS)
     one = CollisionChecker(robot).certify_edges([0.1], [0.001], proof=True).proof
     scene = Scene()
@@ -270,6 +282,7 @@ def test_a_proof_of_another_model_is_refused(tmp_path):
 
 
 def test_files(tmp_path, capsys):
+    """Files are written whole and read back; whatever else has the name is refused."""
     checker = CollisionChecker(written(tmp_path, FINGERS))
     proof = checker.certify_edges([0.1], [0.01], proof=True).proof
     path = tmp_path / "plan.proof"
@@ -298,6 +311,7 @@ def test_files(tmp_path, capsys):
 
 
 def test_command_line(tmp_path, capsys):
+    """`loewner plan --proof` writes what `loewner verify` accepts, and compares with robot and scene."""
     urdf, srdf = gantry(tmp_path)
     scene = tmp_path / "scene.yaml"
     loewner.save_scene(wall(), scene)
@@ -320,6 +334,7 @@ def test_command_line(tmp_path, capsys):
 
 
 def test_rounded_normals(rng):
+    """Normals of whole numbers turn by little, and by less if many multiples are tried."""
     n = rng.normal(size=(50, 3))
     for scales, angle in ((1, 3e-5), (4096, 2e-6)):
         found = separations.rounded(n, scales)
@@ -355,6 +370,7 @@ def test_supports_of_clusters(rng, tmp_path):
 
 @pytest.mark.parametrize("k", range(9))
 def test_gaps_are_distances(rng, tmp_path, k):
+    """Along the normal of the exact distance, the gap is the distance, for all kinds of pieces."""
     body = simple_bodies(rng)[k]
     robot = robot_of(tmp_path, CART[:1], {"l1": body})
     scene = Scene()

@@ -58,6 +58,7 @@ def test_motions_of_robots_at_random(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["ur5", "talos", "panda on a base"])
 def test_motions_of_robots(name):
+    """Proofs of a hundred motions of arms, a humanoid and an arm on a mobile base are verified."""
     robot = example(*ARMS[name.split()[0]])
     if "base" in name:
         robot = robot.add_base("planar", [[-2.0, 2.0], [-2.0, 2.0]])
