@@ -86,8 +86,7 @@ class Clusters(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """Bounds that a plane has to allow for: arrays of shape (motions, pairs, 2), with the first or the second body as the
-    lower one: A and V of the format."""
+    """A and V of the format: arrays of shape (motions, pairs, 2), with the first or the second body as the lower one."""
 
     curvature: Floats
     deviation: Floats
@@ -327,7 +326,7 @@ class _Search:
         return Placed(found[:3, :3], found[:3, 3])
 
     def _boxes(self, tasks: Tasks, placed: Placed, need: Floats) -> Floats:
-        """Compute by how much the gaps of boxes along twelve axes, in the order of tokens, exceed the gaps that are needed."""
+        """Compute by how much the gaps of boxes along twelve axes, in the order of tokens, exceed those needed."""
         made, bodies, clusters = self.clusters, self.model.pairs[tasks.pair].T, np.stack([tasks.a, tasks.b])
         axes = np.einsum("ikbet,kjbt->ijbet", placed.turn, self.turn[:, :, bodies])
         centers = np.einsum("ikbet,kbt->ibet", placed.turn, made.center[:, clusters]) + placed.shift
