@@ -86,7 +86,7 @@ class Clusters(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """A and V of the format: arrays of shape (motions, pairs, 2), with the first or the second body as the lower one."""
+    """A and V of the format: arrays of shape (motions, pairs, 2), with either body as the lower one."""
 
     curvature: Floats
     deviation: Floats
