@@ -303,6 +303,10 @@ def test_files(tmp_path, capsys):
         with pytest.raises(FileError, match=words):
             Proof.load(path)
         assert cli.main(["verify", str(path)]) == 1
+        with pytest.raises(InputError, match=words):
+            Proof(broken)
+    with pytest.raises(InputError, match="expected bytes"):
+        Proof("plan.proof")
     with pytest.raises(FileError, match="no such file"):
         Proof.load(tmp_path / "none.proof")
     with pytest.raises(FileError, match="written"):

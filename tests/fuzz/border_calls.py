@@ -1099,6 +1099,7 @@ CALLS: dict[str, Call] = {
             "proof": flag(False),
         },
     ),
+    "Proof": Call(loewner.Proof, {"data": arg(lambda: proof().data)}),
     "Proof.save": Call(on(proof, "save"), {"path": PATH_OUT}),
     "Proof.load": Call(loewner.Proof.load, {"path": arg("plan.proof")}),
     "CollisionChecker.pairs": Call(on(checker_in_time, "pairs"), {"q": ONE, "t": arg(0.5, NUMBERS, ZERO, NEGATIVE)}),
@@ -1576,7 +1577,7 @@ LINES: dict[str, Call] = {
             "count": word("50", LINE_COUNTS),
             "seconds": word("5", LINE_NUMBERS),
             "out": word("path.csv"),
-            "proof": word("out.proof"),
+            "proof": word("out.proof", frozenset(WORDS)),
         },
     ),
     "loewner verify": Call(

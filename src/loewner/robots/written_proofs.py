@@ -7,9 +7,9 @@ import os
 import struct
 from dataclasses import dataclass
 
-from loewner import _files
+from loewner import _files, _validate
 from loewner._validate import Floats
-from loewner.errors import FileError
+from loewner.errors import FileError, InputError
 from loewner.robots import separations
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import Model
@@ -30,7 +30,12 @@ class Proof:
     Attributes
     ----------
     data : bytes
-        The file.
+        The contents of the file.
+
+    Raises
+    ------
+    InputError
+        If these are not the contents of a whole file.
 
     Examples
     --------
@@ -43,6 +48,12 @@ class Proof:
     """
 
     data: bytes
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.data, bytes):
+            raise InputError(f"data: expected bytes, found {type(self.data).__name__}")
+        if (fault := _fault(self.data)) is not None:
+            raise InputError(f"data: expected {fault}")
 
     def __repr__(self) -> str:
         return f"Proof({self.size} bytes, model {self.model_hash[:12]})"
@@ -75,7 +86,7 @@ class Proof:
         FileError
             If it cannot be written.
         """
-        with _files.replacing(path) as temporary:
+        with _files.replacing(_validate.path(path, "path")) as temporary:
             temporary.write_bytes(self.data)
 
     @classmethod
@@ -95,19 +106,25 @@ class Proof:
         FileError
             If it cannot be read, or is not a whole file of this format.
         """
-        data, name = _files.read_regular(path, "a proof", MOST_BYTES), _files.shown(path)
-        if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
-            raise FileError(f"{name}: expected a proof of loewner, found something else")
-        _, version, what, model, proof = _HEAD.unpack_from(data)
-        if version != VERSION or what not in (FREE, COMMON):
-            raise FileError(f"{name}: expected version {VERSION} of the format, found {version}, which proves {what}")
-        if len(data) != _HEAD.size + model + proof + 32:
-            raise FileError(
-                f"{name}: expected {_HEAD.size + model + proof + 32} bytes, found {len(data)}: it is not whole"
-            )
-        if hashlib.sha256(data[:-32]).digest() != data[-32:]:
-            raise FileError(f"{name}: expected the checksum at its end, found another: the file was changed")
+        at = _validate.path(path, "path")
+        data = _files.read_regular(at, "a proof", MOST_BYTES)
+        if (fault := _fault(data)) is not None:
+            raise FileError(f"{_files.shown(at)}: expected {fault}")
         return cls(data)
+
+
+def _fault(data: bytes) -> str | None:
+    """Return an error message for data that are not a whole file, without its beginning; None for a whole one."""
+    if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
+        return "a proof of loewner, found something else"
+    _, version, what, model, proof = _HEAD.unpack_from(data)
+    if version != VERSION or what not in (FREE, COMMON):
+        return f"version {VERSION} of the format, found {version}, which proves {what}"
+    if len(data) != _HEAD.size + model + proof + 32:
+        return f"{_HEAD.size + model + proof + 32} bytes, found {len(data)}: it is not whole"
+    if hashlib.sha256(data[:-32]).digest() != data[-32:]:
+        return "the checksum at its end, found another: the file was changed"
+    return None
 
 
 def assembled(what: int, model: bytes, proof: bytes) -> Proof:
