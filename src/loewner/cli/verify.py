@@ -8,6 +8,7 @@ from typing import Any
 
 import loewner
 from loewner import verify
+from loewner._files import read_regular
 from loewner.cli import inputs
 from loewner.cli.output import COLLIDING
 from loewner.errors import InputError
@@ -21,6 +22,10 @@ the model in the file; with --robot, this model has to be the robot's and the sc
 
 exit status: 0 verified, and the same model; 1 refused, or another model; 2 error
 """
+
+
+# Largest file that is read, to be refused if it is too large for a proof.
+MOST_BYTES = 2**30
 
 
 def add(commands: Any) -> None:
@@ -37,7 +42,8 @@ def _run(options: argparse.Namespace) -> int:
         for name in ("srdf", "scene", "model", "decompose", "package_dir"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
-    status = verify.main([str(options.file)])
+    read_regular(options.file, "a proof", MOST_BYTES)  # whose errors are those of all commands
+    status = verify.main(["--", str(options.file)])
     if status or options.urdf is None:
         return status
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
