@@ -48,8 +48,9 @@ STARTS, SLOWER = 12, (1.5, 2.0, 3.0)
 DRAWN, MOTIONS, ARRIVALS = 8, 3, 4
 
 # The longest motion of a tree, as a share of the time to cross all ranges; the factor by which the horizon grows in a
-# round, up to the given one; the share of configurations that are drawn near the path, and how near.
-SHARE, GROWTH, ALONG, NEAR = 1 / 6, 1.2, 0.5, 0.1
+# round, up to the given one; the share of configurations that are drawn near the path, and how near; and the share of
+# branches at full speed.
+SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 
 # Shortening: rounds at most, rounds without success, and the least gain, as a share; for each change of a round the share
 # of the time that it saves.
@@ -388,7 +389,9 @@ class _Trees(NamedTuple):
             drawn += DRAWN
             if len(samples) == 0 or len(self.backward.states) == 0:
                 continue
-            trees = (self.forward, self.backward) if drawn // DRAWN % 2 else (self.backward, self.forward)
+            trees = (self.forward, self.backward)
+            if len(self.forward.states) > len(self.backward.states):
+                trees = trees[::-1]
             found = self._met(*trees, samples)
             if found is not None:
                 return found
@@ -435,9 +438,13 @@ class _Trees(NamedTuple):
     def _met(self, one: _Tree, other: _Tree, samples: Floats) -> Floats | None:
         """Let one tree grow towards samples, and from there towards the other tree; return the way if they meet."""
         at = one.nearest(samples)
-        if not (at >= 0).any():
+        at, samples = at[at >= 0], samples[at >= 0]
+        if len(at) == 0:
             return None
-        tips, _ = one.grow(at[at >= 0], samples[at >= 0], MOTIONS)
+        near, hasty = one.states[at], self.rng.random(len(at)) < HASTY
+        haste = self.judge.seconds(near, samples) * (1.0 if one.ahead else -1.0)
+        samples[hasty, -1] = (near[:, -1] + haste)[hasty]
+        tips, _ = one.grow(at, samples, MOTIONS)
         tips = np.unique(tips)
         to = other.nearest(one.states[tips])
         tips, to = tips[to >= 0], to[to >= 0]

@@ -218,11 +218,11 @@ def plan(
     full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
     times: Any = {name: rare.pop(name) for name in Times.__optional_keys__ if name in rare}  # type: ignore[misc]
     timed = any(value is not None for value in times.values())
-    if timed:
-        _expect_in_time(times, bool(rare) or full, planner, step)
     better, keep = None, rare.pop("keep", None)
     if rare or full:
         better = improving.Improvement.of(robot, rare, full, make is None, timeout)
+    if timed:
+        _expect_in_time(times, better is not None or keep is not None or make is not None or step > 0)
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
@@ -253,11 +253,11 @@ def plan(
     return path if better is None or not full else better.plan(path, ends, goals, rounds, posed)
 
 
-def _expect_in_time(times: Times, rare: bool, planner: Any, step: float) -> None:
-    """Check which arguments are given with those of a plan in time."""
+def _expect_in_time(times: Times, others: bool) -> None:
+    """Check that the start time is given, and no arguments of paths."""
     if times.get("start_time") is None:
         raise InputError("start_time: expected it with velocity or arrive_by, found none")
-    if rare or planner is not None or step:
+    if others:
         raise InputError(
             "start_time: expected no planner, certified=False, full, keep, weights or improvement with it; plans in "
             "time are proven and shortened, by a search of their own"
