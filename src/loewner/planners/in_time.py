@@ -52,8 +52,8 @@ DRAWN, MOTIONS, ARRIVALS = 8, 3, 4
 # branches at full speed.
 SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 
-# Shortening: rounds at most, rounds without success, and the least gain, as a share; for each change of a round the share
-# of the time that it saves.
+# Shortening: rounds at most, rounds without success, and the least gain, as a share; and for each change of a round,
+# the share of the possible gain in time.
 ROUNDS, IDLE, GAIN = 8, 2, 1e-3
 SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 
@@ -129,7 +129,7 @@ class TimedJudge:
 
     def waiting(self, q: Floats) -> str:
         """Describe the first body that comes too near to a robot that waits at the start."""
-        ticks = np.linspace(0.0, self.limit, SLOTS + 1)
+        ticks = self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2
         a, b = (np.column_stack([np.broadcast_to(q, (SLOTS, len(q))), t]) for t in (ticks[:-1], ticks[1:]))
         if self.ready.paths is None or self.free(a, b).all():
             return ""
@@ -276,11 +276,8 @@ def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = N
             for k in (0, 1)
         )
         free = np.split(judge.free(a, b), np.cumsum(counts)[:-1])
-        good = [bool(of_rows.all()) for of_rows in free]
-        tried, left = (
-            [one for one, is_good in zip(each, good, strict=True) if is_good]
-            for each in (tried, [numbers[FEW:] for numbers in left])
-        )
+        kept = [k for k, of_rows in enumerate(free) if of_rows.all()]
+        tried, left = [tried[k] for k in kept], [left[k][FEW:] for k in kept]
     return tried
 
 
@@ -391,7 +388,7 @@ class _Trees(NamedTuple):
                 continue
             trees = (self.forward, self.backward)
             if len(self.forward.states) > len(self.backward.states):
-                trees = trees[::-1]
+                trees = trees[::-1]  # the smaller one grows
             found = self._met(*trees, samples)
             if found is not None:
                 return found
@@ -467,11 +464,12 @@ def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Gen
         if idle == IDLE or rows[-1, -1] <= enough:
             break
         cuts = np.sort(rng.random((len(SAVED), 2)) * rows[-1, -1], axis=1).tolist()
-        tried = [_changed(judge, rows, *cut, share) for cut, share in zip(cuts, SAVED, strict=True)]
+        tried = [_changed(judge, rows, begin, end, share) for (begin, end), share in zip(cuts, SAVED, strict=True)]
         if idle == 0:  # between corners, and without waiting
             waits = (rows[1:, :-1] == rows[:-1, :-1]).all(axis=1)
-            cuts = [*zip(rows[:-2, -1], rows[2:, -1]), *zip(rows[:-1, -1][waits], rows[1:, -1][waits])]
-            tried += [_changed(judge, rows, float(begin), float(end), 1.0) for begin, end in cuts]
+            at = rows[:, -1]
+            pairs = np.concatenate([[at[:-2], at[2:]], [at[:-1][waits], at[1:][waits]]], axis=1).T.tolist()
+            tried += [_changed(judge, rows, begin, end, 1.0) for begin, end in pairs]
         arrival, length = _costs(judge, rows)
         found = [(*_costs(judge, new), k, new) for k, new in enumerate(_free_among(judge, tried, rows))]
         found = [
@@ -492,10 +490,11 @@ def _changed(judge: TimedJudge, rows: Floats, begin: float, end: float, share: f
     two[:, -1] = at
     first, last = int(np.searchsorted(times, begin - SLACK)), int(np.searchsorted(times, end + SLACK))
     saved = share * max(end - begin - float(judge.seconds(two[0], two[1])), 0.0)
-    changed = np.concatenate([rows[:first], two, rows[last:]])
+    two = two[: 1 if saved == end - begin else 2]  # without waiting between them, the two are one
+    changed: Floats = np.concatenate([rows[:first], two, rows[last:]])
     changed[first + 1 :, -1] -= saved
     changed[0], changed[-1, :-1] = rows[0], rows[-1, :-1]
-    return changed[np.append(True, changed[1:, -1] > changed[:-1, -1])]
+    return changed
 
 
 def _costs(judge: TimedJudge, rows: Floats) -> tuple[float, float]:

@@ -174,9 +174,8 @@ class Space:
         if not contacts:
             return "a collision, which was gone when it was looked at: the scene has changed"
         rules = judge.joint_error is not None and len(judge.ready.ruled)
-        return (
-            f"a collision of {touching(contacts)}"
-            + ("; with a joint error, contact at the ends is not allowed" if rules else "")
+        return f"a collision of {touching(contacts)}" + (
+            "; with a joint error, contact at the ends is not allowed" if rules else ""
         )
 
     def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:

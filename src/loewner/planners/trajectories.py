@@ -864,7 +864,7 @@ def _read_csv(text: str) -> Trajectory:
         raise ValueError(f"the header {_validate.short(header)}")
     table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
     knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
-    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, *more)
+    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, more[0] if more else None)
 
 
 def _read_straight(names: Any, rows: Any) -> Trajectory:
@@ -889,7 +889,7 @@ def _read_json(text: str) -> Trajectory:
         raise ValueError("other names than texts, or blends that are neither true nor false")
     keys = ["times", "positions", "velocities", *(["accelerations"] if "accelerations" in held else [])]
     times, knots, rates, *more = (np.array(held[key], dtype=np.float64) for key in keys)
-    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), *more)
+    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), more[0] if more else None)
 
 
 def _why(error: Exception) -> str:

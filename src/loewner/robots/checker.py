@@ -720,9 +720,9 @@ class CollisionChecker:
         if ready.paths is not None and not timed:
             names = ", ".join(self._scene.following)
             raise InputError(
-                f"expected a time, since bodies of the scene follow motions ({names}): give start_time= to planners.plan, "
-                "t= to collide, classify, pairs, distance and their kin, or t0= and t1= to certify_edges. Queries without "
-                "a time do not take such bodies into account"
+                f"expected a time, since bodies of the scene follow motions ({names}): give start_time= to "
+                "planners.plan, t= to collide, classify, pairs, distance and their kin, or t0= and t1= to "
+                "certify_edges. Queries without a time do not take such bodies into account"
             )
         return ready
 
