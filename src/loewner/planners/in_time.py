@@ -60,6 +60,9 @@ SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 # Motions of a candidate that are proven before the others.
 FEW = 3
 
+# Numbers that a search for nearest states takes at a time: some 100 MB.
+LARGE = 2**22
+
 # Times at which waiting is proven for a message.
 SLOTS = 64
 
@@ -217,7 +220,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
     robot, ready = checker.robot, prepared_of(checker, timed=True)
     begin, last = _validate.real(times.get("start_time"), "start_time"), times.get("arrive_by")
     moved = space.still.copy()
-    moved[space.columns] += 1.0
+    moved[space.columns] = np.inf  # in any case elsewhere
     fastest = limits_of(robot, np.stack([space.still, moved]), None, times.get("velocity"), None, None)[0]
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
     spans = [
@@ -294,6 +297,8 @@ class _Tree:
 
     def nearest(self, states: Floats) -> Ints:
         """Find for each state the nearest one from which it can be reached in time; -1 for none."""
+        if len(states) > 1 and states.size * len(self.states) > LARGE:
+            return np.concatenate([self.nearest(state[None]) for state in states])
         ways = np.abs(states[:, None, :-1] - self.states[None, :, :-1]) / self.judge.fastest
         lapse = (states[:, None, -1] - self.states[:, -1]) * (1.0 if self.ahead else -1.0)
         costs = np.sqrt((ways * ways).sum(axis=-1)) + lapse
