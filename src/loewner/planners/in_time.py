@@ -105,7 +105,7 @@ class TimedJudge:
     def free(self, a: Floats, b: Floats) -> Bools:
         """Return which motions between states, shape (N, dof + 1) each, are proven free and not too fast.
 
-        The proof is that of `CollisionChecker.certify_trajectory` for the result.
+        `CollisionChecker.certify_trajectory` repeats this proof for the result.
         """
         t0, t1 = self.begin + a[:, -1], self.begin + b[:, -1]
         ways = np.abs(b[:, :-1] - a[:, :-1])
@@ -262,9 +262,9 @@ def _started(judge: TimedJudge, path: Floats) -> Floats | None:
 
 
 def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = None) -> list[Floats]:
-    """Return those rows of states of which all motions are proven free, except motions between `known` rows.
+    """Return the candidates whose motions are all proven free; motions between `known` rows are free.
 
-    Of each, a few motions are proven first, since most fail at these.
+    A few motions of each candidate are proven first, since most candidates fail at these.
     """
     before = set() if known is None else {a.tobytes() + b.tobytes() for a, b in zip(known[:-1], known[1:], strict=True)}
     left = [
@@ -410,7 +410,7 @@ class _Trees(NamedTuple):
         )
 
     def _arrive(self, window: float) -> str:
-        """Add goals at random times; return a description of what is in the way if none is free."""
+        """Add goals at random times; describe a contact if one is not free."""
         new = self.ends[self.rng.integers(len(self.ends), size=ARRIVALS)]
         new[:, -1] += self.rng.random(ARRIVALS) * np.maximum(window - new[:, -1], 0.0)
         new = new[new[:, -1] <= self.judge.limit]

@@ -141,12 +141,12 @@ def plan(
         Default: one for each value.
     start_time : float, optional
         Plan in time, from this number of seconds on; required if bodies of the scene follow motions (`Scene.follow`).
-        Of the arguments above, `joints`, `joint_error`, `max_iterations`, `timeout`, `simplify` and `seed` apply.
+        With it, only `joints`, `joint_error`, `max_iterations`, `timeout`, `simplify` and `seed` may be given as well.
     velocity : float or array_like, shape (dof,), optional
         In time, the largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
         In time, the latest arrival [s], on the same clock as `start_time`. Default, and at most: four times as long as
-        the joints need to cross their ranges, after the end of all motions, or after two periods of those that repeat.
+        the joints need to cross their ranges, after the end of all motions; two periods count for a motion that repeats.
 
     Returns
     -------
