@@ -138,10 +138,11 @@ def _run(options: argparse.Namespace) -> int:
         print(f"loewner: no path: {error}", file=sys.stderr)
         return NO_PATH
     seconds = time.perf_counter() - began
-    if options.out is not None and isinstance(found, planners.Trajectory):
-        found.save(options.out)
-    elif options.out is not None:
-        configurations.write(options.out, robot, found.path)
+    if options.out is not None:
+        if isinstance(found, planners.Trajectory):
+            found.save(options.out)
+        else:
+            configurations.write(options.out, robot, found.path)
     answer = _answer(checker, found, seconds, options)
     if options.json:
         print(json.dumps(answer, indent=2))

@@ -25,7 +25,7 @@ from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_ends, touching
 from loewner.planners.trajectories import BLEND_ROUNDINGS, Trajectory
-from loewner.robots import CollisionChecker, in_time, motions, verdicts
+from loewner.robots import CollisionChecker, Robot, in_time, motions, verdicts
 from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.courses import straight
 from loewner.robots.curves import joint_errors
@@ -81,6 +81,8 @@ class TimedJudge:
 
     Attributes
     ----------
+    robot : Robot
+        Without moving bodies.
     ready : Problem
         One consistent state of the scene, with the motions of bodies.
     begin : float
@@ -90,7 +92,7 @@ class TimedJudge:
     fastest, joint_error : ndarray, shape (dof,)
     """
 
-    checker: CollisionChecker
+    robot: Robot
     ready: Problem
     begin: float
     limit: float
@@ -107,19 +109,21 @@ class TimedJudge:
 
         `CollisionChecker.certify_trajectory` repeats this proof for the result.
         """
-        t0, t1 = self.begin + a[:, -1], self.begin + b[:, -1]
-        ways = np.abs(b[:, :-1] - a[:, :-1])
-        good = (ways <= self.fastest * (b[:, -1:] - a[:, -1:])).all(axis=1) & (t0 < t1) & (b[:, -1] <= self.limit)
-        at = np.flatnonzero(good)
-        courses = straight(self.checker.robot, a[at, :-1], b[at, :-1])
-        off, ready = BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + self.joint_error, self.ready
-        if ready.paths is None or len(at) == 0:
-            good[at] = _proven(ready, courses, off)
-            return good
-        cut = in_time.pieces(self.checker.robot, ready.paths, courses, off, t0[at], t1[at])
-        free = _proven(ready, cut.courses, cut.off)
-        good[at] = np.logical_and.reduceat(free, np.flatnonzero(np.diff(cut.owner, prepend=-1)))
-        return good
+        t0, t1, free = self.begin + a[:, -1], self.begin + b[:, -1], np.zeros(len(a), dtype=bool)
+        at = np.flatnonzero((t0 < t1) & (b[:, -1] <= self.limit))
+        ways = np.abs(b[at, :-1] - a[at, :-1])
+        at = at[(ways <= self.fastest * (b[at, -1:] - a[at, -1:])).all(axis=1)]
+        if len(at) == 0:
+            return free
+        courses = straight(self.robot, a[at, :-1], b[at, :-1])
+        off, begin = BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + self.joint_error, np.arange(len(at))
+        if self.ready.paths is not None:
+            cut = in_time.pieces(self.robot, self.ready.paths, courses, off, t0[at], t1[at])
+            courses, off, begin = cut.courses, cut.off, np.flatnonzero(np.diff(cut.owner, prepend=-1))
+        found = motions.settle(self.ready, courses, TOLERANCE, off)
+        refuse_starts(self.ready, courses[:, 0], found)
+        free[at] = np.logical_and.reduceat(found.verdicts == codes.FREE, begin)
+        return free
 
     def free_at(self, states: Floats) -> Bools:
         """Return which states are free."""
@@ -132,30 +136,21 @@ class TimedJudge:
 
     def waiting(self, q: Floats) -> str:
         """Describe the first body that comes too near to a robot that waits at the start."""
-        ticks = self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2
-        a, b = (np.column_stack([np.broadcast_to(q, (SLOTS, len(q))), t]) for t in (ticks[:-1], ticks[1:]))
-        if self.ready.paths is None or self.free(a, b).all():
+        if self.ready.paths is None:
             return ""
-        k = int(self.free(a, b).argmin())
-        times = self.begin + ticks[k : k + 1], self.begin + ticks[k + 1 : k + 2]
-        ends = q[None], q[None]
+        t, Q = self.begin + self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2, np.tile(q, (SLOTS, 1))
         found = in_time.prove_edges(
-            self.checker.robot, self.ready, self.ready.paths, ends, times, TOLERANCE, self.joint_error
+            self.robot, self.ready, self.ready.paths, (Q, Q), (t[:-1], t[1:]), TOLERANCE, self.joint_error
         )
-        names = found.of_shape((), self.ready).names
-        return f"; at the start, {' and '.join(names)} come too near after {times[0][0]:.6g} s" if names[0] else ""
+        for k in np.flatnonzero((found.verdicts != codes.FREE) & (found.pairs >= 0))[:1]:
+            one, other = (self.ready.names[n] for n in self.ready.pairs[found.pairs[k]])
+            return f"; at the start, {one} and {other} come too near after {t[k]:.6g} s"
+        return ""
 
     def _with_bodies(self, states: Floats) -> Floats:
         return np.ascontiguousarray(
             in_time.with_bodies(self.ready, np.ascontiguousarray(states[:, :-1]), self.begin + states[:, -1])
         )
-
-
-def _proven(ready: Problem, courses: Floats, off: Floats) -> Bools:
-    """Return which courses are proven free."""
-    found = motions.settle(ready, courses, TOLERANCE, off)
-    refuse_starts(ready, courses[:, 0], found)
-    return np.asarray(found.verdicts == codes.FREE)
 
 
 def plan_in_time(
@@ -239,7 +234,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
         raise InputError(
             f"start_time: expected a time to which motions of {crossing:.3g} s can be added, found {begin:g}"
         )
-    return TimedJudge(checker, ready, begin, limit, fastest, joint_errors(robot, joint_error))
+    return TimedJudge(robot, ready, begin, limit, fastest, joint_errors(robot, joint_error))
 
 
 def _started(judge: TimedJudge, path: Floats) -> Floats | None:
@@ -247,15 +242,13 @@ def _started(judge: TimedJudge, path: Floats) -> Floats | None:
     path = path[np.append(True, (np.diff(path, axis=0) != 0).any(axis=1))]
     states = np.column_stack([path, np.zeros(len(path))])
     states[1:, -1] = np.cumsum(judge.seconds(states[:-1], states[1:]))
-    slack = judge.limit - states[-1, -1]
     tried = []
     for slow in (1.0, *SLOWER):
         tried.append(states.copy())
         tried[-1][:, -1] *= slow
     for k in range(1, STARTS + 1):
-        late = np.concatenate([states[:1], states])
-        late[1:, -1] += max(slack, 0.0) * (k / STARTS) ** 2
-        tried.append(late)
+        tried.append(np.concatenate([states[:1], states]))
+        tried[-1][1:, -1] += (judge.limit - states[-1, -1]) * (k / STARTS) ** 2
     tried = [rows for rows in tried if rows[-1, -1] <= judge.limit]
     found = _free_among(judge, tried[:1]) or _free_among(judge, tried[1:])
     return min(found, key=lambda rows: float(rows[-1, -1]), default=None)

@@ -146,7 +146,7 @@ def plan(
         In time, the largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
         In time, the latest arrival [s], on the same clock as `start_time`. Default, and at most: four times as long as
-        the joints need to cross their ranges, after the end of all motions; two periods count for a motion that repeats.
+        the joints need to cross their ranges, after the end of all motions; of motions that repeat, two periods count.
 
     Returns
     -------

@@ -774,6 +774,8 @@ def prepared_of(checker: CollisionChecker, *, timed: bool = False) -> Problem:
 
 def without_motions(checker: CollisionChecker) -> CollisionChecker:
     """Return a checker of the same pairs, in the present scene without the bodies that follow motions."""
+    if not checker.scene.following:
+        return checker
     scene = checker.scene.copy()
     for name in scene.following:
         scene.remove(name)
