@@ -54,7 +54,7 @@ SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 
 # Shortening: rounds at most, rounds without success, and the least gain, as a share; and for each change of a round,
 # the share of the possible gain in time.
-ROUNDS, IDLE, GAIN = 8, 2, 1e-3
+ROUNDS, IDLE, GAIN = 6, 2, 1e-3
 SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 
 # Motions of a candidate that are proven before the others.
