@@ -419,3 +419,39 @@ def test_gaps_between_two_planes():
 def test_the_name_is_public():
     """The function and its result are names of the package."""
     assert {"first_contact", "FirstContact"} <= set(loewner.__all__)
+
+
+@pytest.mark.parametrize("extent", [5.0, 50.0, 500.0, 5000.0])
+def test_large_bodies_cost_no_accuracy(extent):
+    """A ball and a cylinder fall on a huge cuboid (Parry's issue 429, and its pull request 414)."""
+    ground = Body.box([2 * extent, 1.0, 2 * extent])
+    rng = np.random.default_rng(6)
+    x = rng.uniform(-0.9, 0.9, (50, 2)) * extent
+    start = np.stack([x[:, 0], rng.uniform(1.5, 3.0, 50), x[:, 1]], axis=1)
+    end = start - [0, 4.0, 0]
+    ball, cylinder = Body.sphere(0.5166), Body.cylinder(0.4, 1.2).transformed(pose((np.pi / 2, 0, 0)))
+    for body, half in ((ball, 0.5166), (cylinder, 0.6)):
+        found = first_contact(body, (pose(at=start), pose(at=end)), ground, None)
+        expect_times(found, (start[:, 1] - 0.5 - half) / 4.0, 4.0)
+
+
+def test_cases_that_others_missed():
+    """Cases from the tests and issues of Box2D, Parry and FCL, as bodies of unit depth."""
+    # Box2D: a segment moves by 2 to a square at a distance of 1.
+    found = first_contact(Body.box([2, 2, 1]), None, Body.box([1e-3, 2, 1]), (pose(at=(2, 0, 0)), pose(at=(0, 0, 0))))
+    expect_times(found, np.array((1 - 0.5e-3) / 2), 2.0)
+    # Parry's issue 180: a square and a line; for one of three starts there was no answer.
+    way = 60 * np.array([0.0081385, -0.999966, 0.0])
+    line = Body.box([123.0, 1e-3, 1.0]).transformed(translation(62.5, 1.0))
+    for x in (15.689464, 15.689465, 15.689466):
+        start = np.array([x, 54.00709, 0.0])
+        found = first_contact(Body.box([4, 4, 1]), (pose(at=start), pose(at=start + way)), line, None)
+        expect_times(found, np.array((54.00709 - 2 - 1 - 0.5e-3) / -way[1]), 60.0)
+    # FCL's issue 555: two boxes, both of which move.
+    boxes = [(pose(at=(0, 0, s * 4.0)), pose(at=(0, 0, s * -4.0))) for s in (1, -1)]
+    found = first_contact(Body.box([2, 2, 2]), boxes[0], Body.box([2, 2, 2]), boxes[1])
+    expect_times(found, np.array(3 / 8), 16.0)
+    # A capsule that turns by nearly half a turn hits, in between, what it does not touch at the ends.
+    rod = Body.capsule(0.1, 3.0).transformed(pose((0, np.pi / 2, 0), (1.5, 0, 0)))
+    found = first_contact(rod, (None, pose((0, 0, 3.1))), Body.sphere(0.2), pose(at=(0, 2.0, 0)))
+    expect_times(found, np.array((np.pi / 2 - np.arcsin(0.3 / 2)) / 3.1), 9.3)

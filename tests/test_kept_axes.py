@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from interpreted_kernels import interpreted, source_of
-from loewner import InputError, PlanningError, UnknownNameError, planners
+from loewner import CollisionChecker, InputError, PlanningError, Scene, UnknownNameError, planners
 from loewner.robots.robot import chain_to
 from test_lines import ARMS, DENSE, cases, with_bodies
+from test_reach import example
 
 ANGLE = 0.3
 
@@ -90,6 +91,25 @@ def test_plans_keep_the_axis(upright, options):
         assert tilt(checker.robot, path, up) <= ANGLE
     assert solved >= 3
     assert bent >= 3
+
+
+def test_ur5_with_its_tool_down():
+    """All pairs that can be connected are: wrist 2 on one side, the sum of three joints within a turn."""
+    robot = example("ur_description/urdf/ur5_robot.urdf")
+    checker = CollisionChecker(robot, Scene())
+    rng = np.random.default_rng(0)
+    down = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (12, 1, 1))
+    angle, radius = rng.uniform(0, 2 * np.pi, 12), rng.uniform(0.35, 0.6, 12)
+    down[:, :3, 3] = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.1, 0.5, 12)], axis=1)
+    found = robot.reach("tool0", down, checker=checker)
+    ends = found.configuration[found.reached]
+    side, turn = np.sin(ends[:, 4]) > 0, np.rint(ends[:, 1:4].sum(axis=1) / np.pi)
+    pairs = [(a, b) for a in range(len(ends)) for b in range(a) if side[a] == side[b] and turn[a] == turn[b]]
+    assert len(pairs) >= 5
+    for a, b in pairs:
+        path = planners.plan(checker, ends[a], ends[b], keep=("tool0", "z", [0, 0, -1], 0.2), max_iterations=3000)
+        Q = robot.between(path[:-1, None], path[1:, None], np.linspace(0, 1, 50))
+        assert robot.forward_kinematics(Q)[..., robot.link_names.index("tool0"), 2, 2].max() <= -np.cos(0.2)
 
 
 def test_ends_that_do_not_keep_the_axis(upright):
