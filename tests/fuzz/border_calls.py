@@ -884,6 +884,7 @@ CALLS: dict[str, Call] = {
             "times": array([0.0, 1.0], FINITE),
             "poses": array(np.tile(np.eye(4), (2, 1, 1)), FINITE),
             "repeat": flag(),
+            "twist": arg(None, NONE),
         },
     ),
     "PosePath.poses": Call(on(pose_path, "poses"), {"t": Arg(TIMES.make, TIMES.takes | AT.takes - NONE, array=True)}),
