@@ -120,10 +120,18 @@ def test_several_goals_and_poses(slider):
 
 
 def test_deviations_are_covered(slider):
-    """A joint error takes part in the proof, and the gate has to open wider."""
-    checker, errors = CollisionChecker(slider, gate()), np.array([0.02, 0.02, 0.01])
-    found = planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0, joint_error=errors)
-    check(checker, found, LEFT, RIGHT, 1.0, 0.0, errors)
+    """The direct motion passes a ball at 0.05 m; with a larger error of y the robot goes around it, or waits for it."""
+    scene = Scene()
+    scene.add("other", Body.sphere(0.1))
+    scene.follow("other", [0.0, 2.0, 2.5], [translation(y=-0.25), translation(y=-0.25), translation(y=3.0)])
+    checker = CollisionChecker(slider, scene)
+    a, b = LEFT * [1, 1, -1], RIGHT * [1, 1, -1]
+    assert len(planners.plan(checker, a, b, start_time=0.0, velocity=1.0).times) == 2
+    errors = np.array([0.01, 0.06, 0.01])
+    found = planners.plan(checker, a, b, start_time=0.0, velocity=1.0, joint_error=errors)
+    check(checker, found, a, b, 1.0, 0.0, errors)
+    assert len(found.times) > 2
+    assert planners.plan(checker, a, b, start_time=2.6, velocity=1.0, joint_error=errors).jumps
 
 
 # -- laws -------------------------------------------------------------------------------------
