@@ -74,7 +74,7 @@ OTHERS = "; planners.ControllerPoints.load reads messages and points of other pr
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The position of a robot as a function of time; made by `trajectory`, or read by `load`.
+    """The position of a robot as a function of time; made by `trajectory` or `plan`, or read by `load`.
 
     Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited. In a
     trajectory from `plan` with `start_time`, velocities are constant instead, and jump at these times.
