@@ -3,7 +3,7 @@
 python examples/conveyor.py [--out PICTURE.png]
 
 The arm plans its motion in the scene without the parts. Then the trajectory is proven against the moving parts, for
-one start after another, at every instant.
+one start after another, at every instant. For a start at which the arm would touch a part, it plans among the parts.
 """
 
 import argparse
@@ -52,6 +52,9 @@ def main() -> None:
                 f"started at {t0:g} s: {' and '.join(contact.names)} touch at {contact.touching_at:.6f} s, "
                 f"free until {contact.free_until:.6f} s"
             )
+            among = planners.plan(checker, home, low, start_time=t0)
+            verdict = checker.certify_trajectory(among, t0=t0).verdict
+            print(f"planned among the parts from {t0:g} s on: {among}, {verdict.name}")
             break
     if options.out:
         late = planners.ControllerPoints(moved.times + t0, moved.knots, moved.rates, names=moved.names)

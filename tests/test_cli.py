@@ -752,6 +752,40 @@ def test_plan_improves_the_path(with_end, capsys):
         assert message in err
 
 
+def test_plan_in_time(with_end, capsys):
+    """Bodies that follow motions make the plan one in time, which is printed and written with its times."""
+    Path("gate.yaml").write_text(
+        "bodies:\n  gate:\n    box: [0.1, 6, 1]\n    follow:\n      poses: [{time: 5, position: [0, -1.5, 0]}, "
+        "{time: 6, position: [0, -4.5, 0]}]\n"
+    )
+    ask = [*AROUND, "--scene", "gate.yaml", "--velocity", "1", "--start-time", "3"]
+    status, out, err = run(capsys, *ask, "--json", "-o", "moved.csv")
+    answer = json.loads(out)
+    assert (status, err) == (0, "")
+    assert answer["verdict"] == "FREE"
+    assert answer["times"][0] == 3.0
+    assert 5.0 < answer["times"][-1] < 7.0
+    written = planners.Trajectory.load("moved.csv")
+    np.testing.assert_array_equal(written.knots, answer["configurations"])
+    np.testing.assert_array_equal(3.0 + written.times, answer["times"])
+    robot = loewner.Robot.from_urdf("gantry.urdf", srdf="gantry.srdf")
+    checker = loewner.CollisionChecker(robot, loewner.load_scene("gate.yaml"))
+    assert checker.certify_trajectory(written, t0=3.0).verdict == loewner.Verdict.FREE
+    status, out, _ = run(capsys, *ask, "--arrive-by", "7")
+    assert status == 0
+    assert "proven free at every configuration on the way and its own time" in out
+    assert re.search(r"^time +[0-9.]+ s, from 3 s to [56]\.[0-9]+ s$", out, flags=re.M)
+    for more, wanted, message in (
+        (["--arrive-by", "3.5"], 1, "no path: arrive_by: expected a goal that can be reached by 3.5 s"),
+        (["--arrive-by", "2"], 2, "arrive_by: expected a time after start_time, 3, found 2"),
+        (["--velocity", "fast"], 2, "--velocity: expected numbers, found 'fast'"),
+        (["--improve-for", "1"], 2, "start_time: expected no planner"),
+    ):
+        status, out, err = run(capsys, *ask, *more)
+        assert (status, out) == (wanted, "")
+        assert message in err
+
+
 @pytest.mark.parametrize("name", ["path.csv", "path.json"])
 def test_plan_writes_what_can_be_read(with_end, capsys, name):
     """To the last bit, with the columns' names, under no other name; other commands read the file."""

@@ -55,6 +55,7 @@ def folder_with_robot(folder_with_meshes):
         "docs/proofs.md",
         "docs/viewer.md",
         "docs/howto/two-robots.md",
+        "docs/howto/moving-bodies.md",
     ],
 )
 def test_code_blocks_run(name, folder_with_robot, capsys):
@@ -219,6 +220,7 @@ def test_example_conveyor(tmp_path):
     out = example("conveyor.py", "--out", "late.svg", cwd=tmp_path)
     assert "proven free if started at 0, 1, 2" in out
     assert re.search(r"started at 7 s: .* touch at 8\.1090\d+ s, free until 8\.1090\d+ s", out)
+    assert re.search(r"planned among the parts from 7 s on: Trajectory\(.*\), FREE", out)
     assert (tmp_path / "late.svg").is_file()
 
 

@@ -454,6 +454,34 @@ def test_a_new_motion_counts_at_once(slider):
     assert not checker.collide(LEFT, 0.5)
 
 
+def test_a_twist_is_a_motion(slider, rng):
+    """At any time the origin is where its velocity takes it, and the body has turned about its angular velocity."""
+    for turns in (0.0, 0.1, 1.0, 40.0):
+        first, velocity, axis = turned(rng, 1)[0], rng.normal(size=3), rng.normal(size=3)
+        spin = turns * axis / np.linalg.norm(axis)
+        scene = Scene()
+        scene.add("a", Body.sphere(0.1))
+        scene.follow("a", [1.0, 4.0], first, twist=[*velocity, *spin])
+        for t in rng.uniform(1.0, 4.0, 20):
+            T = scene.following["a"].poses(t)
+            np.testing.assert_allclose(T[:3, 3], first[:3, 3] + (t - 1.0) * velocity, atol=1e-13)
+            R = Rotation.from_rotvec((t - 1.0) * spin).as_matrix() @ first[:3, :3]
+            np.testing.assert_allclose(T[:3, :3], R, atol=1e-12)
+        np.testing.assert_array_equal(scene.following["a"].poses(9.0), scene.following["a"].poses(4.0))
+    for times, pose, twist, message in (
+        ([0.0], first, np.zeros(6), "expected two times that increase and one pose"),
+        ([1.0, 0.0], first, np.zeros(6), "expected two times that increase and one pose"),
+        ([0.0, 1.0], [first, first], np.zeros(6), "one pose with it"),
+        ([0.0, 1.0], first, np.zeros(3), "twist"),
+        ([0.0, 1.0], first, [0, 0, 0, 0, 0, np.nan], "twist"),
+        ([0.0, 1e9], first, [0, 0, 0, 0, 0, 1.0], "at most 4194304 turns"),
+        ([0.0, 1.0], first, [0, 0, 0, 0, 0, 1e308], "at most 4194304 turns"),
+        ([0.0, 1.0], first, [1e308, 0, 0, 0, 0, 0], "speeds below"),
+    ):
+        with pytest.raises(InputError, match=message):
+            scene.follow("a", times, pose, twist=twist)
+
+
 def test_motions_are_kept_in_files(rng, tmp_path):
     """Times and positions to the last bit; wrong files are named with their line."""
     scene = moving_scene(rng, 3)

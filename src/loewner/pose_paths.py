@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,9 @@ from loewner.errors import InputError
 
 # Turns between two poses stay this far [rad] below half a turn, where the direction of the shorter turn is open.
 NEARLY_HALF = 1e-3
+
+# Turns of a motion that is given by a twist are divided into turns of at most this angle [rad].
+MOST_TURN = 3.0
 
 # Largest turn [rad], in terms of quaternions, of a piece whose quaternion is approximated by a cubic curve.
 MOST_ARC = 0.05
@@ -162,6 +166,34 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
             f"{np.diff(at)[k]:g} s from {at[k]:g} s on"
         )
     return made
+
+
+def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Floats, Floats]:
+    """Make times and poses of a body whose origin moves straight while it turns about it, at constant rates.
+
+    Raises
+    ------
+    InputError
+        If there are not two times that increase, not one pose, or too many turns.
+    """
+    at, rates = _validate.finite_array(times, "times", (None,)), _validate.finite_array(twist, "twist", (6,))
+    first = _validate.poses(pose, "poses")
+    if len(at) != 2 or first.shape != (4, 4) or not at[1] > at[0]:
+        raise InputError(
+            f"twist: expected two times that increase and one pose with it, found {len(at)} times and poses of shape "
+            f"{_validate.shape_text(first.shape)}"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        speed = float(np.linalg.norm(rates[3:]))
+        turns = speed * (at[1] - at[0]) / MOST_TURN
+        if not turns <= MOST_KNOTS:
+            raise InputError(f"twist: expected at most {MOST_KNOTS} turns of {MOST_TURN:g} rad, found {turns:g}")
+        made = np.linspace(at[0], at[1], max(math.ceil(turns), 1) + 1)
+        half, T = (made - at[0])[:, None] * (speed / 2.0), np.tile(first, (len(made), 1, 1))
+        axis = rates[3:] / speed if speed else np.zeros(3)
+        T[:, :3, :3] = rotations_of(np.concatenate([np.cos(half), np.sin(half) * axis], axis=1)) @ first[:3, :3]
+        T[:, :3, 3] += (made - at[0])[:, None] * rates[:3]
+    return made, T
 
 
 def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:

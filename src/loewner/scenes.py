@@ -23,7 +23,7 @@ from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
-from loewner.pose_paths import PosePath, path_of
+from loewner.pose_paths import PosePath, path_of, with_twist
 from loewner.queries import Bounds, Distance, Measured
 
 # One name or a pair, where None in place of a name means any link.
@@ -482,7 +482,15 @@ class Scene:
             self._poses.update(moves)
             self._version += 1
 
-    def follow(self, name: str, times: ArrayLike, poses: ArrayLike, *, repeat: bool = False) -> None:
+    def follow(
+        self,
+        name: str,
+        times: ArrayLike,
+        poses: ArrayLike,
+        *,
+        repeat: bool = False,
+        twist: ArrayLike | None = None,
+    ) -> None:
         """Let a body move: a part on a conveyor, a door, the forecast of a tracker.
 
         From now on, a `CollisionChecker` needs times for its answers; it proves motions of the robot against the motion
@@ -500,6 +508,10 @@ class Scene:
         repeat : bool
             Whether the motion begins again when it ends, for which the last pose must be the first one. By default the
             body waits at the first pose before the motion, and at the last pose after it.
+        twist : array_like, shape (6,), optional
+            Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
+            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves straight while the body
+            turns about it: no screw motion about another axis.
 
         Raises
         ------
@@ -524,9 +536,10 @@ class Scene:
         >>> scene.follow("box", [0.0, 10.0], T)  # 0.2 m/s along x
         >>> scene.static_names, scene.following["box"].poses(2.5)[:3, 3].tolist()
         ((), [-0.5, 0.0, 0.0])
+        >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
         """
         self._known(name)
-        path = path_of(times, poses, repeat)
+        path = path_of(*((times, poses) if twist is None else with_twist(times, poses, twist)), repeat)
         with _CHANGING:
             if self._known(name) not in self._following:
                 self._poses.pop(self._placed(name))

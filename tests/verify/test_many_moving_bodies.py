@@ -1,17 +1,19 @@
-"""A hundred thousand motions among moving bodies: samples refute no free one, and confirm all collisions."""
+"""A hundred thousand motions and 300 plans among moving bodies: samples refute no free one, and confirm collisions."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from families import translation
-from loewner import Body, CollisionChecker, Scene, Verdict
+from loewner import Body, CollisionChecker, PlanningError, Scene, Verdict, planners
 from motion_oracle import example
 from test_moving_bodies import turned
+from test_plans_in_time import check
 
 pytestmark = pytest.mark.verify
 
 MOTIONS = 2_000
+PROBLEMS = 100
 
 
 def conveyors(rng):
@@ -88,3 +90,34 @@ def test_a_hundred_thousand_motions_in_time(kind):
     print(f"{kind.__name__}: {free} free, {colliding} colliding, {ambiguous} ambiguous; {samples} samples of free ones")
     assert ambiguous <= counts.sum() / 1000
     assert min(free, colliding) > 1000
+
+
+@pytest.mark.parametrize("kind", [conveyors, turning_rods, anything])
+def test_no_plan_is_refuted(kind):
+    """A thousand samples of each motion, at starts of all kinds, with errors of joints, limits of time and seeds."""
+    robot = example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
+    fine, solved = np.linspace(0.0, 1.0, 1001), 0
+    for seed in range(PROBLEMS):
+        rng = np.random.default_rng(seed)
+        checker = CollisionChecker(robot, kind(rng))
+        begin = float(rng.choice([0.0, rng.uniform(-5.0, 5.0), 1e4, 1.7e9]))
+        velocity = robot.velocity * rng.uniform(0.1, 1.5)
+        Q = robot.random_configurations(400, seed=seed)
+        Q = Q[~checker.collide(Q, begin)]
+        if len(Q) < 2:
+            continue
+        error = float(rng.choice([0.0, 0.005]))
+        options = {"velocity": velocity, "joint_error": error, "max_iterations": 2000, "seed": seed}
+        if rng.random() < 0.3:
+            options["arrive_by"] = begin + 1.5 * float((np.abs(Q[-1] - Q[0]) / velocity).max())
+        try:
+            found = planners.plan(checker, Q[0], Q[-1], start_time=begin, **options)
+        except PlanningError:
+            continue
+        solved += 1
+        check(checker, found, Q[0], Q[-1], velocity, begin, error)
+        assert begin + found.duration <= options.get("arrive_by", np.inf)
+        for k in range(len(found.times) - 1):
+            t = found.times[k] + fine * (found.times[k + 1] - found.times[k])
+            assert not checker.collide(found.positions(np.minimum(t, found.duration)), begin + t).any()
+    assert solved > 0.4 * PROBLEMS

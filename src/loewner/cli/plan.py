@@ -28,6 +28,7 @@ EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
   loewner plan panda.urdf --srdf panda.srdf --start ready --goal-pose panda_hand "0.4 0.2 0.5 0 1 0 0"
   loewner plan panda.urdf --srdf panda.srdf --start ready --goal above --proof plan.proof
+  loewner plan panda.urdf --srdf panda.srdf --scene belt.yaml --start ready --goal above --arrive-by 4 -o plan.csv
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
@@ -36,6 +37,10 @@ configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as 
 
 poses: "x y z qw qx qy qz" in metres, with a unit quaternion; "x y z" for the position alone; or a .npy file with
   T_world_link, shape (4, 4) or (poses, 4, 4).
+
+bodies that follow motions: the plan is in time then, from --start-time on. Each motion has its own time and is proven
+  among the moving bodies; velocities are constant on a motion, and within the limits. --out writes the trajectory,
+  whose times count from --start-time. --planner, --sampled and --improve-for have no plans in time.
 
 Every motion of the path is proven free at every one of its configurations. With --sampled, motions are sampled
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
@@ -89,6 +94,13 @@ def add(commands: Any) -> None:
         metavar="W",
         help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
     )
+    plan.add_argument(
+        "--start-time", type=float, metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)"
+    )
+    plan.add_argument("--arrive-by", type=float, metavar="T", help="in time: the latest arrival, on the same clock")
+    plan.add_argument(
+        "--velocity", metavar="V", help="in time: largest velocities, one number or one for each value (the URDF's)"
+    )
     plan.add_argument("--sampled", action="store_true", help="sample motions in steps instead of proving them")
     plan.add_argument(
         "--resolution",
@@ -119,16 +131,23 @@ def _run(options: argparse.Namespace) -> int:
     else:
         goal = _pose_goal(*options.goal_pose)
     inputs.refuse_no_pairs(checker, options.urdf)
+    if options.start_time is None and (scene.following or options.arrive_by is not None or options.velocity):
+        options.start_time = 0.0
+    began = time.perf_counter()
     try:
         found = _found(checker, start, goal, options)
     except PlanningError as error:
         print(f"loewner: no path: {error}", file=sys.stderr)
         return NO_PATH
+    seconds = time.perf_counter() - began
     if options.out is not None:
-        configurations.write(options.out, robot, found.path)
-    if options.proof is not None and found.proof is not None:
+        if isinstance(found, planners.Trajectory):
+            found.save(options.out)
+        else:
+            configurations.write(options.out, robot, found.path)
+    if options.proof is not None and isinstance(found, planners.Plan) and found.proof is not None:
         found.proof.save(options.proof)
-    answer = _answer(checker, found, options)
+    answer = _answer(checker, found, seconds, options)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
@@ -161,8 +180,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
-    if options.proof is not None and options.sampled:
-        raise InputError("--proof: expected no --sampled with it; samples prove nothing")
+    if options.proof is not None and (options.sampled or options.start_time is not None):
+        raise InputError("--proof: expected no --sampled and no --start-time with it; it is written for proven paths")
     if options.weights is not None and not options.improve_for:
         raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
@@ -173,48 +192,67 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
-) -> planners.Plan:
-    """Return the path, its cost, and the seconds that it took to find."""
-    given = {"max_iterations": options.max_iterations, "resolution": options.resolution}
-    joints, weights = options.joints, options.weights
+) -> planners.Plan | planners.Trajectory:
+    """Return the path with its cost and the seconds that it took to find, or the trajectory of a plan in time."""
+    given: dict[str, Any] = {name: getattr(options, name) for name in ("max_iterations", "resolution", "planner")}
+    given["joints"] = options.joints[0] if options.joints is not None and len(options.joints) == 1 else options.joints
+    if options.start_time is None:
+        given |= {
+            "full": True,
+            "proof": options.proof is not None,
+            "weights": options.weights and _numbers("--weights", options.weights),
+        }
+    else:
+        given |= {"start_time": options.start_time, "arrive_by": options.arrive_by}
+        given["velocity"] = options.velocity and _numbers("--velocity", options.velocity)
+    if options.start_time is None or options.improve_for:
+        given["improve_for"] = options.improve_for
     with progress_bar() as progress:
         progress.add_task("searching", total=None)
-        return planners.plan(
+        found: planners.Plan | planners.Trajectory = planners.plan(
             checker,
             start,
             goal,
-            joints=joints[0] if joints is not None and len(joints) == 1 else joints,
-            planner=options.planner,
             certified=not options.sampled,
             joint_error=options.joint_error,
             timeout=options.timeout,
             simplify=not options.no_simplify,
             seed=options.seed,
-            full=True,
-            proof=options.proof is not None,
-            improve_for=options.improve_for,
-            weights=None if weights is None else _weights(weights),
             **{name: value for name, value in given.items() if value is not None},
         )
+        return found
 
 
-def _weights(text: str) -> list[float]:
-    """Read the numbers of an option."""
+def _numbers(name: str, text: str) -> list[float] | float:
+    """Read the numbers of an option; a single one stands for all values."""
     try:
-        return _tables.row(text)
+        numbers = _tables.row(text)
     except ValueError as error:
-        raise InputError(f"--weights: expected numbers, found {text!r} ({error})") from None
+        raise InputError(f"{name}: expected numbers, found {text!r} ({error})") from None
+    return numbers[0] if len(numbers) == 1 and name == "--velocity" else numbers
 
 
-def _answer(checker: loewner.CollisionChecker, plan: planners.Plan, options: argparse.Namespace) -> dict[str, Any]:
-    """Make the full report on a path."""
-    path = plan.path
+def _answer(
+    checker: loewner.CollisionChecker,
+    plan: planners.Plan | planners.Trajectory,
+    seconds: float,
+    options: argparse.Namespace,
+) -> dict[str, Any]:
+    """Make the full report on a path or a trajectory."""
+    if isinstance(plan, planners.Trajectory):
+        path, times = plan.knots, options.start_time + plan.times
+        t0, t1, own = times[:-1], times[1:], {"times": times.tolist(), "seconds": seconds}
+    else:
+        path, times, t0, t1 = plan.path, None, None, None
+        own = {"cost": plan.cost, "cost_bound": plan.bound, "improvements": plan.iterations, "seconds": plan.seconds}
+    proof = plan.proof if isinstance(plan, planners.Plan) else None
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
-    found = checker.certify_edges(a, b, joint_error=options.joint_error)
+    found = checker.certify_edges(a, b, joint_error=options.joint_error, t0=t0, t1=t1)
     proof_seconds = time.perf_counter() - started
-    lengths = robot.distances(a, b)
-    measured = checker.distance(robot.between(a[:, None], b[:, None], np.linspace(0, 1, MEASURED)), exact=True)
+    lengths, shares = robot.distances(a, b), np.linspace(0, 1, MEASURED)
+    at = None if times is None else times[:-1, None] + np.diff(times)[:, None] * shares
+    measured = checker.distance(robot.between(a[:, None], b[:, None], shares), at, exact=True)
     motions = []
     for k, least in enumerate(measured.distance.argmin(axis=1)):
         verdict = Verdict(int(found.verdict[k]))
@@ -242,16 +280,13 @@ def _answer(checker: loewner.CollisionChecker, plan: planners.Plan, options: arg
         "configurations": path.tolist(),
         "motions": motions,
         "length": float(lengths.sum()),
-        "cost": plan.cost,
-        "cost_bound": plan.bound,
-        "improvements": plan.iterations,
         "measured": MEASURED,
         "checked_pairs": len(checker.checked_pairs),
-        "seconds": plan.seconds,
+        **own,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
-        "proof": None if plan.proof is None else str(options.proof),
-        "proof_bytes": None if plan.proof is None else plan.proof.size,
+        "proof": None if proof is None else str(options.proof),
+        "proof_bytes": None if proof is None else proof.size,
     }
 
 
@@ -276,10 +311,14 @@ def _print_answer(answer: dict[str, Any]) -> None:
         )
     work = [sum(motion[kind] for motion in motions) for kind in ("poses", "searches")]
     print(f"length    {answer['length']:.6g}, in the units of the joints")
-    print(
-        f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
-        f"{answer['cost_bound']:.6g}; {answer['improvements']} rounds of improvement"
-    )
+    if "times" in answer:
+        begin, end = answer["times"][0], answer["times"][-1]
+        print(f"time      {end - begin:.6g} s, from {begin:.6g} s to {end:.6g} s")
+    else:
+        print(
+            f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
+            f"{answer['cost_bound']:.6g}; {answer['improvements']} rounds of improvement"
+        )
     print(
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
     )
@@ -295,7 +334,8 @@ def _print_verdict(answer: dict[str, Any]) -> None:
     count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
     if answer["verdict"] == "FREE":
         error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
-        print(f"FREE  {count} from start to goal, proven free at every configuration on the way{error}")
+        times = " and its own time" if "times" in answer else ""
+        print(f"FREE  {count} from start to goal, proven free at every configuration on the way{times}{error}")
         return
     unproven = [k for k, motion in enumerate(motions) if motion["verdict"] != "FREE"]
     print(f"{answer['verdict']}  {len(unproven)} of {count} from start to goal not proven free")

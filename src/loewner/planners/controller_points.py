@@ -168,8 +168,8 @@ class ControllerPoints:
     @classmethod
     def _of_message(cls, held: Any) -> ControllerPoints:
         """Read points from a message or from a file written by `Trajectory.save`."""
-        if isinstance(held, Mapping) and "blended" in held:
-            arrays = held["positions"], held["velocities"], held.get("accelerations")
+        if isinstance(held, Mapping) and ("blended" in held or "jumps" in held):
+            arrays = held["positions"], held.get("velocities"), held.get("accelerations")
             return cls(held["times"], *arrays, names=held["names"])
         message = _message(held, DEEPEST)
         if message is None:

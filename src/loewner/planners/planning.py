@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, Literal, Unpack, overload
+from typing import Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,10 +15,12 @@ from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
+from loewner.planners.in_time import Times, plan_in_time
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.kept_axes import KeptAxis
 from loewner.planners.pose_goals import PoseGoal, joints_of
 from loewner.planners.space import Space, checked_ends
+from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.courses import straight
 from loewner.robots.edges import checked_path
@@ -27,25 +29,34 @@ from loewner.robots.robot import chain_to
 from loewner.robots.written_proofs import proof_of
 
 
-class Rare(improving.Options, total=False):
-    """Options of `plan` that few calls name."""
+class Common(TypedDict, total=False):
+    """Options of `plan` for paths and for trajectories."""
+
+    joints: str | Iterable[str] | None
+    joint_error: ArrayLike
+    max_iterations: int
+    timeout: float
+    simplify: bool
+    seed: int
+
+
+class OfPaths(improving.Options, total=False):
+    """Options of `plan` for paths that few calls name."""
 
     keep: tuple[str, str | ArrayLike, ArrayLike, float] | None
     proof: bool
 
 
-class Options(Rare, total=False):
-    """All options of `plan` except `full`."""
+class Options(OfPaths, Common, total=False):
+    """All options of `plan` for paths except `full`."""
 
-    joints: str | Iterable[str] | None
     planner: str | Callable[[Any], Any] | None
     certified: bool
-    joint_error: ArrayLike
     resolution: float
-    max_iterations: int
-    timeout: float
-    simplify: bool
-    seed: int
+
+
+class Rare(OfPaths, Times, total=False):
+    """Options of `plan` that few calls name."""
 
 
 @overload
@@ -62,6 +73,11 @@ def plan(
     checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, *, full: Literal[True],
     **options: Unpack[Options],
 ) -> improving.Plan: ...  # fmt: skip
+@overload
+def plan(
+    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, *, start_time: float,
+    velocity: ArrayLike | None = ..., arrive_by: float | None = ..., **options: Unpack[Common],
+) -> Trajectory: ...  # fmt: skip
 @guarded
 def plan(
     checker: CollisionChecker,
@@ -79,8 +95,8 @@ def plan(
     seed: int = 0,
     full: bool = False,
     **rare: Unpack[Rare],
-) -> Floats | improving.Plan:
-    """Find a path from start to goal that is proven free of collisions everywhere.
+) -> Floats | improving.Plan | Trajectory:
+    """Find a path from start to goal that is proven free of collisions everywhere, or a trajectory in time.
 
     Parameters
     ----------
@@ -131,6 +147,14 @@ def plan(
         Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
         the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
         Default: one for each value.
+    start_time : float, optional
+        Plan in time, from this number of seconds on; required if bodies of the scene follow motions (`Scene.follow`).
+        With it, only `joints`, `joint_error`, `max_iterations`, `timeout`, `simplify` and `seed` may be given as well.
+    velocity : float or array_like, shape (dof,), optional
+        In time, the largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
+    arrive_by : float, optional
+        In time, the latest arrival [s], on the same clock as `start_time`. Default, and at most: four times as long as
+        the joints need to cross their ranges, after the end of all motions; of motions that repeat, two periods count.
 
     Returns
     -------
@@ -138,6 +162,10 @@ def plan(
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
         joint that turns without limits takes the shorter way around, so it ends at the goal's value or whole turns from
         it (with OMPL's planners, always at the goal's value).
+    Trajectory
+        If `start_time` is given. Between its times the robot moves straight at a constant rate, or waits. Its first
+        time is 0, which is `start_time` on the scene's clock: ``checker.certify_trajectory(found, t0=start_time)`` is
+        FREE. Every velocity is at most its limit, up to two units of rounding.
 
     Raises
     ------
@@ -148,7 +176,8 @@ def plan(
         are not proven free within the joint error (the message states the largest error that is proven); if no short
         motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
         found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
-        final check (the message names the motion).
+        final check (the message names the motion). In time also if the start collides at the start time (the message
+        names pairs and depths), or no goal can be reached by the latest arrival within the velocities.
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within; or as for `certify_edges` if a proof
@@ -176,6 +205,11 @@ def plan(
     Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
     2014), and polishes the new path and the best one: corners are cut or moved, and single joints are straightened.
 
+    In time, the direct motion is tried first, and then the path through the scene without the moving bodies, at several
+    starts and speeds. If none of them is proven, two trees grow, forward in time from the start and backward from the
+    goals at several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not
+    arrive as early as possible. Contact that `Scene.leave` or `Scene.reach` would permit counts as a collision.
+
     Examples
     --------
     >>> from loewner import CollisionChecker, Robot
@@ -183,6 +217,8 @@ def plan(
     >>> path
     array([[0., 0.],
            [2., 0.]])
+    >>> plan(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.0, 0.0], [2.0, 0.0], start_time=5.0, velocity=0.5)
+    Trajectory(4 s, 2 joints, 1 motion)
     """
     resolution = _validate.positive_scalar(resolution, "resolution")
     timeout = _validate.positive_scalar(timeout, "timeout")
@@ -191,15 +227,24 @@ def plan(
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
     full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
+    times: Any = {name: rare.pop(name) for name in Times.__optional_keys__ if name in rare}  # type: ignore[misc]
+    timed = any(value is not None for value in times.values())
     better, keep = None, rare.pop("keep", None)
     proof = _validate.flag(rare.pop("proof", False), "proof")
     if proof and (step or not full):
         raise InputError("proof: expected certified=True and full=True with it, found others")
     if rare or full:
         better = improving.Improvement.of(robot, rare, full, make is None, timeout)
+    if timed:
+        _expect_in_time(times, better is not None or keep is not None or make is not None or step > 0)
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
+    if timed:
+        return plan_in_time(
+            checker, start, goal, times, joints=joints, joint_error=joint_error, max_iterations=max_iterations,
+            timeout=timeout, simplify=simplify, seed=seed,
+        )  # fmt: skip
     q, goals, names = checked_ends(checker, start, goal, joints)
     kept = None if keep is None else _kept(keep, robot, joints, make is None)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error, kept)
@@ -227,6 +272,17 @@ def plan(
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
     return replace(made, proof=proof_of(model, judge.ready, straight(robot, path[:-1], path[1:]), off))
+
+
+def _expect_in_time(times: Times, others: bool) -> None:
+    """Check that the start time is given, and no arguments of paths."""
+    if times.get("start_time") is None:
+        raise InputError("start_time: expected it with velocity or arrive_by, found none")
+    if others:
+        raise InputError(
+            "start_time: expected no planner, certified=False, full, keep, weights or improvement with it; plans in "
+            "time are proven and shortened, by a search of their own"
+        )
 
 
 def _kept(keep: Any, robot: Robot, joints: str | Iterable[str] | None, compiled: bool) -> KeptAxis:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from loewner.robots import CollisionChecker, Robot, distances, tracking, verdict
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.robot import named_joints
+from loewner.scenes import Contact
 
 # A smaller deviation, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
@@ -172,18 +173,9 @@ class Space:
             return self._too_near(q, judge, judge.joint_error)
         if not contacts:
             return "a collision, which was gone when it was looked at: the scene has changed"
-        named = ", ".join(
-            f"{contact.name_a} and {contact.name_b} ("
-            + (f"{1e3 * abs(contact.distance):.3g} mm deep" if contact.distance <= 0 else
-               f"within their margin, {1e3 * contact.distance:.3g} mm apart")
-            + ")"
-            for contact in contacts[:NAMED]
-        )  # fmt: skip
         rules = judge.joint_error is not None and len(judge.ready.ruled)
-        return (
-            f"a collision of {named}"
-            + (f", and {len(contacts) - NAMED} more" if len(contacts) > NAMED else "")
-            + ("; with a joint error, contact at the ends is not allowed" if rules else "")
+        return f"a collision of {touching(contacts)}" + (
+            "; with a joint error, contact at the ends is not allowed" if rules else ""
         )
 
     def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:
@@ -204,6 +196,18 @@ class Space:
             f"one that is proven free only within joint errors of {allowed}: {a} and {b} are "
             f"{1e3 * nearest.distance:.3g} mm apart{judge.how_surfaces_are_seen(nearest.names)}"
         )
+
+
+def touching(contacts: Sequence[Contact]) -> str:
+    """Describe contacts for a message."""
+    named = ", ".join(
+        f"{contact.name_a} and {contact.name_b} ("
+        + (f"{1e3 * abs(contact.distance):.3g} mm deep" if contact.distance <= 0 else
+           f"within their margin, {1e3 * contact.distance:.3g} mm apart")
+        + ")"
+        for contact in contacts[:NAMED]
+    )  # fmt: skip
+    return named + (f", and {len(contacts) - NAMED} more" if len(contacts) > NAMED else "")
 
 
 def checked_ends(

@@ -74,9 +74,10 @@ OTHERS = "; planners.ControllerPoints.load reads messages and points of other pr
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The position of a robot as a function of time; made by `trajectory`, or read by `load`.
+    """The position of a robot as a function of time; made by `trajectory` or `plan`, or read by `load`.
 
-    Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited.
+    Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited. In a
+    trajectory from `plan` with `start_time`, velocities are constant instead, and jump at these times.
 
     Attributes
     ----------
@@ -85,11 +86,14 @@ class Trajectory:
     times : ndarray, shape (n,)
         Seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
-        Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
+        Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest. Where
+        velocities jump, they are those after the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
         Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
+    jumps : bool
+        Whether velocities are constant between these times, and jump there.
 
     Examples
     --------
@@ -109,8 +113,19 @@ class Trajectory:
     rates: Floats
     blended: Bools
     bends: Floats | None = None
+    jumps: bool = False
+
+    @classmethod
+    def _straight(cls, names: tuple[str, ...], times: Floats, knots: Floats) -> Trajectory:
+        """Make a trajectory whose velocities are constant between its times, and jump there."""
+        rates = np.zeros(knots.shape)
+        rates[:-1] = np.diff(knots, axis=0) / np.diff(times)[:, None]
+        return cls(names, times, knots, rates, np.zeros(len(times) - 1, dtype=bool), jumps=True)
 
     def __repr__(self) -> str:
+        if self.jumps:
+            count = len(self.blended)
+            return f"Trajectory({self.duration:.4g} s, {len(self.names)} joints, {count} motion{'s' * (count != 1)})"
         stops, blends = len(self.stops), len(self.blends)
         return (
             f"Trajectory({self.duration:.4g} s, {len(self.names)} joints, stops at {stops} "
@@ -158,6 +173,8 @@ class Trajectory:
         array([1., 0.])
         """
         k, x, T = self._pieces(t)
+        if self.jumps:
+            return np.asarray((1 - x) * self.knots[k] + x * self.knots[k + (T[..., 0] > 0)])
         if self.bends is not None:
             return self._cubics(k, x, T)
         # From the three control points of a parabola: it never leaves their hull, and ends where they do.
@@ -166,7 +183,7 @@ class Trajectory:
         return found
 
     def velocities(self, t: ArrayLike) -> Floats:
-        """Compute the velocities at given times.
+        """Compute the velocities at given times; at a jump, the value after the jump.
 
         Parameters
         ----------
@@ -188,6 +205,8 @@ class Trajectory:
         """
         k, x, T = self._pieces(t)
         m = k + (T[..., 0] > 0)
+        if self.jumps:
+            return np.asarray(np.where(x < 1, self.rates[k], self.rates[m]))
         found: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
         return found if self.bends is None else found + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
 
@@ -214,6 +233,8 @@ class Trajectory:
         """
         k, x, T = self._pieces(t)
         m = k + (T[..., 0] > 0)
+        if self.jumps:
+            return np.zeros((*k.shape, len(self.names)))
         if self.bends is not None:
             return np.asarray((1 - x) * self.bends[k] + x * self.bends[m])
         change = self.rates[m] - self.rates[k]
@@ -277,7 +298,8 @@ class Trajectory:
             since a controller follows the trajectory if it interpolates only positions and velocities.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
-            the knots, between which accelerations are constant or change linearly.
+            the knots, between which accelerations are constant or change linearly. Where velocities jump, the robot
+            moves straight between knots, and files contain positions alone.
         message : bool
             Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
 
@@ -417,11 +439,16 @@ class Trajectory:
         times = np.union1d(self.times, ticks[apart])
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
         bends = None if self.bends is None else self.accelerations(times)
+        if self.jumps:
+            return Trajectory._straight(self.names, times, self.positions(times))
         return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended, bends)
 
     def _csv(self) -> str:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
+        if self.jumps:
+            writer.writerows([["time", *self.names], *np.column_stack([self.times, self.knots]).tolist()])
+            return out.getvalue()
         writer.writerow(_header(self.names, self.bends is not None))
         bends = [] if self.bends is None else [self.bends]
         table = np.column_stack([self.times, self.knots, self.rates, *bends]).tolist()
@@ -429,6 +456,9 @@ class Trajectory:
         return out.getvalue()
 
     def _held(self) -> dict[str, Any]:
+        if self.jumps:
+            places = {"times": self.times.tolist(), "positions": self.knots.tolist()}
+            return {"names": self.names, **places, "jumps": True}
         held = {
             "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
             "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
@@ -437,7 +467,7 @@ class Trajectory:
 
     def _message(self) -> dict[str, Any]:
         """Return the contents of a message of type trajectory_msgs/JointTrajectory."""
-        columns = {"positions": self.knots, "velocities": self.rates}
+        columns = {"positions": self.knots} if self.jumps else {"positions": self.knots, "velocities": self.rates}
         if self.bends is not None:
             columns["accelerations"] = self.bends
         points: list[dict[str, Any]] = []
@@ -475,6 +505,8 @@ class Trajectory:
         T = np.diff(self.times)
         if self.times[0] != 0 or not (T > 0).all():
             return "times that start at 0 and increase, found others"
+        if self.jumps:
+            return ""
         if self.rates[[0, -1]].any():
             return "rest at both ends, found a velocity"
         if self.bends is None:
@@ -499,6 +531,9 @@ class Trajectory:
 def _form(given: Trajectory, name: str) -> Curve:
     """Make the curve of parabolas or cubics between knots; see `CollisionChecker.certify_trajectory`."""
     T, first, last = np.diff(given.times)[:, None], given.knots[:-1], given.knots[1:]
+    if given.jumps:
+        courses = np.stack([first, last], axis=1)
+        return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
     if given.bends is not None:
         inner = first + given.rates[:-1] * (T / 3), last - given.rates[1:] * (T / 3)
         courses = np.stack([first, *inner, last], axis=1)
@@ -821,13 +856,24 @@ def _header(names: tuple[str, ...], bends: bool) -> list[str]:
 def _read_csv(text: str) -> Trajectory:
     """Read a string written by `_csv`."""
     header, *rows = csv.reader(io.StringIO(text), strict=True)
+    if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
+        return _read_straight(header[1:], [[float(entry) for entry in row] for row in rows])
     bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
     names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
     if header != _header(names, bends):
         raise ValueError(f"the header {_validate.short(header)}")
     table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
     knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
-    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, *more)
+    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, more[0] if more else None)
+
+
+def _read_straight(names: Any, rows: Any) -> Trajectory:
+    """Make a trajectory whose velocities jump, from rows of times and positions."""
+    table = np.array(rows, dtype=np.float64).reshape(-1, len(names) + 1)
+    if not all(isinstance(name, str) for name in names) or not (np.diff(table[:, 0]) > 0).all() or not len(table):
+        raise ValueError("other names than texts, or times that do not increase")
+    with np.errstate(over="ignore", invalid="ignore"):  # refused as numbers that are not finite
+        return Trajectory._straight(tuple(names), table[:, 0], table[:, 1:])
 
 
 def _read_json(text: str) -> Trajectory:
@@ -835,12 +881,15 @@ def _read_json(text: str) -> Trajectory:
     held = json.loads(text)
     if not isinstance(held, dict):
         raise ValueError(f"{type(held).__name__} instead of the keys names, times, positions, velocities and blended")
+    if held.get("jumps") is True:
+        table = np.column_stack([np.array(held[key], dtype=np.float64) for key in ("times", "positions")])
+        return _read_straight(held["names"], table)
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
         raise ValueError("other names than texts, or blends that are neither true nor false")
     keys = ["times", "positions", "velocities", *(["accelerations"] if "accelerations" in held else [])]
     times, knots, rates, *more = (np.array(held[key], dtype=np.float64) for key in keys)
-    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), *more)
+    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), more[0] if more else None)
 
 
 def _why(error: Exception) -> str:

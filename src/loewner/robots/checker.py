@@ -757,10 +757,9 @@ class CollisionChecker:
         if ready.paths is not None and not timed:
             names = ", ".join(self._scene.following)
             raise InputError(
-                f"expected a time, since bodies of the scene follow motions ({names}). Planners and other queries "
-                "without a time do not take such bodies into account: plan without them (Scene.detach, Scene.remove), "
-                "then prove the trajectory by certify_trajectory; or give t= to collide, classify, pairs, distance and "
-                "their kin, or t0= and t1= to certify_edges"
+                f"expected a time, since bodies of the scene follow motions ({names}): give start_time= to "
+                "planners.plan, t= to collide, classify, pairs, distance and their kin, or t0= and t1= to "
+                "certify_edges. Queries without a time do not take such bodies into account"
             )
         return ready
 
@@ -808,3 +807,15 @@ def prepared_of(checker: CollisionChecker, *, timed: bool = False) -> Problem:
         If bodies of the scene follow motions and the queries are not `timed`.
     """
     return checker._ready(timed=timed)
+
+
+def without_motions(checker: CollisionChecker) -> CollisionChecker:
+    """Return a checker of the same pairs, in the present scene without the bodies that follow motions."""
+    if not checker.scene.following:
+        return checker
+    scene = checker.scene.copy()
+    for name in scene.following:
+        scene.remove(name)
+    made = CollisionChecker(checker.robot, scene)
+    made._skipped = checker._skipped
+    return made

@@ -1,0 +1,501 @@
+"""Plan among bodies that follow motions: search in space and time, by motions that are proven at their own times.
+
+A state is a configuration with a time behind it [s], which counts from the start of the plan. First the direct motion
+is tried, then a path through the scene without the moving bodies, at several starts and speeds; then two trees grow,
+forward in time from the start and backward from the goals. Motions are proven in batches, since a call takes as long
+as the proof of ten of them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._kernels import codes
+from loewner._validate import Bools, Floats, Ints
+from loewner.errors import InputError, PlanningError
+from loewner.planners import compiled
+from loewner.planners.joint_limits import limits_of
+from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.pose_goals import PoseGoal
+from loewner.planners.space import Space, checked_ends, touching
+from loewner.planners.trajectories import BLEND_ROUNDINGS, Trajectory
+from loewner.robots import CollisionChecker, Robot, in_time, motions, verdicts
+from loewner.robots.checker import prepared_of, without_motions
+from loewner.robots.courses import straight
+from loewner.robots.curves import joint_errors
+from loewner.robots.problem import Problem
+from loewner.robots.proofs import refuse_starts
+
+# Share of a velocity that is left to the rounding of times.
+SLACK = 1e-9
+
+# The horizon, unless it is given: this many times the time to cross all ranges, and of the periods of motions.
+CROSSINGS, PERIODS = 4.0, 2.0
+
+# Largest spacing of times near the start, as a share of the time to cross all ranges.
+COARSEST = 1e-6
+
+# Starts of the path through the still scene within the horizon, and its other durations.
+STARTS, SLOWER = 12, (1.5, 2.0, 3.0)
+
+# Per round: configurations that are drawn, motions of a branch towards one, and new times of arrival.
+DRAWN, MOTIONS, ARRIVALS = 8, 3, 4
+
+# The longest motion of a tree, as a share of the time to cross all ranges; the factor by which the horizon grows in a
+# round, up to the given one; the share of configurations that are drawn near the path, and how near; and the share of
+# branches at full speed.
+SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
+
+# Shortening: rounds at most, rounds without success, and the least gain, as a share; and for each change of a round,
+# the share of the possible gain in time.
+ROUNDS, IDLE, GAIN = 6, 2, 1e-3
+SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
+
+# Motions of a candidate that are proven before the others.
+FEW = 3
+
+# Numbers that a search for nearest states takes at a time: some 100 MB.
+LARGE = 2**22
+
+# Times at which waiting is proven for a message.
+SLOTS = 64
+
+
+class Times(TypedDict, total=False):
+    """The options of `plan` for plans in time."""
+
+    start_time: float
+    velocity: ArrayLike | None
+    arrive_by: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class TimedJudge:
+    """Prove motions between states.
+
+    Attributes
+    ----------
+    robot : Robot
+        Without moving bodies.
+    ready : Problem
+        One consistent state of the scene, with the motions of bodies.
+    begin : float
+        Start of the plan [s].
+    limit : float
+        Latest arrival, from the start on [s].
+    fastest, joint_error : ndarray, shape (dof,)
+    """
+
+    robot: Robot
+    ready: Problem
+    begin: float
+    limit: float
+    fastest: Floats
+    joint_error: Floats
+
+    def seconds(self, a: Floats, b: Floats) -> Floats:
+        """Compute the durations of motions between states at full speed."""
+        ways = np.abs(b[..., :-1] - a[..., :-1]) / self.fastest
+        return np.asarray(ways.max(axis=-1) * (1.0 + SLACK))
+
+    def free(self, a: Floats, b: Floats) -> Bools:
+        """Return which motions between states, shape (N, dof + 1) each, are proven free and not too fast.
+
+        `CollisionChecker.certify_trajectory` repeats this proof for the result.
+        """
+        t0, t1, free = self.begin + a[:, -1], self.begin + b[:, -1], np.zeros(len(a), dtype=bool)
+        at = np.flatnonzero((t0 < t1) & (b[:, -1] <= self.limit))
+        ways = np.abs(b[at, :-1] - a[at, :-1])
+        at = at[(ways <= self.fastest * (b[at, -1:] - a[at, -1:])).all(axis=1)]
+        if len(at) == 0:
+            return free
+        courses = straight(self.robot, a[at, :-1], b[at, :-1])
+        off, begin = BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + self.joint_error, np.arange(len(at))
+        if self.ready.paths is not None:
+            cut = in_time.pieces(self.robot, self.ready.paths, courses, off, t0[at], t1[at])
+            courses, off, begin = cut.courses, cut.off, np.flatnonzero(np.diff(cut.owner, prepend=-1))
+        found = motions.settle(self.ready, courses, TOLERANCE, off)
+        refuse_starts(self.ready, courses[:, 0], found)
+        free[at] = np.logical_and.reduceat(found.verdicts == codes.FREE, begin)
+        return free
+
+    def free_at(self, states: Floats) -> Bools:
+        """Return which states are free."""
+        return verdicts.free(self.ready, self._with_bodies(states))
+
+    def touching(self, state: Floats) -> str:
+        """Describe the contacts of a state; "" for none."""
+        contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0])
+        return doubt or touching(contacts)
+
+    def waiting(self, q: Floats) -> str:
+        """Describe the first body that comes too near to a robot that waits at the start."""
+        if self.ready.paths is None:
+            return ""
+        t, Q = self.begin + self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2, np.tile(q, (SLOTS, 1))
+        found = in_time.prove_edges(
+            self.robot, self.ready, self.ready.paths, (Q, Q), (t[:-1], t[1:]), TOLERANCE, self.joint_error
+        )
+        for k in np.flatnonzero((found.verdicts != codes.FREE) & (found.pairs >= 0))[:1]:
+            one, other = (self.ready.names[n] for n in self.ready.pairs[found.pairs[k]])
+            return f"; at the start, {one} and {other} come too near after {t[k]:.6g} s"
+        return ""
+
+    def _with_bodies(self, states: Floats) -> Floats:
+        return np.ascontiguousarray(
+            in_time.with_bodies(self.ready, np.ascontiguousarray(states[:, :-1]), self.begin + states[:, -1])
+        )
+
+
+def plan_in_time(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike | PoseGoal,
+    times: Times,
+    *,
+    joints: Any,
+    joint_error: ArrayLike,
+    max_iterations: int,
+    timeout: float,
+    simplify: bool,
+    seed: int,
+) -> Trajectory:
+    """Find a trajectory from start to goal; see `planning.plan`."""
+    robot, still = checker.robot, without_motions(checker)
+    if not robot.runs_straight:
+        raise InputError(
+            f"start_time: expected a robot whose values run straight, found a floating or ball joint in {robot.name!r}"
+        )
+    q, goals, names = checked_ends(still, start, goal, joints)
+    space, judge_of_still = Space.of(still, joints, q, goals), Judge.of(still, 0.0, joint_error)
+    judge = _judge(checker, space, times, joint_error)
+    first = np.append(q, 0.0)
+    goals = space.unwound(q, space.checked_goals(q, goals, judge_of_still, names))
+    if not judge.free_at(first[None])[0]:
+        raise PlanningError(
+            f"start: expected a configuration that is free at the start time {judge.begin:g} s, found a collision of "
+            f"{judge.touching(first)}"
+        )
+    needs = judge.seconds(first, np.column_stack([goals, np.zeros(len(goals))]))
+    if needs.min() == 0.0:
+        return Trajectory._straight(robot.configuration_names, np.zeros(1), q[None])._read_only()
+    if needs.min() > judge.limit:
+        raise PlanningError(
+            f"arrive_by: expected a goal that can be reached by {judge.begin + judge.limit:g} s within the velocity "
+            f"limits, found the nearest {needs.min():.6g} s away from the start at {judge.begin:g} s"
+        )
+    ends = np.column_stack([goals, needs])
+    direct = np.flatnonzero(judge.free(np.broadcast_to(first, ends.shape), ends))
+    rng, rows = np.random.default_rng(seed), None
+    if len(direct):
+        rows = np.stack([first, ends[direct[needs[direct].argmin()]]])
+    else:
+        path = compiled.connect(
+            space, judge_of_still, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed
+        )
+        if simplify:
+            path = compiled.shortened(judge_of_still, path, max_iterations=compiled.CUTS, seed=seed)
+        rows = _started(judge, path)
+        if rows is None:
+            trees = _Trees.of(space, judge, first, ends, path, rng)
+            rows = trees.connected(max_iterations, timeout)
+        if simplify:
+            rows = _shortened(judge, rows, float(needs.min()), rng)
+    return Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy())._read_only()
+
+
+def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: ArrayLike) -> TimedJudge:
+    """Check the options of a plan in time."""
+    robot, ready = checker.robot, prepared_of(checker, timed=True)
+    begin, last = _validate.real(times.get("start_time"), "start_time"), times.get("arrive_by")
+    moved = space.still.copy()
+    moved[space.columns] = np.inf  # in any case elsewhere
+    fastest = limits_of(robot, np.stack([space.still, moved]), None, times.get("velocity"), None, None)[0]
+    crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
+    spans = [
+        PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0)
+        for path in (() if ready.paths is None else ready.paths.paths)
+    ]
+    limit = CROSSINGS * crossing + max(spans, default=0.0)
+    if last is not None:
+        last = _validate.real(last, "arrive_by")
+        if not last > begin:
+            raise InputError(f"arrive_by: expected a time after start_time, {begin:g}, found {last:g}")
+        limit = min(limit, last - begin)
+        while begin + limit > last:
+            limit = float(np.nextafter(limit, 0.0))
+    if not np.spacing(max(abs(begin), abs(begin + limit))) <= COARSEST * crossing:
+        raise InputError(
+            f"start_time: expected a time to which motions of {crossing:.3g} s can be added, found {begin:g}"
+        )
+    return TimedJudge(robot, ready, begin, limit, fastest, joint_errors(robot, joint_error))
+
+
+def _started(judge: TimedJudge, path: Floats) -> Floats | None:
+    """Follow a path, at several starts and speeds; return the states of the earliest arrival that is proven."""
+    path = path[np.append(True, (np.diff(path, axis=0) != 0).any(axis=1))]
+    states = np.column_stack([path, np.zeros(len(path))])
+    states[1:, -1] = np.cumsum(judge.seconds(states[:-1], states[1:]))
+    tried = []
+    for slow in (1.0, *SLOWER):
+        tried.append(states.copy())
+        tried[-1][:, -1] *= slow
+    for k in range(1, STARTS + 1):
+        tried.append(np.concatenate([states[:1], states]))
+        tried[-1][1:, -1] += (judge.limit - states[-1, -1]) * (k / STARTS) ** 2
+    tried = [rows for rows in tried if rows[-1, -1] <= judge.limit]
+    found = _free_among(judge, tried[:1]) or _free_among(judge, tried[1:])
+    return min(found, key=lambda rows: float(rows[-1, -1]), default=None)
+
+
+def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = None) -> list[Floats]:
+    """Return the candidates whose motions are all proven free; motions between `known` rows are free.
+
+    A few motions of each candidate are proven first, since most candidates fail at these.
+    """
+    before = set() if known is None else {a.tobytes() + b.tobytes() for a, b in zip(known[:-1], known[1:], strict=True)}
+    left = [
+        [k for k in range(len(rows) - 1) if rows[k].tobytes() + rows[k + 1].tobytes() not in before] for rows in tried
+    ]
+    for few in (FEW, None):
+        counts = [len(numbers[:few]) for numbers in left]
+        if sum(counts) == 0:
+            continue
+        a, b = (
+            np.concatenate([rows[np.array(at[:few], dtype=np.int64) + k] for rows, at in zip(tried, left, strict=True)])
+            for k in (0, 1)
+        )
+        free = np.split(judge.free(a, b), np.cumsum(counts)[:-1])
+        kept = [k for k, of_rows in enumerate(free) if of_rows.all()]
+        tried, left = [tried[k] for k in kept], [left[k][FEW:] for k in kept]
+    return tried
+
+
+class _Tree:
+    """States that are connected with a start by free motions, or with goals if it grows backward."""
+
+    def __init__(self, judge: TimedJudge, roots: Floats, ahead: bool, longest: float) -> None:
+        self.judge, self.states, self.ahead, self.longest = judge, roots, ahead, longest
+        self.parents = np.full(len(roots), -1)
+
+    def add(self, states: Floats, parents: Ints) -> None:
+        """Add states with their parents."""
+        self.states, self.parents = np.concatenate([self.states, states]), np.concatenate([self.parents, parents])
+
+    def nearest(self, states: Floats) -> Ints:
+        """Find for each state the nearest one from which it can be reached in time; -1 for none."""
+        if len(states) > 1 and states.size * len(self.states) > LARGE:
+            return np.concatenate([self.nearest(state[None]) for state in states])
+        ways = np.abs(states[:, None, :-1] - self.states[None, :, :-1]) / self.judge.fastest
+        lapse = (states[:, None, -1] - self.states[:, -1]) * (1.0 if self.ahead else -1.0)
+        costs = np.sqrt((ways * ways).sum(axis=-1)) + lapse
+        costs[ways.max(axis=-1) * (1.0 + SLACK) > lapse] = np.inf
+        best = costs.argmin(axis=1)
+        return np.where(np.isfinite(costs[np.arange(len(states)), best]), best, -1)
+
+    def grow(self, at: Ints, states: Floats, most: int) -> tuple[Ints, Bools]:
+        """Grow from nodes towards states, as far as motions are free, by at most this number of motions.
+
+        Returns
+        -------
+        tips : ndarray of int64
+            The last node of each branch.
+        reached : ndarray of bool
+            Whether the state itself was reached; it is no node of its own then.
+        """
+        a = self.states[at]
+        counts = np.maximum(np.ceil(self.judge.seconds(a, states) / self.longest), 1).astype(np.int64)
+        used = np.minimum(counts, most)
+        owner, begin = np.repeat(np.arange(len(at)), used), np.cumsum(used) - used
+        number = np.arange(len(owner)) - begin[owner]
+        share = ((number + 1) / counts[owner])[:, None]
+        points = np.where(share == 1.0, states[owner], a[owner] + share * (states - a)[owner])
+        before = np.where((number == 0)[:, None], a[owner], np.roll(points, 1, axis=0))
+        free = self.judge.free(before, points) if self.ahead else self.judge.free(points, before)
+        passed = np.minimum.reduceat(np.where(free, used[owner], number), begin)
+        kept = number < passed[owner]
+        first = len(self.states) + np.cumsum(kept) - 1
+        self.add(points[kept], np.where(number == 0, at[owner], first - 1)[kept])
+        ends = np.where(passed > 0, first[begin + np.maximum(passed, 1) - 1], at)
+        return ends, passed == counts
+
+    def branch(self, node: int) -> list[int]:
+        """List the nodes from one to its root."""
+        nodes = [node]
+        while self.parents[nodes[-1]] >= 0:
+            nodes.append(int(self.parents[nodes[-1]]))
+        return nodes
+
+
+class _Trees(NamedTuple):
+    """Two trees that are to meet.
+
+    Attributes
+    ----------
+    space : Space
+    judge : TimedJudge
+    first : ndarray, shape (dof + 1,)
+        The start.
+    ends : ndarray, shape (goals, dof + 1)
+        The goals at the earliest times at which they could be reached.
+    path : ndarray, shape (k, dof)
+        A path from the start to a goal, which is not free at all times.
+    forward, backward : _Tree
+    """
+
+    space: Space
+    judge: TimedJudge
+    first: Floats
+    ends: Floats
+    path: Floats
+    rng: np.random.Generator
+    forward: _Tree
+    backward: _Tree
+
+    @classmethod
+    def of(
+        cls, space: Space, judge: TimedJudge, first: Floats, ends: Floats, path: Floats, rng: np.random.Generator
+    ) -> _Trees:
+        """Make trees of the start alone, and of nothing."""
+        longest = SHARE * float(((space.upper - space.lower) / judge.fastest[space.columns]).max())
+        trees = _Tree(judge, first[None], True, longest), _Tree(judge, ends[:0], False, longest)
+        return cls(space, judge, first, ends, path, rng, *trees)
+
+    def connected(self, most: int, timeout: float) -> Floats:
+        """Let the trees grow until they meet; return the states from the start to a goal.
+
+        Raises
+        ------
+        PlanningError
+            If they do not meet within a number of configurations, or in time.
+        """
+        began, drawn = time.monotonic(), 0
+        window, blocked = 2.0 * float(self.ends[:, -1].min()), ""
+        while drawn < most and time.monotonic() - began < timeout:
+            window = min(GROWTH * window, self.judge.limit)
+            blocked = self._arrive(window) or blocked
+            samples = self._drawn(window)
+            drawn += DRAWN
+            if len(samples) == 0 or len(self.backward.states) == 0:
+                continue
+            trees = (self.forward, self.backward)
+            if len(self.forward.states) > len(self.backward.states):
+                trees = trees[::-1]  # the smaller one grows
+            found = self._met(*trees, samples)
+            if found is not None:
+                return found
+        judge, late = self.judge, self.judge.begin + self.judge.limit
+        spent = f"within {most} iterations" if drawn >= most else f"within {timeout:g} s ({drawn} iterations)"
+        trees_of = (
+            f"trees of {len(self.forward.states)} states from the start and {len(self.backward.states)} from the goals"
+            if len(self.backward.states) else f"no goal that is free at a time of arrival{blocked}"
+        )  # fmt: skip
+        raise PlanningError(
+            f"expected motions from start to goal between {judge.begin:g} s and {late:g} s, found none {spent}: "
+            f"{trees_of}{judge.waiting(self.first[:-1])}. There may be none; a later arrive_by, a larger "
+            "max_iterations or timeout, or another seed, may help"
+        )
+
+    def _arrive(self, window: float) -> str:
+        """Add goals at random times; describe a contact if one is not free."""
+        new = self.ends[self.rng.integers(len(self.ends), size=ARRIVALS)]
+        new[:, -1] += self.rng.random(ARRIVALS) * np.maximum(window - new[:, -1], 0.0)
+        new = new[new[:, -1] <= self.judge.limit]
+        good = self.judge.free_at(new)
+        self.backward.add(new[good], np.full(int(good.sum()), -1))
+        if good.all():
+            return ""
+        k = int(good.argmin())
+        return f"; at {self.judge.begin + new[k, -1]:.6g} s there is a collision of {self.judge.touching(new[k])}"
+
+    def _drawn(self, window: float) -> Floats:
+        """Draw states that can be reached from the start, and from which a goal can be reached within a time."""
+        space, rng, judge, dof = self.space, self.rng, self.judge, len(self.first) - 1
+        samples = np.zeros((DRAWN, dof + 1))
+        samples[:, :dof] = space.configurations(rng.uniform(space.lower, space.upper, (DRAWN, len(space.columns))))
+        along = rng.random(DRAWN) < ALONG
+        place = rng.random(DRAWN) * (len(self.path) - 1)
+        k = np.minimum(place.astype(np.int64), len(self.path) - 2)
+        on = self.path[k] + (place - k)[:, None] * (self.path[k + 1] - self.path[k])
+        near = np.where(along, NEAR * rng.random(DRAWN), 1.0)[:, None]
+        samples[along, :dof] = (on + near * (samples[:, :dof] - on))[along]
+        low = judge.seconds(self.first, samples)
+        high = window - judge.seconds(samples[:, None], self.ends).min(axis=1)
+        samples[:, -1] = low + rng.random(DRAWN) * (high - low)
+        return np.asarray(samples[low <= high])
+
+    def _met(self, one: _Tree, other: _Tree, samples: Floats) -> Floats | None:
+        """Let one tree grow towards samples, and from there towards the other tree; return the way if they meet."""
+        at = one.nearest(samples)
+        at, samples = at[at >= 0], samples[at >= 0]
+        if len(at) == 0:
+            return None
+        near, hasty = one.states[at], self.rng.random(len(at)) < HASTY
+        haste = self.judge.seconds(near, samples) * (1.0 if one.ahead else -1.0)
+        samples[hasty, -1] = (near[:, -1] + haste)[hasty]
+        tips, _ = one.grow(at, samples, MOTIONS)
+        tips = np.unique(tips)
+        to = other.nearest(one.states[tips])
+        tips, to = tips[to >= 0], to[to >= 0]
+        if len(tips) == 0:
+            return None
+        tips, met = one.grow(tips, other.states[to], 2**20)
+        best: Floats | None = None
+        for tip, k in zip(tips[met].tolist(), to[met].tolist(), strict=True):
+            # The tip is the other tree's node.
+            halves = one.states[one.branch(tip)[::-1]], other.states[other.branch(k)[1:]]
+            rows = np.concatenate(halves) if one.ahead else np.concatenate(halves)[::-1]
+            best = rows if best is None or rows[-1, -1] < best[-1, -1] else best
+        return best
+
+
+def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Generator) -> Floats:
+    """Cut corners in space and time: arrive earlier where that is proven, or else by a shorter way."""
+    idle, enough = 0, least * (1.0 + GAIN)
+    for _ in range(ROUNDS):
+        if idle == IDLE or rows[-1, -1] <= enough:
+            break
+        cuts = np.sort(rng.random((len(SAVED), 2)) * rows[-1, -1], axis=1).tolist()
+        tried = [_changed(judge, rows, begin, end, share) for (begin, end), share in zip(cuts, SAVED, strict=True)]
+        if idle == 0:  # between corners, and without waiting
+            waits = (rows[1:, :-1] == rows[:-1, :-1]).all(axis=1)
+            at = rows[:, -1]
+            pairs = np.concatenate([[at[:-2], at[2:]], [at[:-1][waits], at[1:][waits]]], axis=1).T.tolist()
+            tried += [_changed(judge, rows, begin, end, 1.0) for begin, end in pairs]
+        arrival, length = _costs(judge, rows)
+        found = [(*_costs(judge, new), k, new) for k, new in enumerate(_free_among(judge, tried, rows))]
+        found = [
+            one for one in found
+            if one[0] < arrival * (1 - GAIN) or (one[0] <= arrival and one[1] < length * (1 - GAIN))
+        ]  # fmt: skip
+        idle = 0 if found else idle + 1
+        if found:
+            rows = min(found)[3]
+    return rows
+
+
+def _changed(judge: TimedJudge, rows: Floats, begin: float, end: float, share: float) -> Floats:
+    """Move straight between two times, and save a share of the time that this can take less."""
+    times, at = rows[:, -1], np.array([begin, end])
+    k = np.minimum(np.searchsorted(times, at, side="right") - 1, len(rows) - 2)
+    two = rows[k] + ((at - times[k]) / (times[k + 1] - times[k]))[:, None] * (rows[k + 1] - rows[k])
+    two[:, -1] = at
+    first, last = int(np.searchsorted(times, begin - SLACK)), int(np.searchsorted(times, end + SLACK))
+    saved = share * max(end - begin - float(judge.seconds(two[0], two[1])), 0.0)
+    two = two[: 1 if saved == end - begin else 2]  # without waiting between them, the two are one
+    changed: Floats = np.concatenate([rows[:first], two, rows[last:]])
+    changed[first + 1 :, -1] -= saved
+    changed[0], changed[-1, :-1] = rows[0], rows[-1, :-1]
+    return changed
+
+
+def _costs(judge: TimedJudge, rows: Floats) -> tuple[float, float]:
+    """Compute the time of arrival, and the length in seconds."""
+    ways = np.diff(rows[:, :-1], axis=0) / judge.fastest
+    return float(rows[-1, -1]), float(np.sqrt((ways * ways).sum(axis=1)).sum())
