@@ -42,7 +42,7 @@ def _run(options: argparse.Namespace) -> int:
         for name in ("srdf", "scene", "model", "decompose", "package_dir"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
-    read_regular(options.file, "a proof", MOST_BYTES)  # whose errors are those of all commands
+    read_regular(options.file, "a proof", MOST_BYTES)  # errors as in other commands
     status = verify.main(["--", str(options.file)])
     if status or options.urdf is None:
         return status
