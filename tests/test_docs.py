@@ -52,6 +52,7 @@ def folder_with_robot(folder_with_meshes):
         "docs/scenes.md",
         "docs/robots.md",
         "docs/motions.md",
+        "docs/proofs.md",
         "docs/viewer.md",
         "docs/howto/two-robots.md",
         "docs/howto/moving-bodies.md",

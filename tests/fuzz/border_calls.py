@@ -368,6 +368,11 @@ def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
 
+def proof() -> loewner.Proof:
+    made: loewner.Proof = checker().certify_edges(PATH[0], PATH[0], proof=True).proof
+    return made
+
+
 def joint_limits() -> planners.JointLimits:
     return planners.JointLimits.load("limits.yaml", robot())
 
@@ -479,6 +484,7 @@ def write_files() -> None:
     Path("pole.xml").write_text("<mujoco><worldbody><body><joint/><geom size='0.5'/></body></worldbody></mujoco>")
     np.save("configs.npy", np.zeros((2, 3)))
     moved().save("moved.json")
+    proof().save("plan.proof")
     Path("limits.yaml").write_text("joint_limits: {x: {max_velocity: 1.0, max_jerk: 9.0}}")
     FILES.update(os.listdir())
 
@@ -1064,6 +1070,7 @@ CALLS: dict[str, Call] = {
                 "without the first row",
                 "two axes more",
             ),
+            "proof": flag(False),
         },
     ),
     "CollisionChecker.first_contact": Call(
@@ -1090,8 +1097,12 @@ CALLS: dict[str, Call] = {
             "tolerance": positive(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
             "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+            "proof": flag(False),
         },
     ),
+    "Proof": Call(loewner.Proof, {"data": arg(lambda: proof().data)}),
+    "Proof.save": Call(on(proof, "save"), {"path": PATH_OUT}),
+    "Proof.load": Call(loewner.Proof.load, {"path": arg("plan.proof")}),
     "CollisionChecker.pairs": Call(on(checker_in_time, "pairs"), {"q": ONE, "t": arg(0.5, NUMBERS, ZERO, NEGATIVE)}),
     "CollisionChecker.collide_by_pair": Call(on(checker_in_time, "collide_by_pair"), {"Q": CONFIGURATIONS, "t": AT}),
     "CollisionChecker.distance": Call(
@@ -1132,6 +1143,7 @@ CALLS: dict[str, Call] = {
             "simplify": flag(False),
             "seed": count(1, "0"),
             "full": flag(),
+            "proof": flag(),
             "improve_for": arg(0.0, NUMBERS, NONE, ZERO),
             "improve_iterations": count(0, "0", NONE),
             "weights": array([1.0, 0.5, 1.0], NONE),
@@ -1557,6 +1569,8 @@ LINES: dict[str, Call] = {
             "SECONDS",
             "--out",
             "OUT",
+            "--proof",
+            "PROOF",
         ),
         {
             "scene": word("scene.yaml"),
@@ -1567,7 +1581,12 @@ LINES: dict[str, Call] = {
             "count": word("50", LINE_COUNTS),
             "seconds": word("5", LINE_NUMBERS),
             "out": word("path.csv"),
+            "proof": word("out.proof", frozenset(WORDS)),
         },
+    ),
+    "loewner verify": Call(
+        line("verify", "FILE", "--robot", "ROBOT", "--srdf", "gantry.srdf", "--scene", "SCENE"),
+        {"file": word("plan.proof"), "robot": word("gantry.urdf"), "scene": word("scene.yaml")},
     ),
     "loewner paper": Call(
         line("paper", "--pairs", "PAIRS", "--seed", "SEED", "--dataset", "DATA", "--json", "JSON"),

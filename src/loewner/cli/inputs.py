@@ -63,9 +63,12 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     command.set_defaults(usual_model=default)
 
 
-def add_robot_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of commands that take a robot."""
-    command.add_argument("urdf", type=Path, metavar="URDF")
+def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
+    """Add the options of commands that take a robot; if it is not required, it is an option, too."""
+    if required:
+        command.add_argument("urdf", type=Path, metavar="URDF")
+    else:
+        command.add_argument("--robot", dest="urdf", type=Path, metavar="URDF", help="a robot to compare with")
     command.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
     command.add_argument(
         "--package-dir",

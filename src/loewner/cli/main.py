@@ -20,7 +20,7 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, robot, view
+from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, robot, verify, view
 from loewner.cli.output import ERROR
 from loewner.errors import InputError, LoewnerError
 
@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, clearance, robot, plan, audit, view, compile, info, paper):
+    for command in (fit, check, clearance, robot, plan, verify, audit, view, compile, info, paper):
         command.add(commands)
     return parser
 

@@ -27,6 +27,7 @@ EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal goals.csv -o path.csv
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
   loewner plan panda.urdf --srdf panda.srdf --start ready --goal-pose panda_hand "0.4 0.2 0.5 0 1 0 0"
+  loewner plan panda.urdf --srdf panda.srdf --start ready --goal above --proof plan.proof
   loewner plan panda.urdf --srdf panda.srdf --scene belt.yaml --start ready --goal above --arrive-by 4 -o plan.csv
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
@@ -76,6 +77,7 @@ def add(commands: Any) -> None:
         help="a group of the SRDF, or a joint: these move, all others stay; joints are repeatable (all)",
     )
     plan.add_argument("-o", "--out", type=Path, metavar="FILE", help="write the path (.csv or .json)")
+    plan.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
     plan.add_argument("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
     plan.add_argument(
         "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (100000)"
@@ -143,6 +145,8 @@ def _run(options: argparse.Namespace) -> int:
             found.save(options.out)
         else:
             configurations.write(options.out, robot, found.path)
+    if options.proof is not None and isinstance(found, planners.Plan) and found.proof is not None:
+        found.proof.save(options.proof)
     answer = _answer(checker, found, seconds, options)
     if options.json:
         print(json.dumps(answer, indent=2))
@@ -176,6 +180,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
+    if options.proof is not None and (options.sampled or options.start_time is not None):
+        raise InputError("--proof: expected no --sampled and no --start-time with it; it is written for proven paths")
     if options.weights is not None and not options.improve_for:
         raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
@@ -191,7 +197,11 @@ def _found(
     given: dict[str, Any] = {name: getattr(options, name) for name in ("max_iterations", "resolution", "planner")}
     given["joints"] = options.joints[0] if options.joints is not None and len(options.joints) == 1 else options.joints
     if options.start_time is None:
-        given |= {"full": True, "weights": options.weights and _numbers("--weights", options.weights)}
+        given |= {
+            "full": True,
+            "proof": options.proof is not None,
+            "weights": options.weights and _numbers("--weights", options.weights),
+        }
     else:
         given |= {"start_time": options.start_time, "arrive_by": options.arrive_by}
         given["velocity"] = options.velocity and _numbers("--velocity", options.velocity)
@@ -235,6 +245,7 @@ def _answer(
     else:
         path, times, t0, t1 = plan.path, None, None, None
         own = {"cost": plan.cost, "cost_bound": plan.bound, "improvements": plan.iterations, "seconds": plan.seconds}
+    proof = plan.proof if isinstance(plan, planners.Plan) else None
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
     found = checker.certify_edges(a, b, joint_error=options.joint_error, t0=t0, t1=t1)
@@ -274,6 +285,8 @@ def _answer(
         **own,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
+        "proof": None if proof is None else str(options.proof),
+        "proof_bytes": None if proof is None else proof.size,
     }
 
 
@@ -310,8 +323,9 @@ def _print_answer(answer: dict[str, Any]) -> None:
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
     )
     print(f"found in  {1e3 * answer['seconds']:.3g} ms, this machine, this run")
-    if answer["out"] is not None:
-        print(f"written   {answer['out']}")
+    for written, what in ((answer["out"], ""), (answer["proof"], f", a proof of {answer['proof_bytes']} bytes")):
+        if written is not None:
+            print(f"written   {written}{what}")
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:

@@ -21,7 +21,7 @@ from loewner.planners.compiled import Growth
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge
 from loewner.planners.space import Space
-from loewner.robots import Robot
+from loewner.robots import Proof, Robot
 
 # Searches draw from the ellipsoid whose excess over the straight way is this multiple of the best path's excess: their
 # paths become shorter when they are polished.
@@ -76,7 +76,9 @@ class Plan:
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float
-        Duration of the call.
+        Duration of the call, without writing a proof.
+    proof : Proof or None
+        A proof that the path is free, if one was requested.
 
     Examples
     --------
@@ -92,6 +94,7 @@ class Plan:
     bound: float
     iterations: int
     seconds: float
+    proof: Proof | None = None
 
     @property
     def gap(self) -> float:

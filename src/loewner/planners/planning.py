@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, Literal, TypedDict, Unpack, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
@@ -20,8 +22,11 @@ from loewner.planners.pose_goals import PoseGoal, joints_of
 from loewner.planners.space import Space, checked_ends
 from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot
+from loewner.robots.courses import straight
 from loewner.robots.edges import checked_path
+from loewner.robots.proof_models import model_of
 from loewner.robots.robot import chain_to
+from loewner.robots.written_proofs import proof_of
 
 
 class Common(TypedDict, total=False):
@@ -39,6 +44,7 @@ class OfPaths(improving.Options, total=False):
     """Options of `plan` for paths that few calls name."""
 
     keep: tuple[str, str | ArrayLike, ArrayLike, float] | None
+    proof: bool
 
 
 class Options(OfPaths, Common, total=False):
@@ -129,6 +135,8 @@ def plan(
         which applies to the whole process.
     full : bool
         Return a `Plan`, which contains the path, its cost and a lower bound on the cost.
+    proof : bool, optional
+        With `full`: also write a `Proof` of the path, as `CollisionChecker.certify_edges` does. Default: False.
     improve_for : float, optional
         Improve the path until this number of seconds has passed since the call began; the first path is returned in any
         case. Default: do not improve it, unless `improve_iterations` is given.
@@ -172,7 +180,10 @@ def plan(
         names pairs and depths), or no goal can be reached by the latest arrival within the velocities.
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
-        is a planar, floating or ball joint, which has no limits to search within.
+        is a planar, floating or ball joint, which has no limits to search within; or as for `certify_edges` if a proof
+        is requested.
+    ConvergenceError
+        As for `certify_edges`, if a proof is requested.
     UnknownNameError
         If there is no such group, joint or planner.
     MissingExtraError
@@ -219,6 +230,9 @@ def plan(
     times: Any = {name: rare.pop(name) for name in Times.__optional_keys__ if name in rare}  # type: ignore[misc]
     timed = any(value is not None for value in times.values())
     better, keep = None, rare.pop("keep", None)
+    proof = _validate.flag(rare.pop("proof", False), "proof")
+    if proof and (step or not full):
+        raise InputError("proof: expected certified=True and full=True with it, found others")
     if rare or full:
         better = improving.Improvement.of(robot, rare, full, make is None, timeout)
     if timed:
@@ -234,6 +248,7 @@ def plan(
     q, goals, names = checked_ends(checker, start, goal, joints)
     kept = None if keep is None else _kept(keep, robot, joints, make is None)
     space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error, kept)
+    model = model_of(judge.ready) if proof else None
     ends = Departures.of(space, judge, q, goals)
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
@@ -250,7 +265,13 @@ def plan(
     path = ends.joined(found)
     if kept is not None and not kept.on(path[:-1], path[1:]).all():
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
-    return path if better is None or not full else better.plan(path, ends, goals, rounds, posed)
+    if better is None or not full:
+        return path
+    made = better.plan(path, ends, goals, rounds, posed)
+    if model is None:
+        return made
+    off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
+    return replace(made, proof=proof_of(model, judge.ready, straight(robot, path[:-1], path[1:]), off))
 
 
 def _expect_in_time(times: Times, others: bool) -> None:

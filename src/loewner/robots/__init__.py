@@ -2,7 +2,7 @@
 
 `robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read. Users call `checker`;
 `checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `sampling`
-finds pairs that need no check.
+finds pairs that need no check, and `written_proofs` writes proofs that other programs verify.
 """
 
 from loewner.robots.assembly import Part
@@ -15,6 +15,7 @@ from loewner.robots.reaching import Reached
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
 from loewner.robots.verdicts import Settled
+from loewner.robots.written_proofs import Proof
 
 __all__ = [
     "CertifiedMotions",
@@ -22,6 +23,7 @@ __all__ = [
     "CollisionChecker",
     "PairDistances",
     "Part",
+    "Proof",
     "Reached",
     "Robot",
     "Settled",

@@ -22,12 +22,15 @@ from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
 from loewner.robots import contact_times, curves, distances, edges, in_time, proofs, tracking, verdicts
 from loewner.robots.checked_pairs import prepared
+from loewner.robots.courses import straight
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.problem import Problem
+from loewner.robots.proof_models import model_of
 from loewner.robots.robot import Robot
 from loewner.robots.verdicts import Settled, Verdicts
+from loewner.robots.written_proofs import proof_of
 from loewner.scenes import Contact, Scene, poses_since
 
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
@@ -141,6 +144,15 @@ class CollisionChecker:
         """Names of the pairs that are checked."""
         ready = self._ready(timed=True)
         return tuple((ready.names[a], ready.names[b]) for a, b in ready.pairs)
+
+    @property
+    def model_hash(self) -> str:
+        """SHA-256 of the model of the robot and the scene's present state, as in proofs: `Proof.model_hash`.
+
+        Equal hashes mean equal numbers, to the last bit: links, joints, shapes, poses, pairs and margins. An InputError
+        is raised if proofs cannot express the robot or the scene.
+        """
+        return model_of(self._ready(timed=True)).hash
 
     def collide(self, Q: ArrayLike, t: ArrayLike | None = None) -> OneOrMany:
         """Decide exactly which configurations are in collision.
@@ -307,6 +319,7 @@ class CollisionChecker:
         joint_error: ArrayLike = 0.0,
         t0: ArrayLike | None = None,
         t1: ArrayLike | None = None,
+        proof: bool = False,
     ) -> CertifiedMotions:
         """Prove which straight motions are free of collisions everywhere along the motion.
 
@@ -323,6 +336,10 @@ class CollisionChecker:
         t0, t1 : float or array_like, shape (...), optional
             Seconds at which the motions begin and end, broadcast with them; required if bodies of the scene follow
             motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
+        proof : bool
+            Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
+            proof exists for joints that turn or slide, and for bodies that neither follow motions nor may be in contact
+            at the ends of motions (`Scene.leave`, `Scene.reach`).
 
         Returns
         -------
@@ -333,9 +350,13 @@ class CollisionChecker:
         InputError
             If the width is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is not positive
             and finite, or a joint error is negative; if a motion is so long that it would take more than 458,752
-            intervals; or if bodies of the scene follow motions and a time is missing, or t1 is before t0.
+            intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; or if a proof
+            of such a robot or scene cannot be written.
         UnknownNameError
             As for `collide`.
+        ConvergenceError
+            If the motions are free, but a proof cannot be written, since its bound on the effect of joint errors is
+            coarser; the message names the pair.
 
         See Also
         --------
@@ -369,6 +390,7 @@ class CollisionChecker:
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
         ready = self._ready(timed=times is not None)
+        model = model_of(ready) if _validate.flag(proof, "proof") else None
         if times is not None:
             whole = _validate.broadcast({"motions": shape, "t0, t1": times[0].shape})
             if whole != shape:
@@ -381,7 +403,10 @@ class CollisionChecker:
         else:
             found = proofs.prove_by_rules(ready, a, b, tolerance, errors)
         found.expect_short(a, b)
-        return found.of_shape(shape, ready)
+        motions = found.of_shape(shape, ready)
+        if model is None or not (found.verdicts == codes.FREE).all():
+            return motions
+        return replace(motions, proof=proof_of(model, ready, straight(ready.robot, a, b), errors))
 
     @overload
     def certify_trajectory(
@@ -391,13 +416,20 @@ class CollisionChecker:
         tolerance: float = ...,
         joint_error: ArrayLike = ...,
         t0: float = ...,
+        proof: bool = ...,
     ) -> tuple[CertifiedTrajectory, ...]: ...
     @overload
     def certify_trajectory(
-        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ..., t0: float = ...
+        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ..., t0: float = ..., proof: bool = ...
     ) -> CertifiedTrajectory: ...
     def certify_trajectory(
-        self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0, t0: float = 0.0
+        self,
+        curve: Any,
+        *,
+        tolerance: float = 1e-5,
+        joint_error: ArrayLike = 0.0,
+        t0: float = 0.0,
+        proof: bool = False,
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
         """Prove that a curve executed by a robot is free of collisions at every instant.
 
@@ -416,6 +448,8 @@ class CollisionChecker:
         t0 : float
             Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
             bodies that follow motions, and the times of the result include it.
+        proof : bool
+            Also write a `Proof` of each free curve, as for `certify_edges`.
 
         Returns
         -------
@@ -426,7 +460,9 @@ class CollisionChecker:
         ------
         InputError
             If the curve is of the wrong type, is for different joints, jumps, has a degree above 7, numbers that are
-            not finite, or times that do not increase.
+            not finite, or times that do not increase; or as for `certify_edges` if a proof is requested.
+        ConvergenceError
+            As for `certify_edges`.
 
         Notes
         -----
@@ -449,7 +485,8 @@ class CollisionChecker:
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         errors = curves.joint_errors(self.robot, joint_error)
         ready = self._ready(timed=True)
-        found = curves.certified(self.robot, ready, curves.curves_of(self.robot, curve, t0), tolerance, errors)
+        model = model_of(ready) if _validate.flag(proof, "proof") else None
+        found = curves.certified(self.robot, ready, curves.curves_of(self.robot, curve, t0), tolerance, errors, model)
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     joint_error = tracking.joint_error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from math import comb
 from typing import Any, NamedTuple
@@ -21,8 +21,10 @@ from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, st
 from loewner.robots.edges import checked_path
 from loewner.robots.motions import CertifiedMotions, Found
 from loewner.robots.problem import Problem
+from loewner.robots.proof_models import Model
 from loewner.robots.proofs import prove
 from loewner.robots.robot import Robot
+from loewner.robots.written_proofs import proof_of
 
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
@@ -74,6 +76,8 @@ class CertifiedTrajectory:
         Times at which the segments begin and end.
     segments : CertifiedMotions
         Results for the n segments, with fractions of a segment instead of times.
+    proof : Proof or None
+        A proof that the curve is free, if one was requested and it is; a motion for each segment.
 
     Examples
     --------
@@ -90,6 +94,7 @@ class CertifiedTrajectory:
     names: tuple[str, str]
     times: Floats
     segments: CertifiedMotions
+    proof: Any = None
 
     def __repr__(self) -> str:
         return _validate.brief(self)
@@ -106,9 +111,17 @@ class CertifiedTrajectory:
 
 
 def certified(
-    robot: Robot, ready: Problem, curves: list[Curve], tolerance: float, joint_error: Floats
+    robot: Robot,
+    ready: Problem,
+    curves: list[Curve],
+    tolerance: float,
+    joint_error: Floats,
+    model: Model | None = None,
 ) -> list[CertifiedTrajectory]:
-    """Prove which curves are free, including all configurations that deviate by no more than `joint_error`."""
+    """Prove which curves are free, including all configurations that deviate by no more than `joint_error`.
+
+    Proofs of free curves are written if there is a model for them.
+    """
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
     degrees = np.array([curve.courses.shape[1] for curve in curves])
@@ -123,9 +136,19 @@ def certified(
             last = first + len(curves[k].courses)
             expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)
-            found[k] = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
+            one = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
+            if model is not None and one.verdict == Verdict.FREE:
+                one = replace(one, proof=proof_of(model, ready, *_joined(curves[k])))
+            found[k] = one
             first = last
     return [one for one in found if one is not None]
+
+
+def _joined(curve: Curve) -> tuple[Floats, Floats]:
+    """Let each segment begin exactly where the one before ends; return the courses and how far values may deviate."""
+    courses = curve.courses.copy()
+    courses[1:, 0] = courses[:-1, -1]
+    return courses, curve.off.max(axis=0) + np.abs(courses - curve.courses).max(axis=(0, 1))
 
 
 def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:

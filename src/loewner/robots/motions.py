@@ -42,6 +42,8 @@ class CertifiedMotions:
     poses, searches : int or ndarray of int64
         Work of the proof: the number of configurations at which the robot was placed, and the number of searches on
         pairs of pieces.
+    proof : Proof or None
+        A proof that all motions are free, if one was requested and all of them are.
 
     Examples
     --------
@@ -59,6 +61,7 @@ class CertifiedMotions:
     names: Any
     poses: Any
     searches: Any
+    proof: Any = None
 
     def __repr__(self) -> str:
         return _validate.brief(self)

@@ -1,0 +1,78 @@
+"""Proofs of MotionBenchMaker's plans: bytes, time to make and to verify them.
+
+    python benchmarks/proofs.py --data FILE [--every N]
+
+FILE is the set of 700 problems in JSON that docs/scenes.md describes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from clock import threads_set_to
+from loewner import CollisionChecker, PlanningError, planners, read_motion_bench_maker
+from loewner.verify import verify
+from motion_bench_maker import Task
+from rivals import Missing
+from robot_samples import panda
+
+# The best of so many counts.
+ROUNDS = 3
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="the problems, in JSON")
+    parser.add_argument("--every", type=int, default=7, help="every Nth problem of a group; 1 for all")
+    options = parser.parse_args(arguments)
+    if not options.data.exists():
+        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
+        return 0
+    try:
+        arm = panda()
+    except Missing as missing:
+        print(f"not run: {missing}")
+        return 0
+    rows = []
+    with threads_set_to(1):
+        for problem in read_motion_bench_maker(options.data):
+            task = Task.of(problem, arm.robot)
+            if not task.solvable or problem.index % options.every:
+                continue
+            try:
+                plan = planners.plan(task.checker, task.start, task.goals, joints=list(problem.joint_names), full=True)
+            except PlanningError:
+                continue
+            rows.append((plan.seconds, *measured(task.checker, plan.path)))
+    print(f"{len(rows)} plans, all verified")
+    for name, column in zip(
+        ("plan, ms", "proof, ms", "verify, ms", "bytes", "bytes of the model", "planes"), np.array(rows).T, strict=True
+    ):
+        factor = 1e3 if name.endswith("ms") else 1
+        median, most = factor * np.median(column), factor * column.max()
+        print(f"{name:20} median {median:10.4g}   95 % {factor * np.percentile(column, 95):10.4g}   most {most:10.4g}")
+    return 0
+
+
+def measured(checker: CollisionChecker, path: np.ndarray) -> tuple[float, ...]:
+    """Seconds to make and to verify the proof of a path, its bytes and those of its model, and its planes."""
+    made = verified = np.inf
+    for _ in range(ROUNDS):
+        began = time.process_time()
+        checker.certify_edges(path[:-1], path[1:])
+        alone = time.process_time() - began
+        began = time.process_time()
+        proof = checker.certify_edges(path[:-1], path[1:], proof=True).proof
+        made = min(made, time.process_time() - began - alone)
+    began = time.process_time()
+    report = verify(proof.data)  # an error if it is refused
+    verified = time.process_time() - began
+    return made, verified, proof.size, len(proof.model), report.sizes["planes"]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,281 @@
+"""Models of a robot and its surroundings as proofs hold them: in bytes, and as arrays for the search of planes.
+
+docs/proof-format.md describes the bytes. Links that do not move become frames of bodies, planar joints two links that
+slide and one that turns, and surfaces the hulls of their parts.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner import _validate
+from loewner._kernels import columns
+from loewner._kernels.records import Tree
+from loewner._rotations import quaternions_of
+from loewner._validate import Floats, Ints
+from loewner.bodies import Packed
+from loewner.errors import InputError
+from loewner.robots.problem import Problem
+
+# Kinds of joints and of pieces in the format.
+STAYS, TURNS, SLIDES = 0, 1, 2
+HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
+_CURVED = {columns.ELLIPSOID: BALL, columns.CYLINDER: CYLINDER, columns.CONE: CONE}
+
+# Names are preceded by their length in 16 bits.
+LONGEST_NAME = 2**16 - 1
+
+
+class Links(NamedTuple):
+    """Links in the order of the format; arrays with an entry or a row for each.
+
+    Attributes
+    ----------
+    names : list of str
+    above : ndarray of int64
+        -1 for the world.
+    moves : ndarray of int64
+        STAYS, TURNS or SLIDES.
+    value : ndarray of int64
+    multiplier, offset : ndarray
+    quaternion, translation, axis : ndarray, shapes (L, 4), (L, 3) and (L, 3)
+    of_robot : ndarray of int64
+        The robot's link that has the same pose; -1 for links that the robot does not have.
+    """
+
+    names: list[str]
+    above: Ints
+    moves: Ints
+    value: Ints
+    multiplier: Floats
+    offset: Floats
+    quaternion: Floats
+    translation: Floats
+    axis: Floats
+    of_robot: Ints
+
+
+class Pieces(NamedTuple):
+    """Pieces of all bodies; `points` are corners of hulls, or three rows of the factor and the center of another kind.
+
+    Attributes
+    ----------
+    start : ndarray of int64, shape (bodies + 1,)
+    kind : ndarray of int64
+    radius : ndarray
+    points : list of ndarray, shape (k, 3)
+        In the body's frame.
+    """
+
+    start: Ints
+    kind: Ints
+    radius: Floats
+    points: list[Floats]
+
+
+class Model(NamedTuple):
+    """A model.
+
+    Attributes
+    ----------
+    data : bytes
+        The block of the file.
+    links : Links
+    link : ndarray of int64, shape (bodies,)
+        Numbers of links; -1 for the world.
+    turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
+        From the frame of each body to the frame of its link.
+    pieces : Pieces
+    pairs : ndarray of int64, shape (pairs, 2)
+    margins : ndarray, shape (pairs,)
+    """
+
+    data: bytes
+    links: Links
+    link: Ints
+    turn: Floats
+    shift: Floats
+    pieces: Pieces
+    pairs: Ints
+    margins: Floats
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the block, in hexadecimal digits."""
+        return hashlib.sha256(self.data).hexdigest()
+
+
+def model_of(ready: Problem) -> Model:
+    """Make the model of the pairs to check.
+
+    Raises
+    ------
+    InputError
+        If the format cannot express it.
+    """
+    _refuse(ready)
+    robot, cut = ready.robot, ready.in_parts
+    links, at, turns, shifts = _links(robot.tree, robot.link_names)
+    moving, standing = ready.link, cut.standing.poses.reshape(-1, 4, 4)
+    link = np.append(at[moving], np.full(len(standing), -1))
+    turn = np.concatenate([turns[moving], standing[:, :3, :3]])
+    shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
+    pieces = pieces_of(cut.packed)
+    solid = np.logical_or.reduceat(ready.packed.layout[:, columns.KIND] == columns.SOLID, ready.packed.piece_start[:-1])
+    hollow = solid & np.array([one is not other for one, other in zip(ready.packs, cut.packs, strict=True)])
+    data = [
+        struct.pack("<I", len(links.names)), *_of_links(links),
+        struct.pack("<I", robot.dof),
+        *(
+            _name(name) + struct.pack("<dd", low, high)
+            for name, low, high in zip(robot.configuration_names, robot.lower, robot.upper, strict=True)
+        ),
+        of_bodies(ready.names, link, hollow, turn, shift, pieces),
+        of_pairs(_groups(links, link), ready.pairs, ready.margins),
+    ]  # fmt: skip
+    return Model(b"".join(data), links, link, turn, shift, pieces, ready.pairs, ready.margins)
+
+
+def _refuse(ready: Problem) -> None:
+    """Refuse robots and scenes that the format cannot express."""
+    if ready.paths is not None:
+        raise InputError(
+            "proof: expected bodies that stand or belong to the robot, found bodies that follow motions (Scene.follow)"
+        )
+    for pair in ready.ruled[:1]:
+        a, b = (ready.names[k] for k in ready.pairs[pair])
+        raise InputError(
+            f"proof: expected pairs that may never be in contact, found {a} and {b}, which may be at the ends of a "
+            "motion (Scene.leave, Scene.reach)"
+        )
+    tree = ready.robot.tree
+    for k in np.flatnonzero((tree.kind == columns.FLOATING) | (tree.kind == columns.BALL))[:1]:
+        raise InputError(
+            f"proof: expected joints that turn or slide, found a floating or ball joint, that of the link "
+            f"{ready.robot.link_names[k]}"
+        )
+
+
+# -- links ------------------------------------------------------------------------------------
+
+
+def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Floats]:
+    """Make the links, and for each of the robot's links the link that carries it and its frame there."""
+    rows: list[tuple[str, int, int, int, float, float, Floats, Floats, Floats, int]] = []
+    count = len(names)
+    at, turns, shifts = np.zeros(count, dtype=np.int64), np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    nothing, identity = np.zeros(3), np.eye(3)
+    rows.append((names[0], -1, STAYS, -1, 1.0, 0.0, identity, nothing, nothing, -1))
+    for k, (above, kind, row) in enumerate(zip(tree.parent.tolist(), tree.kind.tolist(), tree.constants, strict=True)):
+        fixed, sine, cosine = (
+            row[first : first + 9].reshape(3, 3) for first in (columns.ROTATION, columns.SINE, columns.COSINE)
+        )
+        t = row[columns.TRANSLATION : columns.TRANSLATION + 3]
+        carrier = int(at[above]) if above >= 0 else 0
+        if kind == columns.FIXED:
+            at[k], turns[k], shifts[k] = carrier, fixed, t
+            continue
+        value, m, f = int(tree.column[k]), float(tree.multiplier[k]), float(tree.offset[k])
+        R, slides = fixed + cosine, row[columns.ACROSS : columns.ACROSS + 6].reshape(2, 3)
+        if kind == columns.PLANAR:
+            for number, axis in enumerate(slides):
+                name = f"{names[k]} slides {number + 1}"
+                rows.append((name, carrier, SLIDES, value + number, 1.0, 0.0, identity, t, axis, -1))
+                carrier, t = len(rows) - 1, nothing
+            value += 2
+        # The turn about n is R (nnᵀ + sin q [n]× + cos q (1 - nnᵀ)).
+        across = np.einsum("ij,ik->jk", R, sine)
+        axis = np.array([across[2, 1] - across[1, 2], across[0, 2] - across[2, 0], across[1, 0] - across[0, 1]]) / 2
+        if kind == columns.PRISMATIC:
+            axis = np.einsum("ij,i->j", R, slides[0])
+        at[k] = len(rows)
+        rows.append((names[k], carrier, SLIDES if kind == columns.PRISMATIC else TURNS, value, m, f, R, t, axis, k))
+    column: list[Any] = [list(entries) for entries in zip(*rows, strict=True)]
+    above_, moves, values, own = (np.array(column[k], dtype=np.int64) for k in (1, 2, 3, 9))
+    numbers = np.array(column[4]), np.array(column[5]), quaternions_of(np.stack(column[6]))
+    made = Links(column[0], above_, moves, values, *numbers, np.stack(column[7]), np.stack(column[8]) + 0.0, own)
+    return made, at, turns, shifts
+
+
+def _groups(links: Links, link: Ints) -> Ints:
+    """Number the groups of bodies that do not move against each other, as the format defines them; -1 in the world."""
+    group = np.where((links.moves != STAYS) | (links.above < 0), np.arange(len(links.above)), links.above)
+    return np.append(group, -1)[link]
+
+
+# -- pieces -----------------------------------------------------------------------------------
+
+
+def pieces_of(packed: Packed) -> Pieces:
+    """List the pieces of packed bodies; surfaces, or parts of them, are the hulls of their corners."""
+    kinds, corners = [], []
+    for row, frame in zip(packed.layout.tolist(), packed.frames, strict=True):
+        kind = row[columns.KIND]
+        kinds.append(_CURVED.get(kind, HULL))
+        center, factor = frame[1:4], frame[4:].reshape(3, 3)
+        if kind in _CURVED:
+            corners.append(np.vstack([center, factor]))
+        elif kind == columns.POINT:
+            corners.append(center[None])
+        elif kind == columns.SEGMENT:
+            corners.append(np.stack([center - factor[:, 2], center + factor[:, 2]]))
+        else:
+            own = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+            corners.append(np.unique(own + 0.0, axis=0) if kind <= columns.SURFACE else own)
+    return Pieces(packed.piece_start, np.array(kinds, dtype=np.int64), packed.frames[:, 0], corners)
+
+
+# -- bytes ------------------------------------------------------------------------------------
+
+
+def _name(text: str) -> bytes:
+    data = text.encode("utf-8", "backslashreplace")
+    if len(data) > LONGEST_NAME:
+        raise InputError(f"proof: expected names of at most {LONGEST_NAME} bytes, found {_validate.short(text)}")
+    return struct.pack("<H", len(data)) + data
+
+
+def _of_links(links: Links) -> list[bytes]:
+    numbers = np.column_stack([links.multiplier, links.offset, links.quaternion, links.translation, links.axis])
+    return [
+        _name(name) + struct.pack("<iBi", above, moves, value) + row.astype("<f8").tobytes()
+        for name, above, moves, value, row in zip(
+            links.names, links.above.tolist(), links.moves.tolist(), links.value.tolist(), numbers, strict=True
+        )
+    ]
+
+
+def of_bodies(names: tuple[str, ...], link: Ints, hollow: Ints, turn: Floats, shift: Floats, pieces: Pieces) -> bytes:
+    """Write the bodies and their pieces."""
+    data, first = [struct.pack("<I", len(names))], pieces.start.tolist()
+    for k, name in enumerate(names):
+        count = first[k + 1] - first[k]
+        placed = np.append(turn[k], shift[k]).astype("<f8").tobytes()
+        data.append(_name(name) + struct.pack("<iB", link[k], bool(hollow[k])) + placed + struct.pack("<I", count))
+        for piece in range(first[k], first[k + 1]):
+            kind, points = int(pieces.kind[piece]), pieces.points[piece]
+            data.append(struct.pack("<Bd", kind, pieces.radius[piece]))
+            if kind == HULL:
+                data.append(struct.pack("<I", len(points)))
+            data.append(points.astype("<f8").tobytes())
+    return b"".join(data)
+
+
+def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
+    """Write which of all pairs are not to be checked, and the margins of the others."""
+    moving = int((group >= 0).sum())  # these come first, and bodies in the world are not checked among themselves
+    unchecked = np.triu(group[:moving, None] != group, 1)
+    unchecked[pairs[:, 0], pairs[:, 1]] = False
+    usual = 0.0
+    if len(margins):
+        values, times = np.unique(margins, return_counts=True)
+        usual = float(values[times.argmax()])
+    other = np.flatnonzero(margins != usual)
+    left_out = np.stack(np.nonzero(unchecked), axis=1)
+    data = [struct.pack("<I", len(left_out)), left_out.astype("<u4").tobytes(), struct.pack("<dI", usual, len(other))]
+    data += [struct.pack("<IId", *pairs[k].tolist(), margins[k]) for k in other]
+    return b"".join(data)

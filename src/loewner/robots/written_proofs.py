@@ -1,0 +1,154 @@
+"""Proofs of motions that other programs can verify: `Proof`, and how one is made."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import struct
+from dataclasses import dataclass
+
+from loewner import _files, _validate
+from loewner._validate import Floats
+from loewner.errors import FileError, InputError
+from loewner.robots import separations
+from loewner.robots.problem import Problem
+from loewner.robots.proof_models import Model
+
+MAGIC, VERSION, FREE, COMMON = b"LOEWNERP", 1, 1, 2
+_HEAD = struct.Struct("<8sIIII")
+
+# Largest file [bytes]: the lengths of its blocks are numbers of 32 bits.
+MOST_BYTES = 2**32
+
+
+@dataclass(frozen=True, repr=False)
+class Proof:
+    """A proof that motions are free of collisions, in the format of docs/proof-format.md.
+
+    `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
+
+    Attributes
+    ----------
+    data : bytes
+        The contents of the file.
+
+    Raises
+    ------
+    InputError
+        If these are not the contents of a whole file.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Proof, Robot
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> proof = checker.certify_edges([0.0, 0.0], [1.0, 0.5], proof=True).proof
+    >>> proof.save("motion.proof")
+    >>> Proof.load("motion.proof") == proof, proof.model_hash == checker.model_hash
+    (True, True)
+    """
+
+    data: bytes
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.data, bytes):
+            raise InputError(f"data: expected bytes, found {type(self.data).__name__}")
+        if (fault := _fault(self.data)) is not None:
+            raise InputError(f"data: expected {fault}")
+
+    def __repr__(self) -> str:
+        return f"Proof({self.size} bytes, model {self.model_hash[:12]})"
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of the proof without the model and without the header."""
+        return int(_HEAD.unpack_from(self.data)[4])
+
+    @property
+    def model(self) -> bytes:
+        """The block of the file that describes the robot, its surroundings, and the pairs that are checked."""
+        length = _HEAD.unpack_from(self.data)[3]
+        return self.data[_HEAD.size : _HEAD.size + length]
+
+    @property
+    def model_hash(self) -> str:
+        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` computes it without a motion."""
+        return hashlib.sha256(self.model).hexdigest()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file, under a temporary name that is then changed.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        FileError
+            If it cannot be written.
+        """
+        with _files.replacing(_validate.path(path, "path")) as temporary:
+            temporary.write_bytes(self.data)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Proof:
+        """Read a file, whose length and checksum are compared, but which is not verified.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Proof
+
+        Raises
+        ------
+        FileError
+            If it cannot be read, or is not a whole file of this format.
+        """
+        at = _validate.path(path, "path")
+        data = _files.read_regular(at, "a proof", MOST_BYTES)
+        if (fault := _fault(data)) is not None:
+            raise FileError(f"{_files.shown(at)}: expected {fault}")
+        return cls(data)
+
+
+def _fault(data: bytes) -> str | None:
+    """Return an error message for data that are not a whole file, without its beginning; None for a whole one."""
+    if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
+        return "a proof of loewner, found something else"
+    _, version, what, model, proof = _HEAD.unpack_from(data)
+    if version != VERSION or what not in (FREE, COMMON):
+        return f"version {VERSION} of the format, found {version}, which proves {what}"
+    if len(data) != _HEAD.size + model + proof + 32:
+        return f"{_HEAD.size + model + proof + 32} bytes, found {len(data)}: it is not whole"
+    if hashlib.sha256(data[:-32]).digest() != data[-32:]:
+        return "the checksum at its end, found another: the file was changed"
+    return None
+
+
+def assembled(what: int, model: bytes, proof: bytes) -> Proof:
+    """Make a file of its blocks."""
+    data = _HEAD.pack(MAGIC, VERSION, what, len(model), len(proof)) + model + proof
+    return Proof(data + hashlib.sha256(data).digest())
+
+
+def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) -> Proof:
+    """Write the proof of courses that the kernel has proven free.
+
+    Parameters
+    ----------
+    model : Model
+        The problem's, see `proof_models.model_of`.
+    ready : Problem
+    courses : ndarray, shape (N, degree + 1, dof)
+    deviations : ndarray, shape (dof,)
+        How far each value may deviate from the courses.
+
+    Raises
+    ------
+    ConvergenceError
+        If the format's bounds do not suffice.
+    """
+    found = separations.trees(ready, model, courses, deviations)
+    return assembled(FREE, model.data, separations.written(deviations, courses) + found)

@@ -1,0 +1,600 @@
+"""Check a file that proves motions free of collisions, in whole numbers and fractions, without the rest of the library.
+
+This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
+docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
+whole numbers of units of 2^-72. Rounding has these bounds, in units, for the norms of vectors and matrices (the root of
+the sum of squares); lengths that multiply them are in metres.
+
+- A double, a fixed rotation and an axis are rounded by less than 1 in each entry, a sine or cosine by less than 2: 1/10
+  for the angle, 1/1000 for the series, 1 for the result. In a joint's rotation c + s e + (1 - c) e e the terms have
+  errors below 2, 3 and 4 in each entry, and 1 for the sum, so the matrix has an error below 30. Products with the fixed
+  rotation and with the parent's make this 41 for each link of the chain: ``TURN``.
+- A link is at its parent's place plus a step of the length l, turned. The step has an error below 3 l + 8, the parent's
+  rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the chain's length L
+  the error is at most E (L + 1).
+- A plane's normal n is exact, since any vector will do. In the other body's frame it has an error of 2 E |n| + 5. So a
+  gap has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, and |n| times the errors
+  of the placed points of both bodies, which are at most ``_Body.fuzz``.
+"""
+
+import argparse
+import hashlib
+import struct
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import combinations, pairwise
+from math import isqrt
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Refused", "Report", "main", "verify"]
+
+BITS, ONE = 72, 1 << 72  # lengths, sines and entries of matrices are multiples of 2^-BITS
+GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GUARD
+HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
+TURN = 64  # error of a rotation for each link of its chain; derived: 41
+DEEPEST = 64  # a tree is nested this deep at most, so intervals end at multiples of 2^-DEEPEST
+MOST_LINKS, MOST_BYTES = 10_000, 1 << 24  # links of a model, bytes of a file
+MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
+Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
+Pair = tuple[int, int]
+Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
+AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
+EVERY = [(i, k) for i in range(3) for k in range(3)]
+
+
+class Refused(Exception):
+    """A file that is not a proof, with the reason."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Contents of a file that was verified.
+
+    Attributes
+    ----------
+    model : str
+        SHA-256 of the model.
+    sizes : dict of str to int
+        Numbers of links, values, bodies, pieces, pairs that are proven apart, planes, and intervals of pairs.
+    left_out, uncovered : tuple of (str, str), and of str
+        Pairs that the model exempts; bodies with an interior that their pieces do not cover, which are not excluded.
+    deviations : tuple of (str, float)
+        Values that may deviate from the motions, and by how much.
+    motions : tuple of (int, bool, bool, int)
+        For each motion its degree, whether it starts where the one before ends, whether its control points are within
+        the limits of the values, and the number of its configurations at which planes were checked.
+    tightest : (str, str, int, Fraction, Fraction, Fraction) or None
+        The check with the least to spare: two bodies, a motion, an interval, and by how much the gap is too large.
+    common : (str, str) or None
+        Two bodies with a common point, if this is the claim of the file.
+    """
+
+    model: str
+    sizes: dict[str, int]
+    left_out: tuple[tuple[str, str], ...]
+    uncovered: tuple[str, ...]
+    deviations: tuple[tuple[str, float], ...]
+    motions: tuple[tuple[int, bool, bool, int], ...]
+    tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None
+    common: tuple[str, str] | None
+
+
+def _down(x: float | Fraction, bits: int = BITS) -> int:
+    """Multiply a number by 2^bits and round down. Doubles are only converted and compared."""
+    n, d = x.as_integer_ratio()
+    return (n << bits) // d
+
+
+def _up(x: float | Fraction) -> int:
+    return -_down(-x)
+
+
+def _vector(numbers: Iterable[float | Fraction]) -> Whole:
+    return tuple(map(_down, numbers))
+
+
+def _norm_up(entries: Whole) -> int:
+    return isqrt(sum(x * x for x in entries)) + 1
+
+
+def _sum(v: Whole, w: Whole, sign: int = 1) -> Whole:
+    return v[0] + sign * w[0], v[1] + sign * w[1], v[2] + sign * w[2]
+
+
+def _apply(m: Whole, v: Whole) -> Whole:
+    a, b, c, d, e, f, g, h, i = m
+    x, y, z = v
+    return a * x + b * y + c * z >> BITS, d * x + e * y + f * z >> BITS, g * x + h * y + i * z >> BITS
+
+
+def _transposed(m: Whole) -> Whole:
+    return m[::3] + m[1::3] + m[2::3]
+
+
+def _product(a: Whole, b: Whole) -> Whole:
+    return _transposed(_apply(a, b[::3]) + _apply(a, b[1::3]) + _apply(a, b[2::3]))
+
+
+def _cos_sin(angle: int) -> Pair:
+    """Cosine and sine, in units, of an angle in multiples of 2^-GUARD."""
+    quarters = (2 * angle + HALF_PI) // (2 * HALF_PI)
+    rest, sums = angle - quarters * HALF_PI, []
+    square = rest * rest >> GUARD
+    for n, term in ((0, 1 << GUARD), (1, abs(rest))):
+        total, sign = 0, 1
+        while term:  # the terms alternate and decrease, so the rest of the series is less than the next one
+            total += sign * term
+            term, sign, n = (term * square >> GUARD) // ((n + 1) * (n + 2)), -sign, n + 2
+        sums.append(total >> GUARD - BITS)
+    c, s = sums[0], sums[1] if rest > 0 else -sums[1]
+    return ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]
+
+
+def _shown(*names: str) -> str:
+    return " and ".join(name if name.isprintable() else ascii(name) for name in names)
+
+
+class _Reader:
+    """Numbers of a part of the file, each checked to be there."""
+
+    def __init__(self, data: bytes, part: str) -> None:
+        self.data, self.part, self.at = data, part, 0
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        start, self.at = self.at, self.at + struct.calcsize("<" + form)
+        if self.at > len(self.data):
+            raise Refused(f"The {self.part} ends too early.")
+        return struct.unpack_from("<" + form, self.data, start)
+
+    def count(self, size: int, what: str, least: int = 0, most: int = MOST_BYTES) -> int:
+        """Read how many things of at least `size` bytes follow."""
+        number = int(*self.take("I"))
+        if not least <= number <= most or number * size > len(self.data) - self.at:
+            raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
+        return number
+
+    def doubles(self, number: int, what: str = "") -> list[float]:
+        """Read doubles that are finite and not huge, and not negative if they have a name."""
+        found = self.take(f"{number}d")
+        if not all((0 if what else -(2**32)) <= x < 2**32 for x in found):
+            raise Refused(f"A {what or 'number'} of the {self.part} is not finite, too large or negative.")
+        return list(found)
+
+    def name(self) -> str:
+        return bytes(*self.take(f"{self.take('H')[0]}s")).decode(errors="backslashreplace")
+
+    def end(self) -> None:
+        if self.at != len(self.data):
+            raise Refused(f"The {self.part} has {len(self.data) - self.at} bytes too many.")
+
+
+class _Link:
+    """A link: its exact fixed pose, and in units this pose and the axis of the joint that moves it."""
+
+    def __init__(self, reader: _Reader, links: "list[_Link]") -> None:
+        name = _shown(reader.name())
+        self.above, self.kind, self.value = reader.take("iBi")
+        self.by, self.off, w, *numbers = map(Fraction, reader.doubles(12))
+        v, self.place, self.axis = numbers[:3], numbers[3:6], numbers[6:]
+        square, size = sum(n * n for n in self.axis), w * w + sum(n * n for n in v)
+        wrong = self.kind > 2 or ((self.value != -1) if self.kind == 0 else self.value < 0)
+        if wrong or not -1 <= self.above < len(links) or size == 0 or (self.kind == 1 and square == 0):
+            raise Refused(f"Link {name} has an impossible link above it, kind, value, quaternion or axis.")
+        base = links[self.above] if self.above >= 0 else None
+        self.depth: int = base.depth + 1 if base else 1
+        self.group: int = base.group if base and not self.kind else len(links)
+        cross, rest = (0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0), 2 * w * w - size
+        self.rotation = [(2 * v[i] * v[k] + 2 * w * cross[3 * i + k] + rest * (i == k)) / size for i, k in EVERY]
+        self.turn, self.shift = _vector(self.rotation), _vector(self.place)
+        self.reach, self.axis_norm = _norm_up(self.shift) + 2, _norm_up(_vector(self.axis)) + 2
+        if self.kind == 1:
+            self.unit = [isqrt(_down(n * n / square, 2 * BITS)) * (-1 if n < 0 else 1) for n in self.axis]
+            self.outer: Whole = _vector(self.axis[i] * self.axis[k] / square for i, k in EVERY)
+
+    def pose(self, values: list[Fraction]) -> tuple[Whole, Whole]:
+        """Pose in the frame of the link above."""
+        if not self.kind:
+            return self.turn, self.shift
+        v = self.by * values[self.value] + self.off
+        if self.kind == 2:
+            return self.turn, _sum(self.shift, _apply(self.turn, _vector(v * n for n in self.axis)))
+        c, s = _cos_sin(_down(v, GUARD))
+        x, y, z = (s * n for n in self.unit)
+        cross = (c << BITS, -z, y, z, c << BITS, -x, -y, x, c << BITS)
+        turned = tuple((ONE - c) * m + n >> BITS for m, n in zip(self.outer, cross, strict=True))
+        return _product(self.turn, turned), self.shift
+
+    def pass_ball(self, c: Whole, radius: int, upward: bool) -> tuple[Whole, int]:
+        """Carry a ball past the joint; if this turns, the radius is then the largest distance from the axis."""
+        # A turned or projected center has an error of at most 3 |c| for the matrix, 2 for rounding, 2 for the shift.
+        off = 8 + (8 * (_norm_up(c) + self.reach) >> BITS)
+        if not upward:
+            c = _apply(_transposed(self.turn), _sum(c, self.shift, -1))
+        if self.kind == 1:
+            foot = _apply(self.outer, c)
+            c, radius = foot, radius + off + _norm_up(_sum(c, foot, -1))
+        return (_sum(self.shift, _apply(self.turn, c)) if upward else c), radius + off
+
+
+class _Body:
+    """A body: the numbers of the file, its pieces in units in the frame of its link, and a ball that contains it.
+
+    The error of a placed point, and of a matrix times its radius, is at most `fuzz`.
+    """
+
+    def __init__(self, reader: _Reader, links: list[_Link]) -> None:
+        self.name, (self.link, self.inside) = reader.name(), reader.take("iB")
+        if not -1 <= self.link < len(links) or self.inside > 1:
+            raise Refused(f"Body {_shown(self.name)} has the link {self.link} and the mark {self.inside}.")
+        self.group = links[self.link].group if self.link >= 0 else -1
+        self.turn, self.place = reader.doubles(9), reader.doubles(3)
+        self.matrix, self.shift, self.largest = _vector(self.turn), _vector(self.place), ONE
+        self.whole = [int(Fraction(x) * max(y.as_integer_ratio()[1] for y in self.turn)) for x in self.turn]
+        self.kinds, self.pieces, self.counts = list[tuple[int, float, list[float]]](), list[list[Part]](), [0]
+        for _ in range(reader.count(37, "pieces", 1)):
+            (kind,), (radius,) = reader.take("B"), reader.doubles(1, "radius")
+            if kind > 4:
+                raise Refused(f"Kinds of pieces are 0 to 4, found {kind}.")
+            width = (3, 12, 12, 12, 4)[kind]
+            numbers = reader.doubles(width * (1 if width == 12 else reader.count(8 * width, "points", 1)))
+            self.kinds.append((kind, radius, numbers))
+            self.counts.append(self.counts[-1] + len(numbers) // width + 5)
+            if kind == 4 and min(numbers[3::4]) < 0:
+                raise Refused("A ball has a negative radius.")
+            points, g = dict[int, list[Whole]](), _vector(numbers[3:] if width == 12 else ())
+            for k in range(0, len(numbers), width):
+                at, own = _vector(numbers[k : k + 3]), _up(numbers[k + 3]) if kind == 4 else 0
+                points.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, at)))
+                self.largest = max(self.largest, _norm_up(at) + ONE, _norm_up(g) + ONE)
+            self.pieces.append([(kind, r, some, g and _product(self.matrix, g)) for r, some in points.items()])
+        # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
+        self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1
+        # A ball has the norm of the matrix as its radius, √2 times this for kinds 2 and 3.
+        parts = [part for piece in self.pieces for part in piece]
+        balls = [(r + (_norm_up(g * min(kind, 2)) if g else 0), points) for kind, r, points, g in parts]
+        low = [min(min(point[k] for point in points) - r for r, points in balls) for k in range(3)]
+        high = [max(max(point[k] for point in points) + r for r, points in balls) for k in range(3)]
+        x, y, z = ((a + b) // 2 for a, b in zip(low, high, strict=True))
+        squares = ((r, max((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 for a, b, c in points)) for r, points in balls)
+        radius = self.fuzz + max(isqrt(square) + 1 + r for r, square in squares)
+        self.center: Whole = (x, y, z)
+        self.radius, self.size = radius, _norm_up(self.center) + radius
+
+    def support(self, part: Pair, n: Whole, norm: int) -> int:
+        """Largest product of n, which is not longer than `norm`, with a point of some pieces, rounded up."""
+        (a, b, c), found = n, []
+        for piece in self.pieces[part[0] : part[1]]:
+            for kind, radius, points, g in piece:
+                found.append(max([a * x + b * y + c * z for x, y, z in points]) + norm * radius)
+                if g:
+                    u, v, w = (g[k] * a + g[k + 3] * b + g[k + 6] * c for k in range(3))
+                    rim = isqrt(u * u + v * v) + 1
+                    found[-1] += _norm_up((u, v, w)) if kind == 1 else rim + abs(w) if kind == 2 else max(w, rim - w)
+        return max(found)
+
+    def contains(self, piece: int, four: Whole, point: list[Fraction]) -> bool:
+        """Whether an exact point in the frame of the link belongs to a piece, as four numbers show."""
+        (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
+        if kind in (1, 2, 3):
+            columns = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
+            rest = _less(point, _moved(self.turn, numbers[:3], self.place))
+            u = _solved([list(row) for row in zip(*columns, rest, strict=True)]) or [2 * one] * 3
+            allowed = (one - u[2] ** 2, one, ((1 - u[2]) / 2) ** 2)[kind - 1]
+            return not radius and not any(four) and abs(u[2]) <= 1 and u[0] ** 2 + u[1] ** 2 <= allowed
+        width = 3 if kind == 0 else 4
+        if max(four) >= len(numbers) // width:
+            return False
+        corners = [_moved(self.turn, numbers[width * k : width * k + 3], self.place) for k in four]
+        for some in (some for count in range(1, 5) for some in combinations(corners, count) if kind == 0):
+            weights = _solved([list(row) for row in zip(*some, point, strict=True)] + [[one] * (len(some) + 1)])
+            if weights and min(weights) >= 0:
+                return True
+        away, along = _less(point, corners[0]), _less(corners[1], corners[0])
+        share = _dot(away, along) / (_dot(along, along) or 1) if kind == 0 else Fraction(0)
+        away = _less(away, [min(max(share, Fraction(0)), one) * x for x in along])
+        reach = Fraction(radius) + (Fraction(numbers[4 * four[0] + 3]) if kind == 4 else 0)
+        return _dot(away, away) <= reach**2
+
+
+def _moved(m: Sequence[Any], v: Sequence[Any], shift: Sequence[Any]) -> list[Fraction]:
+    return [sum((Fraction(m[3 * i + k]) * Fraction(v[k]) for k in range(3)), Fraction(shift[i])) for i in range(3)]
+
+
+def _less(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+
+
+def _solved(rows: list[list[Fraction]]) -> list[Fraction] | None:
+    """Solve equations, whose last entries are on the right, if there is exactly one solution."""
+    if not rows or len(rows[0]) == 1:
+        return None if any(row[0] for row in rows) else []
+    pivot = next((row for row in rows if row[0]), rows[0])
+    rest = [_less(row, [row[0] / pivot[0] * x for x in pivot])[1:] for row in rows if row is not pivot and pivot[0]]
+    found = _solved(rest) if pivot[0] else None
+    return None if found is None else [(pivot[-1] - _dot(pivot[1:-1], found)) / pivot[0], *found]
+
+
+class _Motion:
+    """A motion: its control points, and for each link the rates and the length of its chain, with slides."""
+
+    def __init__(self, number: int, points: list[list[float]], links: list[_Link], deviations: list[float]) -> None:
+        self.number, self.points, self.rates, self.lengths = number, points, list[Whole](), list[int]()
+        self.columns = [list(map(Fraction, column)) for column in zip(*points, strict=True)]
+        self.poses, self.bounds = dict[int, list[tuple[Whole, Whole]]](), dict[Pair, Pair]()
+        for link in links:
+            rate = bend = stray = far = Fraction(0)
+            if link.kind:
+                column, by, degree = self.columns[link.value], abs(link.by), len(points) - 1
+                first = [b - a for a, b in pairwise(column)]
+                rate, stray = by * degree * max(map(abs, first)), by * Fraction(deviations[link.value])
+                bend = by * degree * (degree - 1) * max((abs(b - a) for a, b in pairwise(first)), default=0)
+                far = max(abs(link.by * x + link.off) for x in column)
+            if link.kind == 1 and far > 10**6:
+                raise Refused(f"Motion {number} turns a joint beyond 1e6 rad.")
+            self.rates.append((_up(rate), _up(bend), _up(stray), _up(far + stray)))
+            slide = -(-link.axis_norm * self.rates[-1][3] >> BITS) if link.kind == 2 else 0
+            self.lengths.append((self.lengths[link.above] if link.above >= 0 else 0) + link.reach + slide)
+        self.lengths.append(0)  # number -1 is the world
+
+
+class _Checker:
+    """The model and the proof of a file."""
+
+    def __init__(self, model: bytes, proof: bytes) -> None:
+        reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
+        self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
+        for _ in range(reader.count(107, "links", most=MOST_LINKS)):
+            self.links.append(_Link(reader, self.links))
+        for _ in range(reader.count(18, "values")):
+            self.values.append((reader.name(), *reader.take("2d")))
+        if any(a != a or b != b for _, a, b in self.values) or any(x.value >= len(self.values) for x in self.links):
+            raise Refused("A limit is not a number, or a link follows a value that does not exist.")
+        self.bodies = [_Body(reader, self.links) for _ in range(reader.count(132, "bodies"))]
+        self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
+        self.margins = self.read_pairs(reader, 16, "margins")
+        reader.end()
+        self.sizes = {"links": len(self.links), "values": len(self.values), "bodies": len(self.bodies)}
+        self.sizes |= {"pieces": sum(len(x.pieces) for x in self.bodies), "pairs": 0, "planes": 0, "intervals": 0}
+        self.work, self.deviations, self.motions = 0, list[float](), list[tuple[int, bool, bool, int]]()
+        self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
+        self.tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None = None
+        self.common: tuple[str, str] | None = None
+
+    def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
+        """Read pairs of bodies, and a margin of each if this belongs to the list."""
+        found: dict[Pair, float] = {}
+        for _ in range(reader.count(size, what)):
+            i, j = reader.take("2I")
+            if not i < j < len(self.bodies) or (i, j) in found:
+                raise Refused(f"The pair {i}, {j} of bodies is out of order, does not exist or is named twice.")
+            found[i, j] = reader.doubles(1, "margin")[0] if size > 8 else 0
+        return found
+
+    def named(self, pair: Pair) -> tuple[str, str]:
+        return self.bodies[pair[0]].name, self.bodies[pair[1]].name
+
+    def spend(self, steps: int) -> None:
+        self.work += steps
+        if self.work > MOST_WORK:
+            raise Refused("The proof takes more than 2^30 steps to check.")
+
+    def common_point(self) -> None:
+        """Check that two bodies have a common point."""
+        places = [self.reader.take("6I") for _ in range(2)]
+        world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
+        if pair[0] == pair[1] or max(pair) >= len(self.bodies) or any(link.kind for link in self.links):
+            raise Refused("A common point is proven for two different bodies of a model that does not move.")
+        for k, piece, *four in places:
+            point, chain = world, [self.bodies[k].link]
+            while chain[-1] >= 0:
+                chain.append(self.links[chain[-1]].above)
+            for link in (self.links[m] for m in chain[-2::-1]):
+                point = _less(point, link.place)
+                point = _moved([link.rotation[3 * i + m] for m, i in EVERY], point, (0, 0, 0))
+            if piece >= len(self.bodies[k].pieces) or not self.bodies[k].contains(piece, tuple(four), point):
+                raise Refused(f"The point is not shown to belong to {_shown(self.bodies[k].name)}.")
+        self.common = self.named(pair)
+
+    def run(self) -> None:
+        """Check the proof of all motions."""
+        motions, self.deviations = list[list[list[float]]](), self.reader.doubles(len(self.values), "deviation")
+        for number in range(self.reader.count(1, "motions")):
+            (degree,) = self.reader.take("B")
+            if degree == 0:
+                raise Refused(f"Motion {number} has the degree 0.")
+            self.spend(1000 * (degree + 1) + 100 * len(self.links) + len(self.bodies) ** 2 // 8)
+            motions.append([self.reader.doubles(len(self.values)) for _ in range(degree + 1)])
+        for number, points in enumerate(motions):
+            motion, self.sizes["pairs"] = _Motion(number, points, self.links, self.deviations), 0
+            for i, j in combinations(range(len(self.bodies)), 2):
+                if self.bodies[i].group != self.bodies[j].group and (i, j) not in self.apart:
+                    self.sizes["pairs"] += 1
+                    self.tree(motion, (i, j))
+            joined = number == 0 or points[0] == motions[number - 1][-1]
+            inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
+            self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
+
+    def tree(self, motion: _Motion, pair: Pair) -> None:
+        """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
+        rest = [([(0, 1 << DEEPEST), *((0, len(self.bodies[k].pieces)) for k in pair)], 0)]
+        while rest:
+            (spans, depth), (token,) = rest.pop(), self.reader.take("B")
+            if token < 3:
+                low, high = spans[token]
+                half = low + (high - low) // 2
+                if depth == DEEPEST or half == low:
+                    raise Refused(f"{_shown(*self.named(pair))}: a tree divides one piece, or is nested too deep.")
+                rest += [([*spans[:token], x, *spans[token + 1 :]], depth + 1) for x in ((half, high), (low, half))]
+                continue
+            if 3 < token < 18:
+                self.sizes["planes"] += 1
+                normal = self.reader.take("3h") if token > 15 else AXES[(token - 4) % 6]
+                self.last[pair] = token < 10 or token == 16, normal
+            if token > 17 or pair not in self.last or not any(self.last[pair][1]):
+                raise Refused(f"{_shown(*self.named(pair))}: token {token} does not name a plane.")
+            self.leaf(motion, pair, spans)
+
+    def leaf(self, motion: _Motion, pair: Pair, spans: list[Pair]) -> None:
+        """Check that the last plane of a pair proves some pieces apart in an interval."""
+        (first, normal), (start, end) = self.last[pair], spans[0]
+        (low, high), (some, others) = (pair, spans[1:]) if first else (pair[::-1], spans[:0:-1])
+        below, above = self.bodies[low], self.bodies[high]
+        exact = [sum(a * b for a, b in zip(below.whole[k : k + 3], normal, strict=True)) for k in (0, 3, 6)]
+        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N has any scale, and may be rounded
+        n = tuple(x << shift if shift > 0 else x >> -shift for x in exact)
+        self.spend(100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others))))
+        gaps, norm = list[int](), _norm_up(n)
+        for t in (start, end):
+            (turn, place), (other, there) = (self.poses(motion, t)[k] for k in (below.link, above.link))
+            a, b, c = n if below.link < 0 else _apply(turn, n)
+            away = (-a, -b, -c) if above.link < 0 else _apply(_transposed(other), (-a, -b, -c))
+            x, y, z = _sum(there, place, -1)
+            gaps.append(a * x + b * y + c * z - above.support(others, away, norm))
+        bend, stray = self.bound(motion, below.link, high)
+        depth = 1 + max((self.links[k].depth for k in (below.link, above.link) if k >= 0), default=0)
+        length = max(motion.lengths[below.link], motion.lengths[above.link])
+        size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
+        slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
+        needed = _up(self.margins.get(pair, self.margin)) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
+        spare = (min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack) // norm - needed
+        since, until = (Fraction(t, 1 << DEEPEST) for t in spans[0])
+        if spare <= 0:
+            where = f"in motion {motion.number} from {since} to {until}"
+            raise Refused(f"{_shown(*self.named(pair))}: a plane {where} lacks {-spare * 10**6 >> BITS} micrometres.")
+        if self.tightest is None or self.tightest[-1] > Fraction(spare, ONE):
+            self.tightest = *self.named(pair), motion.number, since, until, Fraction(spare, ONE)
+        self.sizes["intervals"] += 1
+
+    def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
+        """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
+        if t in motion.poses:
+            return motion.poses[t]
+        share, values, found, count = Fraction(t, 1 << DEEPEST), [], list[tuple[Whole, Whole]](), len(motion.points)
+        self.spend(2000 * len(self.links) + len(motion.columns) * count**2 * (8 + count))
+        for column in motion.columns:
+            while len(column) > 1:
+                column = [a + share * (b - a) for a, b in pairwise(column)]
+            values.append(column[0])
+        for link in self.links:
+            turn, shift = link.pose(values)
+            if link.above >= 0:
+                base, place = found[link.above]
+                turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
+            found.append((turn, shift))
+        motion.poses[t] = [*found, ((ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0))]
+        return motion.poses[t]
+
+    def bound(self, motion: _Motion, below: int, high: int) -> Pair:
+        """A and V of a body seen from a link, rounded up."""
+        key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
+        if key not in self.balls:  # the links in between, from the body on, and its reach about them without slides
+            up, down, self.balls[key], radius = list[int](), list[int](), [], self.bodies[high].radius
+            while above != below:  # a link comes after the one above it, so the later of two is not the common one
+                (up if above > below else down).append(max(above, below))
+                above, below = (self.links[k].above if k == max(above, below) else k for k in (above, below))
+            self.spend(100 * len(up + down))
+            for k in up + down[::-1]:
+                center, radius = self.links[k].pass_ball(center, radius, k in up)
+                self.balls[key].append((k, radius))
+        if key not in motion.bounds:
+            moving, before, slides, a, v = list[Whole](), 0, 0, 0, 0
+            for k, reach in self.balls[key]:
+                (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
+                if kind:
+                    moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
+                slides += -(-norm * far >> BITS) if kind == 2 else 0
+            for reach, turn, rate, bend, stray in reversed(moving):
+                a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
+                v -= -reach * stray >> BITS
+                before += turn
+            motion.bounds[key] = a, v
+        return motion.bounds[key]
+
+
+def verify(data: bytes) -> Report:
+    """Check a proof, and raise `Refused` if the file is none.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of the file.
+
+    Returns
+    -------
+    Report
+
+    Examples
+    --------
+    >>> from loewner.verify import verify
+    >>> verify(b"nothing")
+    Traceback (most recent call last):
+    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 16777216.
+    """
+    if not 56 <= len(data) <= MOST_BYTES:
+        raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
+    magic, version, claim, size, rest = struct.unpack_from("<8s4I", data)
+    if magic != b"LOEWNERP" or version != 1 or claim not in (1, 2) or len(data) != 56 + size + rest:
+        raise Refused("The file is no proof of version 1, or does not have the length that it names.")
+    if hashlib.sha256(data[:-32]).digest() != data[-32:]:
+        raise Refused("The file is damaged: its hash is wrong.")
+    checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
+    (checker.run if claim == 1 else checker.common_point)()
+    checker.reader.end()
+    return Report(
+        model=hashlib.sha256(data[24 : 24 + size]).hexdigest(),
+        sizes=checker.sizes,
+        left_out=tuple(map(checker.named, checker.apart)),
+        uncovered=tuple(body.name for body in checker.bodies if body.inside),
+        deviations=tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x),
+        motions=tuple(checker.motions),
+        tightest=checker.tightest,
+        common=checker.common,
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Check a file and print its claim; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments of the command line.
+    """
+    parser = argparse.ArgumentParser(description="Check a file that proves motions free of collisions.")
+    parser.add_argument("file", type=Path)
+    path = parser.parse_args(argv).file
+    try:
+        with path.open("rb") as file:
+            report = verify(file.read(MOST_BYTES + 1))
+    except (OSError, Refused) as error:
+        print(f"refused: {error}" if isinstance(error, Refused) else f"cannot read {path}: {error}", file=sys.stderr)
+        return 1 if isinstance(error, Refused) else 2
+    lines = [("model", report.model), ("", ", ".join(f"{count} {what}" for what, count in report.sizes.items()))]
+    for number, (degree, joined, inside, places) in enumerate(report.motions):
+        start = ("starts anew", "starts where the last one ends")[joined] if number else "the first"
+        limits = "within limits" if inside else "NOT WITHIN LIMITS"
+        lines.append((f"motion {number}", f"degree {degree}, {start}, {limits}, {places} configurations"))
+    if report.tightest:
+        *pair, number, since, until, spare = report.tightest
+        where = f"to spare in motion {number} from {since} to {until}: {_shown(*pair)}"
+        lines.append(("tightest", f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm {where}"))
+    left_out = dict[str, list[str]]()
+    for first, second in report.left_out:
+        left_out.setdefault(first, []).append(second)
+    lines += [("left out", f"{_shown(name)} and {', '.join(map(_shown, some))}") for name, some in left_out.items()]
+    lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations]
+    lines += [("not covered", f"the interior of {_shown(name)}") for name in report.uncovered]
+    lines += [("common point", _shown(*report.common))] if report.common else []
+    print("".join(f"{what:12} {text}\n" for what, text in lines) + "verified")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,386 @@
+"""Proofs that the library writes are verified by a program that shares nothing with it, and say what they should."""
+
+import hashlib
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly, CubicSpline
+
+import loewner
+from checker_oracle import composed_bodies, robot_of, simple_bodies
+from families import translation
+from gantry import LEFT, RIGHT, gantry, wall
+from loewner import (
+    Body,
+    CollisionChecker,
+    ConvergenceError,
+    FileError,
+    InputError,
+    Proof,
+    Robot,
+    Scene,
+    Verdict,
+    cli,
+    planners,
+)
+from loewner.robots import proof_models, separations
+from loewner.verify import Refused, verify
+from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
+
+PANDA = "panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf"
+
+# A cart in the plane, an arm on it that turns, and a hand that slides.
+CART = [
+    ("planar", 0, '<origin xyz="0 0 0.1" rpy="0 0 0.3"/><axis xyz="0 0 1"/>'),
+    ("revolute", 1, '<origin xyz="0.1 0 0.2" rpy="0.2 0 0"/><axis xyz="0 1 0.2"/><limit lower="-3" upper="3"/>'),
+    ("fixed", 2, '<origin xyz="0.1 0 0" rpy="0.4 1 0"/>'),
+    ("prismatic", 3, '<origin xyz="0.3 0 0" rpy="0 0.3 0"/><axis xyz="1 0 1"/><limit lower="-0.2" upper="0.2"/>'),
+]
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return example(*PANDA)
+
+
+def proven(checker, Q0, Q1, **options):
+    """Write a proof of the motions that are free, and verify it."""
+    Q0, Q1 = np.broadcast_arrays(Q0, Q1)
+    free = checker.certify_edges(Q0, Q1, **options).verdict == Verdict.FREE
+    assert free.sum() >= 2
+    proof = checker.certify_edges(Q0[free], Q1[free], proof=True, **options).proof
+    report = verify(proof.data)
+    assert report.sizes["pairs"] == len(checker.checked_pairs)
+    assert len(report.motions) == free.sum()
+    assert report.model == proof.model_hash == checker.model_hash
+    return proof, report
+
+
+def around(robot, rng, scene, count=4, length=0.3):
+    checker = CollisionChecker(robot, scene)
+    Q = free_configurations(checker, count)
+    return checker, Q, steps(robot, rng, Q, length)
+
+
+def test_an_arm_among_obstacles(panda, rng):
+    """Proofs of an arm of hulls among boxes and hulls are verified and small."""
+    checker, Q, ends = around(panda, rng, ring(rng, 8, 0.5, 0.9, 0.3), 5, 0.5)
+    proof, report = proven(checker, Q, ends)
+    assert proof.size < 5000 * len(report.motions)
+    assert not report.uncovered
+    assert not report.deviations
+
+
+def test_all_joints_and_curved_pieces(tmp_path, rng):
+    """So are proofs with planar, turning and sliding joints, all kinds of pieces, margins and joint errors."""
+    bodies = {f"l{k}": body for k, body in enumerate(simple_bodies(rng)[3:8])}
+    robot = robot_of(tmp_path, CART, bodies)
+    scene = Scene(margin=0.01)
+    for k, body in enumerate(simple_bodies(rng)):
+        scene.add(f"b{k}", body, translation(*rng.uniform(-1.5, 1.5, 3)))
+    scene.add("held", Body.cone(0.05, 0.1))
+    scene.attach("held", "l3", translation(z=0.2), touch_links=["l3", "l4"])
+    scene.set_margin(0.002, "l2", "b1", lower=True)
+    scene.allow("l1", "b2")
+    checker, Q, ends = around(robot, rng, scene, 6)
+    _, report = proven(checker, Q, ends, joint_error=1e-4)
+    assert dict(report.deviations) == dict.fromkeys(robot.configuration_names, 1e-4)
+
+
+def test_bodies_of_many_pieces(tmp_path, rng):
+    """Pieces of one body are divided where no plane separates them together."""
+    two, five, _, many, mixed = composed_bodies(rng)
+    robot = robot_of(tmp_path, CART, {"l1": two, "l3": five, "l4": mixed})
+    scene = Scene()
+    for k in range(3):
+        scene.add(f"b{k}", many, translation(*rng.uniform(-1, 1, 3)))
+    checker, Q, ends = around(robot, rng, scene)
+    proof, _ = proven(checker, Q, ends, tolerance=1e-3)
+    assert {separations.FIRST_DIVIDED, separations.SECOND_DIVIDED} & set(proof.data[-proof.size - 32 :])
+
+
+def test_surfaces_and_clouds(tmp_path, rng):
+    """Parts of surfaces and clouds are pieces, and a closed surface counts as not covered."""
+    trimesh = pytest.importorskip("trimesh")
+    ball = Body.from_surface(trimesh.creation.icosphere(3, 0.2))
+    robot = robot_of(tmp_path, CART, {"l2": Body.capsule(0.04, 0.3), "l4": ball})
+    scene = Scene()
+    scene.add("torus", Body.from_surface(trimesh.creation.torus(0.4, 0.1)), translation(x=0.6, z=0.6))
+    scene.add("cloud", Body.from_cloud(rng.normal(size=(300, 3)) * 0.1, radius=0.02), translation(x=-0.6, z=0.5))
+    checker, Q, ends = around(robot, rng, scene)
+    _, report = proven(checker, Q, ends)
+    assert report.uncovered == ("torus",)  # the parts of its surface are pieces; a ball that moves is one box
+    assert report.sizes["pieces"] > 50
+
+
+def test_a_mimic_and_a_placed_base(tmp_path):
+    """Fingers that follow one value on a base with a pose of its own: the gap shrinks by both their deviations."""
+    robot = written(tmp_path, FINGERS).placed([[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    checker = CollisionChecker(robot)
+    found = checker.certify_edges([0.1], [0.001], joint_error=5e-4, proof=True)
+    report = verify(found.proof.data)
+    assert report.tightest[-1] < 2 * 1e-3
+    # The deviation of a value moves both fingers, towards each other.
+    with pytest.raises(InputError, match="joint_error"):
+        checker.certify_edges([0.1], [0.001], joint_error=-1, proof=True)
+    assert checker.certify_edges([0.1], [0.001], joint_error=1.001e-3, proof=True).proof is None
+
+
+def test_motions_that_come_near(tmp_path):
+    """The gap shrinks to a micrometre, next to a plane that is parallel to no axis."""
+    turn = np.eye(4)
+    c, s = np.cos(0.3), np.sin(0.3)
+    turn[:2, :2] = [[c, -s], [s, c]]
+    turn[:3, 3] = turn[:3, :3] @ [0.4, 0.0, 0.0]
+    robot = robot_of(
+        tmp_path, [("prismatic", 0, '<axis xyz="1 0 0"/><limit lower="-2" upper="2"/>')], {"l1": Body.sphere(0.1)}
+    )
+    scene = Scene()
+    scene.add("wall", Body.box([0.2, 2.0, 2.0]), turn)
+    checker = CollisionChecker(robot, scene)
+    touching = (0.3 - 0.1) / c
+    _, report = proven(checker, [[0.0], [-1.0]], [[touching - 2e-6], [-0.5]], tolerance=1e-7)
+    assert report.tightest[-1] < 1e-5
+
+
+def test_curves(tmp_path, rng):
+    """Polynomials of any degree, and the segments of a spline begin exactly where the ones before end."""
+    robot = robot_of(tmp_path, CART, {"l1": Body.box([0.2, 0.2, 0.1]), "l4": Body.cylinder(0.05, 0.2)})
+    checker, Q, _ = around(robot, rng, ring(rng, 5, 0.6, 1.5, 0.3))
+    for degree in (1, 2, 5):
+        P = Q[0] + 0.05 * rng.normal(size=(degree + 1, 1, robot.dof))
+        found = checker.certify_trajectory(BPoly(P, [0.0, 2.0]), joint_error=1e-5, proof=True)
+        assert found.verdict == Verdict.FREE
+        (motion,) = verify(found.proof.data).motions
+        assert motion[0] == degree
+    path = Q[0] + 0.05 * rng.normal(size=(4, robot.dof))
+    found = checker.certify_trajectory([CubicSpline(np.arange(4.0), path)], proof=True)[0]
+    assert [motion[1] for motion in verify(found.proof.data).motions][1:] == [True, True]
+
+
+def test_plans(tmp_path):
+    """The proof of a plan has a motion for each of the path's, and needs `full` and `certified`."""
+    urdf, srdf = gantry(tmp_path)
+    robot, scene = Robot.from_urdf(urdf, srdf=srdf), wall()
+    checker = CollisionChecker(robot, scene)
+    found = planners.plan(checker, LEFT, RIGHT, full=True, proof=True, joint_error=1e-3)
+    report = verify(found.proof.data)
+    assert len(report.motions) == len(found.path) - 1
+    assert all(motion[2] for motion in report.motions)
+    assert found.path.astype("<f8").tobytes()[: 8 * robot.dof] in found.proof.data
+    assert planners.plan(checker, LEFT, RIGHT, full=True).proof is None
+    for options in ({"full": False}, {"full": True, "certified": False}):
+        with pytest.raises(InputError, match="proof"):
+            planners.plan(checker, LEFT, RIGHT, proof=True, **options)
+
+
+def test_without_pairs_or_motions(tmp_path):
+    """Proofs of nothing are proofs."""
+    robot = robot_of(tmp_path, CART[:1], {"l1": Body.sphere(0.1)})
+    checker = CollisionChecker(robot)
+    assert verify(checker.certify_edges(np.zeros(3), np.ones(3), proof=True).proof.data).sizes["pairs"] == 0
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.1), translation(x=5))
+    none = np.empty((0, 3))
+    assert verify(CollisionChecker(robot, scene).certify_edges(none, none, proof=True).proof.data).motions == ()
+
+
+def test_unproven_motions_have_no_proof(tmp_path):
+    """A proof is written only on request, and only if all motions are free."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    found = checker.certify_edges([LEFT, LEFT], [LEFT + 0.1, RIGHT], proof=True)
+    assert found.verdict.tolist() == [Verdict.FREE, Verdict.COLLIDING]
+    assert found.proof is None
+    assert checker.certify_edges(LEFT, LEFT + 0.1).proof is None
+
+
+def test_what_a_proof_cannot_express(tmp_path):
+    """Floating joints, bodies that follow motions and rules of contact are refused by name."""
+    afloat = replace(written(tmp_path, AFLOAT), bodies={"hand": Body.sphere(0.1), "base": Body.sphere(0.01)})
+    with pytest.raises(InputError, match="floating or ball joint, that of the link base"):
+        _ = CollisionChecker(afloat).model_hash
+    robot = robot_of(tmp_path, CART, {"l1": Body.sphere(0.1)})
+    for change, words in (
+        (lambda scene: scene.leave("ball", "l1"), "leave"),
+        (lambda scene: scene.follow("ball", [0, 1], [translation(x=3), translation(x=4)]), "follow"),
+    ):
+        scene = Scene()
+        scene.add("ball", Body.sphere(0.1), translation(x=3))
+        change(scene)
+        with pytest.raises(InputError, match=words):
+            CollisionChecker(robot, scene).certify_edges(np.zeros(5), np.ones(5), t0=0, t1=1, proof=True)
+
+
+def test_joint_errors_that_a_proof_cannot_hold(tmp_path):
+    """A ball that circles above a floor: deviations only move it sideways, but a proof allows for any direction."""
+    joints = [("revolute", 0, '<axis xyz="0 0 1"/><limit lower="-3" upper="3"/>')]
+    robot = robot_of(tmp_path, joints, {"l1": Body.sphere(0.1).transformed(translation(x=1.0))})
+    scene = Scene()
+    scene.add("floor", Body.box([4, 4, 1]), translation(z=-0.605))
+    checker = CollisionChecker(robot, scene)
+    assert checker.certify_edges([0.0], [1.0], joint_error=0.01).verdict == Verdict.FREE
+    with pytest.raises(ConvergenceError, match=r"between l1 and floor .* motion 0.* lower joint_error"):
+        checker.certify_edges([0.0], [1.0], joint_error=0.01, proof=True)
+    verify(checker.certify_edges([0.0], [1.0], joint_error=0.004, proof=True).proof.data)
+
+
+# -- the model ---------------------------------------------------------------------------------
+
+HASH = """
+import sys
+from loewner import *
+robot = Robot.from_urdf(sys.argv[1], srdf=sys.argv[2])
+scene = Scene()
+scene.add("wall", Body.box([0.1, 4.0, 1.0]), [[1, 0, 0, 0], [0, 1, 0, -1.5], [0, 0, 1, 0], [0, 0, 0, 1]])
+print(CollisionChecker(robot, scene).model_hash)
+"""
+
+
+def test_equal_models_have_equal_hashes(tmp_path):
+    """Hashes are equal in another process, and differ for each change of robot or scene."""
+    urdf, srdf = gantry(tmp_path)
+    robot, scene = Robot.from_urdf(urdf, srdf=srdf), wall()
+    checker = CollisionChecker(robot, scene)
+    known = checker.model_hash
+    proof = checker.certify_edges(LEFT, LEFT + 0.1, proof=True).proof
+    assert known == proof.model_hash == hashlib.sha256(proof.model).hexdigest()
+    command = [sys.executable, "-c", HASH, str(urdf), str(srdf)]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == known
+    seen = {known}
+    for change in (
+        lambda: scene.move("wall", translation(y=-1.5000000001)),
+        lambda: scene.set_margin(1e-9),
+        lambda: scene.allow("wall", "ball"),
+        lambda: scene.add("far", Body.sphere(1.0), translation(x=100)),
+    ):
+        change()
+        seen.add(checker.model_hash)
+        assert checker.model_hash in seen
+    seen.add(CollisionChecker(robot.placed(translation(x=1e-12)), scene).model_hash)
+    assert len(seen) == 6
+
+
+def test_a_proof_of_another_model_is_refused(tmp_path):
+    """Planes of one model prove nothing about a model with a larger margin."""
+    robot = written(tmp_path, FINGERS)
+    one = CollisionChecker(robot).certify_edges([0.1], [0.001], proof=True).proof
+    scene = Scene()
+    scene.set_margin(0.01, against="links")
+    other = proof_models.model_of(CollisionChecker(robot, scene)._ready()).data
+    body = one.data[24 + len(one.model) : -32]
+    head = one.data[:16] + len(other).to_bytes(4, "little") + one.data[20:24]
+    data = head + other + body
+    with pytest.raises(Refused):
+        verify(data + hashlib.sha256(data).digest())
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def test_files(tmp_path, capsys):
+    """Files are written whole and read back; whatever else has the name is refused."""
+    checker = CollisionChecker(written(tmp_path, FINGERS))
+    proof = checker.certify_edges([0.1], [0.01], proof=True).proof
+    path = tmp_path / "plan.proof"
+    proof.save(path)
+    assert Proof.load(path) == proof
+    assert proof.size == len(proof.data) - len(proof.model) - 56
+    assert repr(proof) == f"Proof({proof.size} bytes, model {proof.model_hash[:12]})"
+    assert [file.name for file in tmp_path.iterdir() if "proof" in file.name] == ["plan.proof"]
+    for broken, words in (
+        (b"", "a proof of loewner"),
+        (b"x" * 100, "a proof of loewner"),
+        (proof.data[:-1], "not whole"),
+        (proof.data + b"x", "not whole"),
+        (proof.data[:-40] + bytes([proof.data[-40] ^ 1]) + proof.data[-39:], "changed"),
+        (proof.data[:8] + b"\2" + proof.data[9:], "version"),
+    ):
+        path.write_bytes(broken)
+        with pytest.raises(FileError, match=words):
+            Proof.load(path)
+        assert cli.main(["verify", str(path)]) == 1
+        with pytest.raises(InputError, match=words):
+            Proof(broken)
+    with pytest.raises(InputError, match="expected bytes"):
+        Proof("plan.proof")
+    with pytest.raises(FileError, match="no such file"):
+        Proof.load(tmp_path / "none.proof")
+    with pytest.raises(FileError, match="written"):
+        proof.save(tmp_path / "none" / "plan.proof")
+    capsys.readouterr()
+
+
+def test_command_line(tmp_path, capsys):
+    """`loewner plan --proof` writes what `loewner verify` accepts, and compares with robot and scene."""
+    urdf, srdf = gantry(tmp_path)
+    scene = tmp_path / "scene.yaml"
+    loewner.save_scene(wall(), scene)
+    path, common = str(tmp_path / "plan.proof"), [str(urdf), "--srdf", str(srdf), "--scene", str(scene)]
+    plan = ["plan", *common, "--start", "-0.5 -0.5 1.57", "--goal", "0.5 -0.5 1.57"]
+    assert cli.main([*plan, "--proof", path]) == 0
+    assert f"written   {path}, a proof of" in capsys.readouterr().out
+    assert cli.main(["verify", path]) == 0
+    assert "verified" in capsys.readouterr().out
+    assert cli.main(["verify", path, "--robot", *common]) == 0
+    assert "the robot's and the scene's own" in capsys.readouterr().out
+    assert cli.main(["verify", path, "--robot", *common[:3]]) == 1
+    assert "ANOTHER MODEL" in capsys.readouterr().out
+    assert cli.main(["verify", path, "--srdf", str(srdf)]) == 2
+    assert cli.main([*plan, "--sampled", "--proof", path]) == 2
+    assert "--proof: expected no --sampled" in capsys.readouterr().err
+
+
+# -- parts of the search -----------------------------------------------------------------------
+
+
+def test_rounded_normals(rng):
+    """Normals of whole numbers turn by little, and by less if many multiples are tried."""
+    n = rng.normal(size=(50, 3))
+    for scales, angle in ((1, 3e-5), (4096, 2e-6)):
+        found = separations.rounded(n, scales)
+        assert np.abs(found).max() <= 32767
+        assert (
+            np.linalg.norm(np.cross(found, n), axis=1)
+            < angle * np.linalg.norm(found, axis=1) * np.linalg.norm(n, axis=1)
+        ).all()
+    assert separations.rounded(np.zeros((2, 3)), 3).tolist() == [[0, 0, 0]] * 2
+
+
+def test_supports_of_clusters(rng, tmp_path):
+    """Largest products with pieces as `Body` reports them, and boxes that hold them."""
+    mixed = composed_bodies(rng)[-1]
+    robot = robot_of(tmp_path, CART[:1], {"l1": mixed})
+    scene = Scene()
+    scene.add("b", mixed, translation(x=3))
+    model = proof_models.model_of(CollisionChecker(robot, scene)._ready())
+    made = separations.clusters_of(model)
+    n = rng.normal(size=(100, 3))
+    search = object.__new__(separations._Search)
+    search.clusters = made
+    for body in (0, 1):
+        whole = made.of_body[body]
+        reach = search.supports(np.full(100, whole), n.T)
+        turned = n @ model.turn[body]
+        assert (reach <= n @ made.center[:, whole] + np.abs(turned) @ made.half[:, whole] + 1e-12).all()
+        halves = np.maximum(*(search.supports(np.full(100, k), n.T) for k in (made.left[whole], made.right[whole])))
+        assert np.allclose(reach, halves)
+        center, radius = made.balls[body, :3], made.balls[body, 3]
+        assert (reach <= n @ center + radius * np.linalg.norm(n, axis=1) + 1e-12).all()
+
+
+@pytest.mark.parametrize("k", range(9))
+def test_gaps_are_distances(rng, tmp_path, k):
+    """Along the normal of the exact distance, the gap is the distance, for all kinds of pieces."""
+    body = simple_bodies(rng)[k]
+    robot = robot_of(tmp_path, CART[:1], {"l1": body})
+    scene = Scene()
+    scene.add("b", body, translation(1.0, 0.5, 0.3))
+    found = loewner.distance(body, None, body, translation(1.0, 0.5, 0.3), exact=True)
+    search = object.__new__(separations._Search)
+    search.clusters = separations.clusters_of(proof_models.model_of(CollisionChecker(robot, scene)._ready()))
+    gap = -search.supports(search.clusters.of_body, np.stack([found.normal, -found.normal], axis=1)).sum()
+    assert gap == pytest.approx(found.distance, abs=1e-9)
