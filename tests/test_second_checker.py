@@ -1,0 +1,129 @@
+"""The second checker of proofs, in C, which was written from the page about the format alone."""
+
+import os
+import random
+import shlex
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loewner import Verdict
+from loewner.verify import Refused, verify
+from motion_oracle import ring
+from test_verify import (
+    ALONG_Y,
+    BELOW,
+    ROD,
+    TURNING,
+    body,
+    bound,
+    box,
+    common,
+    hull,
+    link,
+    model,
+    plane,
+    proof,
+    resealed,
+    sealed,
+    turning,
+)  # fmt: skip
+from test_written_proofs import around, panda  # noqa: F401
+
+SOURCE = Path(__file__).parents[1] / "examples" / "verify.c"
+
+
+@pytest.fixture(scope="module")
+def agrees(tmp_path_factory):
+    """Return a function of the bytes of a file: whether both programs verify it; an error if they differ."""
+    folder = tmp_path_factory.mktemp("second")
+    program, file = folder / "verify", folder / "made.proof"
+    compiler = shlex.split(os.environ.get("CC") or "cc")
+    flags = ["-std=c11", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
+    built = subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(program), "-lm"], capture_output=True, text=True)
+    assert (built.returncode, built.stderr) == (0, "")
+
+    def both(data):
+        file.write_bytes(data)
+        told = subprocess.run([program, file], capture_output=True, text=True, check=False)
+        assert told.returncode in (0, 1), told
+        assert (told.returncode == 0) == told.stdout.startswith("verified")
+        try:
+            report = verify(data)
+        except Refused:
+            report = None
+        assert (told.returncode == 0) == (report is not None), told.stdout
+        assert report is None or report.model in told.stdout
+        return report is not None
+
+    return both
+
+
+def test_they_agree_about_a_turning_rod(agrees):
+    """Both verify a gap just above what is required, and refuse one just below."""
+    assert agrees(turning())
+    assert agrees(turning(margin=0.1, motions=[[(0.0,), (0.5,)], [(0.5,), (0.1,), (0.2,)]], tree=ALONG_Y * 2))
+    low = 0.2 * np.sin(0.5) - 0.05 * np.cos(0.5)
+    least = min(low, -0.05) + 0.5 - bound([0.0, 0.5])
+    assert agrees(turning(margin=least - 1e-11))
+    assert not agrees(turning(margin=least + 1e-11))
+    assert not agrees(turning(tree=b"\x04"))
+    assert not agrees(turning(tree=ALONG_Y + b"\0"))
+
+
+def test_they_agree_about_an_arm(panda, agrees, rng):  # noqa: F811
+    """Both verify the proofs that the library writes for motions of a Panda among boxes."""
+    checker, Q, ends = around(panda, rng, ring(rng, 8, 0.5, 0.9, 0.3), 6, 0.5)
+    free = checker.certify_edges(Q, ends).verdict == Verdict.FREE
+    made = checker.certify_edges(Q[free], ends[free], proof=True).proof
+    assert agrees(made.data)
+
+
+MUTANTS = 400
+
+
+@pytest.mark.parametrize(
+    "count", [pytest.param(MUTANTS, id="some"), pytest.param(20_000, id="many", marks=pytest.mark.verify)]
+)
+def test_they_agree_about_mutants(count, agrees):
+    """Whatever is changed in a file, with its checksum made good, both give the same answer, mostly a refusal."""
+    draw = random.Random(5)
+    sound = [
+        turning(margin=0.2),
+        turning(tree=b"\0" + plane((0, 300, 1), 17) + b"\3", margin=0.3),
+        turning((BELOW, box((-1.0, -0.8, 0.3), (-0.5, -0.5, 0.5))), b"\2" + ALONG_Y + ALONG_Y, margin=0.05),
+        sealed(
+            model([TURNING, link(0, 2, 1, axis=(1, 0, 0))], [(-3, 3), (-1, 1)], [body(1, ROD), body(-1, BELOW)]),
+            proof([[(0.0, 0.0), (0.2, 0.1)]], ALONG_Y, [1e-4, 1e-3]),
+        ),
+    ]
+    assert all(agrees(data) for data in sound)
+    verified = 0
+    for _ in range(count):
+        data = bytearray(draw.choice(sound))
+        for _ in range(draw.choice((1, 1, 1, 2))):
+            at = draw.randrange(8, len(data) - 32)
+            what = draw.randrange(4)
+            if what == 0:
+                data[at] ^= 1 << draw.randrange(8)
+            elif what == 1:
+                data[at] = draw.randrange(256)
+            elif what == 2:
+                del data[at : at + draw.choice((1, 4, 8))]
+            else:
+                data[at:at] = struct.pack("<d", draw.choice((0.0, 1.0, -1.0, 1e-300, float("nan"), 1e9)))
+        if len(data) > 60:
+            verified += agrees(resealed(bytes(data)))
+    # Many bits of names, of corners inside the hull or of last places do not matter.
+    assert 0 < verified < count / 2
+
+
+def test_they_agree_about_common_points(agrees):
+    """Both verify a point of two boxes, and refuse one that is outside of either."""
+    corners = [(-1, -1, -1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)]
+    bodies = [body(-1, hull(corners)), body(-1, hull(corners), shift=(0.5, 0, 0))]
+    assert agrees(common(bodies, (0, 0, 0, 1, 2, 3), (1, 0, 0, 1, 2, 3), (0.25, 0.0, 0.0)))
+    assert not agrees(common(bodies, (0, 0, 0, 1, 2, 3), (1, 0, 0, 1, 2, 3), (-0.75, 0.0, 0.0)))
