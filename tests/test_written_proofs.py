@@ -275,13 +275,15 @@ def test_differences_of_models_are_named(tmp_path):
     urdf, srdf = gantry(tmp_path)
     box, post = (Body.box([0.1, 4.0, 1.0]), translation(y=-1.5)), (Body.sphere(0.1), translation(x=9.0))
 
-    def made(margin=0.0, allowed=(), old="", new="", **bodies):
+    def made(margin=0.0, margins=(), allowed=(), old="", new="", **bodies):
         text = urdf.read_text()
         assert old in text
         (tmp_path / "other.urdf").write_text(text.replace(old, new, 1))
         scene = Scene(margin=margin)
         for name, (body, pose) in (bodies or {"wall": box, "post": post}).items():
             scene.add(name, body, pose)
+        for given in margins:
+            scene.set_margin(*given)
         for pair in allowed:
             scene.allow(*pair)
         return CollisionChecker(Robot.from_urdf(tmp_path / "other.urdf", srdf=srdf), scene)
@@ -294,6 +296,7 @@ def test_differences_of_models_are_named(tmp_path):
         ("body post: only in the proof", made(wall=box)),
         ("body more: only in the robot and scene", made(wall=box, post=post, more=post)),
         ("usual margin: 0.0 instead of 0.25", made(margin=0.25)),
+        ("margin of ball and post: only in the robot and scene", made(margins=[(0.1, "post", "ball")])),
         ("pair left out, ball and post: only in the robot and scene", made(allowed=[("post", "ball")])),
         ("another order of links, values, bodies or pairs", made(post=post, wall=box)),
         ("limits of x: -1.0, 1.0 instead of -2.0, 1.0", made(old='lower="-1"', new='lower="-2"')),

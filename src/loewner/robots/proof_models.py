@@ -327,7 +327,8 @@ def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
         found[f"pair left out, {pair()}"] = True
     found["usual margin"] = take("d")
     for _ in range(*take("I")):
-        found[f"margin of {pair()}"] = take("d")
+        part = f"margin of {pair()}"
+        found[part] = take("d")
     return values, found
 
 
