@@ -207,8 +207,8 @@ def plan_in_time(
             rows = trees.connected(max_iterations, timeout)
         if simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
-    times, knots = rows[:, -1].copy(), rows[:, :-1].copy()
-    return Trajectory._straight(robot.configuration_names, times, knots, judge.begin)._read_only()
+    knots = rows[:, :-1].copy()
+    return Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), knots, judge.begin)._read_only()
 
 
 def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: ArrayLike) -> TimedJudge:

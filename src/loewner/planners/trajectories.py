@@ -510,7 +510,7 @@ class Trajectory:
         shapes = [a.shape for a in (self.times, self.blended, *columns)]
         if n == 0 or dof == 0 or shapes != [(n,), (n - 1,), *[(n, dof)] * len(columns)]:
             return "a time, a position and a velocity of every joint in each row, found something else"
-        if not all(np.isfinite(a).all() for a in (self.times, self.start_time, *columns)):
+        if not all(np.isfinite(a).all() for a in (self.times, np.array(self.start_time), *columns)):
             return "finite numbers, found others"
         T = np.diff(self.times)
         if self.times[0] != 0 or not (T > 0).all():
