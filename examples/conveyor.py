@@ -7,6 +7,7 @@ one start after another, at every instant. For a start at which the arm would to
 """
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,12 +54,11 @@ def main() -> None:
                 f"free until {contact.free_until:.6f} s"
             )
             among = planners.plan(checker, home, low, start_time=t0)
-            verdict = checker.certify_trajectory(among, t0=t0).verdict
+            verdict = checker.certify_trajectory(among).verdict
             print(f"planned among the parts from {t0:g} s on: {among}, {verdict.name}")
             break
     if options.out:
-        late = planners.ControllerPoints(moved.times + t0, moved.knots, moved.rates, names=moved.names)
-        plots.save(plots.trajectory(checker, late), options.out)
+        plots.save(plots.trajectory(checker, replace(moved, start_time=t0)), options.out)
         print(f"wrote {options.out}")
 
 

@@ -770,13 +770,19 @@ def test_plan_in_time(with_end, capsys):
     np.testing.assert_array_equal(3.0 + written.times, answer["times"])
     robot = loewner.Robot.from_urdf("gantry.urdf", srdf="gantry.srdf")
     checker = loewner.CollisionChecker(robot, loewner.load_scene("gate.yaml"))
-    assert checker.certify_trajectory(written, t0=3.0).verdict == loewner.Verdict.FREE
+    assert written.start_time == 3.0
+    assert checker.certify_trajectory(written).verdict == loewner.Verdict.FREE
+    for name, more, wanted in (("moved.csv", [], 0), ("moved.csv", ["--start-time", "-3"], 1), ("moved.yaml", [], 1),
+                               ("moved.yaml", ["--start-time", "3"], 0)):  # fmt: skip
+        written.save(name)
+        audit = run(capsys, "audit", *ROBOT, name, "--scene", "gate.yaml", "--json", *more)
+        assert audit[0] == wanted, audit
     status, out, _ = run(capsys, *ask, "--arrive-by", "7")
     assert status == 0
-    assert "proven free at every configuration on the way and its own time" in out
+    assert "each proven free at every instant among the moving bodies" in out
     assert re.search(r"^time +[0-9.]+ s, from 3 s to [56]\.[0-9]+ s$", out, flags=re.M)
     for more, wanted, message in (
-        (["--arrive-by", "3.5"], 1, "no path: arrive_by: expected a goal that can be reached by 3.5 s"),
+        (["--arrive-by", "3.5"], 1, "no path: arrive_by: expected 4 s or later"),
         (["--arrive-by", "2"], 2, "arrive_by: expected a time after start_time, 3, found 2"),
         (["--velocity", "fast"], 2, "--velocity: expected numbers, found 'fast'"),
         (["--improve-for", "1"], 2, "start_time: expected no planner"),

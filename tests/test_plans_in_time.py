@@ -1,5 +1,7 @@
 """Plans among bodies that move: every motion is proven at its own times, and no joint is faster than its limit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -168,7 +170,7 @@ def test_arrival_is_in_time(slider):
         for begin in (0.0, 0.1):
             found = planners.plan(checker, LEFT, RIGHT, start_time=begin, velocity=1.0, arrive_by=last)
             assert begin + found.duration <= last
-    with pytest.raises(PlanningError, match=r"arrive_by: expected a goal that can be reached by 0\.9 s.*found.* 1 s"):
+    with pytest.raises(PlanningError, match=r"arrive_by: expected 1 s or later, .*; found 0\.9 s"):
         planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0, arrive_by=0.9)
     with pytest.raises(PlanningError, match=r"between 0 s and 2 s, found none within 200 iterations: trees of \d+"):
         planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0, arrive_by=2.0, max_iterations=200)
@@ -221,7 +223,7 @@ def test_bad_input_is_refused(slider):
             planners.plan(checker, LEFT, RIGHT, **(good | change))
     with pytest.raises(TypeError, match="hurry"):
         planners.plan(checker, LEFT, RIGHT, hurry=True, **good)
-    with pytest.raises(InputError, match=r"follow motions \(gate\): give start_time= to planners.plan"):
+    with pytest.raises(InputError, match=r"follow motions \(gate\): .*planners.plan takes start_time="):
         planners.plan(checker, LEFT, RIGHT)
     robot = Robot.from_urdf(text=AFLOAT).with_body("bar", Body.box([1.0, 0.05, 0.05]), parent="hand", joint="fixed")
     afloat = CollisionChecker(robot)
@@ -241,15 +243,20 @@ def test_a_search_ends_in_time(slider):
 
 
 def test_files_give_back_the_plan(slider, tmp_path):
-    """To the last bit; readers of points see straight motions as well."""
-    checker = CollisionChecker(slider, gate())
-    found = planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0)
+    """To the last bit, with the start time; readers of points see straight motions as well."""
+    checker = CollisionChecker(slider, gate(3.3))
+    found = planners.plan(checker, LEFT, RIGHT, start_time=1.3, velocity=1.0)
+    assert checker.certify_trajectory(found).verdict == found.certify(checker).verdict == Verdict.FREE
+    assert checker.certify_trajectory([found], t0=1.3)[0].times[0] == 1.3
+    assert checker.first_contact(found).verdict == Verdict.FREE
+    assert checker.certify_trajectory(found, t0=0.0).verdict == Verdict.COLLIDING
     for name in ("plan.csv", "plan.json"):
         found.save(tmp_path / name)
         loaded = planners.Trajectory.load(tmp_path / name)
         for attribute in ("times", "knots", "rates", "blended"):
             np.testing.assert_array_equal(getattr(loaded, attribute), getattr(found, attribute))
         assert loaded.jumps
+        assert loaded.start_time == 1.3
         assert loaded.names == found.names
     found.save(tmp_path / "plan.yaml")
     found.save(tmp_path / "message.json", message=True)
@@ -257,11 +264,25 @@ def test_files_give_back_the_plan(slider, tmp_path):
         points = planners.ControllerPoints.load(tmp_path / name)
         assert points.velocities is None
         np.testing.assert_array_equal(points.positions, found.knots)
-        assert checker.certify_trajectory(points).verdict == Verdict.FREE
+        of_message = name in ("plan.yaml", "message.json")
+        assert checker.certify_trajectory(points, t0=1.3 if of_message else None).verdict == Verdict.FREE
     found.save(tmp_path / "dense.csv", rate=50.0)
     dense = planners.Trajectory.load(tmp_path / "dense.csv")
     x = np.linspace(0.0, found.duration, 500)
     np.testing.assert_allclose(dense.positions(x), found.positions(x), atol=1e-12)
+    assert dense.start_time == 1.3
+    rounded = planners.trajectory(slider, [LEFT, RIGHT], velocity=1.0, acceleration=1.0)
+    for name in ("later.csv", "later.json"):
+        replace(rounded, start_time=-2.5).save(tmp_path / name)
+        assert planners.Trajectory.load(tmp_path / name).start_time == -2.5
+        assert planners.ControllerPoints.load(tmp_path / name).times[0] == -2.5
+    for begin in ("nan", "x", ""):
+        (tmp_path / "wrong.csv").write_text(f"# start_time: {begin}\ntime,x,y\n0,1,1\n1,2,2\n")
+        for kind in (planners.Trajectory, planners.ControllerPoints):
+            with pytest.raises(FileError):
+                kind.load(tmp_path / "wrong.csv")
+    with pytest.raises(InputError, match="start_time"):
+        checker.certify_trajectory(replace(rounded, start_time="soon"))
     for text in ("time,x,y\n0,1,1\n0,2,2\n", "time,x\n0,nan\n", "time,x\n", "time,x\n1,2\n2,3\n", "time,x\n0,1,2\n"):
         (tmp_path / "wrong.csv").write_text(text)
         with pytest.raises(FileError):

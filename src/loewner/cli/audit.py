@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, planners, plots
+from loewner import Verdict, _validate, planners, plots
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
@@ -36,6 +36,7 @@ EXAMPLES = """examples:
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
   file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint;
   or a path without times that loewner plan has written (.csv or .json), whose straight motions are checked.
+  Bodies that follow motions move at the file's own times; messages count from their start, so give --start-time.
 
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
@@ -65,6 +66,13 @@ def add(commands: Any) -> None:
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
     audit.add_argument(
+        "--start-time",
+        type=float,
+        default=0.0,
+        metavar="T",
+        help="seconds that are added to the file's times: when it starts, on the clock of bodies that move (0)",
+    )
+    audit.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
     )
     audit.add_argument("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
@@ -85,6 +93,9 @@ def _run(options: argparse.Namespace) -> int:
     given = _read(options.trajectory, robot)
     if isinstance(given, planners.ControllerPoints):
         given = _complete(_executed(given, options.controller), robot, others)
+        given.times = given.times + _validate.real(options.start_time, "--start-time")
+    elif options.start_time:
+        raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
     elif options.controller not in (None, "linear"):
         raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
     answer = _answer(checker, given, options)

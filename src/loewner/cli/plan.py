@@ -240,7 +240,7 @@ def _answer(
 ) -> dict[str, Any]:
     """Make the full report on a path or a trajectory."""
     if isinstance(plan, planners.Trajectory):
-        path, times = plan.knots, options.start_time + plan.times
+        path, times = plan.knots, plan.start_time + plan.times
         t0, t1, own = times[:-1], times[1:], {"times": times.tolist(), "seconds": seconds}
     else:
         path, times, t0, t1 = plan.path, None, None, None
@@ -338,8 +338,9 @@ def _print_verdict(answer: dict[str, Any]) -> None:
     count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
     if answer["verdict"] == "FREE":
         error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
-        times = " and its own time" if "times" in answer else ""
-        print(f"FREE  {count} from start to goal, proven free at every configuration on the way{times}{error}")
+        where = "instant among the moving bodies" if "times" in answer else "configuration on the way"
+        each = "each " if "times" in answer and len(motions) > 1 else ""
+        print(f"FREE  {count} from start to goal, {each}proven free at every {where}{error}")
         return
     unproven = [k for k, motion in enumerate(motions) if motion["verdict"] != "FREE"]
     print(f"{answer['verdict']}  {len(unproven)} of {count} from start to goal not proven free")

@@ -6,12 +6,14 @@ import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import loewner
+from loewner import _validate
 from loewner.cli import inputs
 from loewner.errors import InputError
 
@@ -41,6 +43,7 @@ def add(commands: Any) -> None:
     view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
     view.add_argument("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
     view.add_argument("--trajectory", metavar="FILE", type=Path, help="path of the robot to play: .csv or .json")
+    view.add_argument("--start-time", type=float, metavar="T", help="when it starts, for bodies that move (the file's)")
     view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
     view.add_argument("--decompose", action="store_true", help="for the robot: the same as --model pieces")
     view.add_argument("--port", type=int, default=0, help="default: any free port")
@@ -79,7 +82,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
 
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
-    of_robots = ("srdf", "scene", "trajectory", "package_dir", "decompose")
+    of_robots = ("srdf", "scene", "trajectory", "start_time", "package_dir", "decompose")
     _refuse(options, of_robots, "with --robot only, found it with A and B")
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.body(options.a, options), inputs.body(options.b, options)
@@ -105,6 +108,10 @@ def _view_robot(options: argparse.Namespace) -> Any:
             f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
         )
     played = None if options.trajectory is None else planners.Trajectory.load(options.trajectory)
+    if options.start_time is not None:
+        if played is None:
+            raise InputError("view: expected --trajectory with --start-time, found none")
+        played = replace(played, start_time=_validate.real(options.start_time, "--start-time"))
     checker = loewner.CollisionChecker(inputs.robot(options), scene)
     return viewer.show_robot(checker, trajectory=played, port=options.port)
 

@@ -27,6 +27,15 @@ DEEPEST = 6
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
+# Before the header of a table, the time at which a trajectory starts, unless it is 0.
+STARTS = "# start_time: "
+
+
+def start_of(text: str) -> tuple[float, str]:
+    """Split a table into its start time and the lines behind it."""
+    first, _, rest = text.partition("\n")
+    return (float(first.removeprefix(STARTS)), rest) if first.startswith(STARTS) else (0.0, text)
+
 
 class ControllerPoints:
     """Timed points that a joint trajectory controller, such as ros2_control's, interpolates.
@@ -145,6 +154,7 @@ class ControllerPoints:
     @classmethod
     def _of_table(cls, text: str) -> ControllerPoints:
         """Read points from a table with a header."""
+        start_time, text = start_of(text)
         rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
         header = rows[0] if rows else []
         if not header or header[0] not in TIMES or len(set(header)) < len(header):
@@ -163,14 +173,15 @@ class ControllerPoints:
             wanted = [name + kind for name in names]
             return table[:, [header.index(name) for name in wanted]] if set(wanted) & set(header) else None
 
-        return cls(table[:, 0], columns(""), columns(VELOCITY), columns(ACCELERATION), names=names)
+        return cls(table[:, 0] + start_time, columns(""), columns(VELOCITY), columns(ACCELERATION), names=names)
 
     @classmethod
     def _of_message(cls, held: Any) -> ControllerPoints:
         """Read points from a message or from a file written by `Trajectory.save`."""
         if isinstance(held, Mapping) and ("blended" in held or "jumps" in held):
             arrays = held["positions"], held.get("velocities"), held.get("accelerations")
-            return cls(held["times"], *arrays, names=held["names"])
+            began = _validate.finite_array(held["times"], "times", ("n",)) + float(held.get("start_time", 0.0))
+            return cls(began, *arrays, names=held["names"])
         message = _message(held, DEEPEST)
         if message is None:
             raise KeyError("points")

@@ -184,11 +184,11 @@ def plan_in_time(
         )
     needs = judge.seconds(first, np.column_stack([goals, np.zeros(len(goals))]))
     if needs.min() == 0.0:
-        return Trajectory._straight(robot.configuration_names, np.zeros(1), q[None])._read_only()
+        return Trajectory._straight(robot.configuration_names, np.zeros(1), q[None], judge.begin)._read_only()
     if needs.min() > judge.limit:
         raise PlanningError(
-            f"arrive_by: expected a goal that can be reached by {judge.begin + judge.limit:g} s within the velocity "
-            f"limits, found the nearest {needs.min():.6g} s away from the start at {judge.begin:g} s"
+            f"arrive_by: expected {judge.begin + needs.min():.6g} s or later, since the nearest goal takes at least "
+            f"{needs.min():.6g} s within the velocity limits; found {judge.begin + judge.limit:g} s"
         )
     ends = np.column_stack([goals, needs])
     direct = np.flatnonzero(judge.free(np.broadcast_to(first, ends.shape), ends))
@@ -207,7 +207,8 @@ def plan_in_time(
             rows = trees.connected(max_iterations, timeout)
         if simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
-    return Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy())._read_only()
+    knots = rows[:, :-1].copy()
+    return Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), knots, judge.begin)._read_only()
 
 
 def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: ArrayLike) -> TimedJudge:

@@ -163,9 +163,9 @@ def plan(
         joint that turns without limits takes the shorter way around, so it ends at the goal's value or whole turns from
         it (with OMPL's planners, always at the goal's value).
     Trajectory
-        If `start_time` is given. Between its times the robot moves straight at a constant rate, or waits. Its first
-        time is 0, which is `start_time` on the scene's clock: ``checker.certify_trajectory(found, t0=start_time)`` is
-        FREE. Every velocity is at most its limit, up to two units of rounding.
+        If `start_time` is given. Between its times the robot moves straight at a constant rate, or waits. Its times
+        count from its own `start_time`, at which ``checker.certify_trajectory(found)`` proves it FREE. Every velocity
+        is at most its limit, up to two units of rounding.
 
     Raises
     ------

@@ -25,6 +25,7 @@ from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
+from loewner.planners.controller_points import STARTS, start_of
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
@@ -86,14 +87,17 @@ class Trajectory:
     times : ndarray, shape (n,)
         Seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
-        Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest. Where
-        velocities jump, they are those after the jump.
+        Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest,
+        except in plans in time. Where velocities jump, they are those after the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
         Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
     jumps : bool
         Whether velocities are constant between these times, and jump there.
+    start_time : float
+        When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
+        `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts it later.
 
     Examples
     --------
@@ -114,13 +118,14 @@ class Trajectory:
     blended: Bools
     bends: Floats | None = None
     jumps: bool = False
+    start_time: float = 0.0
 
     @classmethod
-    def _straight(cls, names: tuple[str, ...], times: Floats, knots: Floats) -> Trajectory:
+    def _straight(cls, names: tuple[str, ...], times: Floats, knots: Floats, start_time: float = 0.0) -> Trajectory:
         """Make a trajectory whose velocities are constant between its times, and jump there."""
         rates = np.zeros(knots.shape)
         rates[:-1] = np.diff(knots, axis=0) / np.diff(times)[:, None]
-        return cls(names, times, knots, rates, np.zeros(len(times) - 1, dtype=bool), jumps=True)
+        return cls(names, times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None, True, start_time)
 
     def __repr__(self) -> str:
         if self.jumps:
@@ -295,7 +300,8 @@ class Trajectory:
             acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
             ``trajectory_msgs/JointTrajectory`` with times rounded to nanoseconds. Where accelerations jump it has none,
-            since a controller follows the trajectory if it interpolates only positions and velocities.
+            since a controller follows the trajectory if it interpolates only positions and velocities. Messages have no
+            `start_time`; in a ``.csv`` file, it is a comment in the first line unless it is 0.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. Where velocities jump, the robot
@@ -443,12 +449,15 @@ class Trajectory:
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
         bends = None if self.bends is None else self.accelerations(times)
         if self.jumps:
-            return Trajectory._straight(self.names, times, self.positions(times))
-        return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended, bends)
+            return Trajectory._straight(self.names, times, self.positions(times), self.start_time)
+        rows = self.positions(times), self.velocities(times)
+        return Trajectory(self.names, times, *rows, blended, bends, start_time=self.start_time)
 
     def _csv(self) -> str:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
+        if self.start_time:
+            out.write(f"{STARTS}{self.start_time!r}\n")
         if self.jumps:
             writer.writerows([["time", *self.names], *np.column_stack([self.times, self.knots]).tolist()])
             return out.getvalue()
@@ -461,10 +470,11 @@ class Trajectory:
     def _held(self) -> dict[str, Any]:
         if self.jumps:
             places = {"times": self.times.tolist(), "positions": self.knots.tolist()}
-            return {"names": self.names, **places, "jumps": True}
+            return {"names": self.names, **places, "jumps": True, "start_time": self.start_time}
         held = {
             "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
             "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
+            **({"start_time": self.start_time} if self.start_time else {}),
         }  # fmt: skip
         return held if self.bends is None else held | {"accelerations": self.bends.tolist()}
 
@@ -503,7 +513,7 @@ class Trajectory:
         shapes = [a.shape for a in (self.times, self.blended, *columns)]
         if n == 0 or dof == 0 or shapes != [(n,), (n - 1,), *[(n, dof)] * len(columns)]:
             return "a time, a position and a velocity of every joint in each row, found something else"
-        if not all(np.isfinite(a).all() for a in (self.times, *columns)):
+        if not all(np.isfinite(a).all() for a in (self.times, np.array(self.start_time), *columns)):
             return "finite numbers, found others"
         T = np.diff(self.times)
         if self.times[0] != 0 or not (T > 0).all():
@@ -858,25 +868,27 @@ def _header(names: tuple[str, ...], bends: bool) -> list[str]:
 
 def _read_csv(text: str) -> Trajectory:
     """Read a string written by `_csv`."""
+    start_time, text = start_of(text)
     header, *rows = csv.reader(io.StringIO(text), strict=True)
     if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
-        return _read_straight(header[1:], [[float(entry) for entry in row] for row in rows])
+        return _read_straight(header[1:], [[float(entry) for entry in row] for row in rows], start_time)
     bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
     names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
     if header != _header(names, bends):
         raise ValueError(f"the header {_validate.short(header)}")
     table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
     knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
-    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0, more[0] if more else None)
+    blended, bent = table[:-1, -1] != 0, more[0] if more else None
+    return Trajectory(names, table[:, 0], knots, rates, blended, bent, start_time=start_time)
 
 
-def _read_straight(names: Any, rows: Any) -> Trajectory:
+def _read_straight(names: Any, rows: Any, start_time: float) -> Trajectory:
     """Make a trajectory whose velocities jump, from rows of times and positions."""
     table = np.array(rows, dtype=np.float64).reshape(-1, len(names) + 1)
     if not all(isinstance(name, str) for name in names) or not (np.diff(table[:, 0]) > 0).all() or not len(table):
         raise ValueError("other names than texts, or times that do not increase")
     with np.errstate(over="ignore", invalid="ignore"):  # refused as numbers that are not finite
-        return Trajectory._straight(tuple(names), table[:, 0], table[:, 1:])
+        return Trajectory._straight(tuple(names), table[:, 0], table[:, 1:], start_time)
 
 
 def _read_json(text: str) -> Trajectory:
@@ -884,15 +896,17 @@ def _read_json(text: str) -> Trajectory:
     held = json.loads(text)
     if not isinstance(held, dict):
         raise ValueError(f"{type(held).__name__} instead of the keys names, times, positions, velocities and blended")
+    start_time = float(held.get("start_time", 0.0))
     if held.get("jumps") is True:
         table = np.column_stack([np.array(held[key], dtype=np.float64) for key in ("times", "positions")])
-        return _read_straight(held["names"], table)
+        return _read_straight(held["names"], table, start_time)
     names, blended = held["names"], held["blended"]
     if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
         raise ValueError("other names than texts, or blends that are neither true nor false")
     keys = ["times", "positions", "velocities", *(["accelerations"] if "accelerations" in held else [])]
     times, knots, rates, *more = (np.array(held[key], dtype=np.float64) for key in keys)
-    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), more[0] if more else None)
+    bent = more[0] if more else None
+    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), bent, start_time=start_time)
 
 
 def _why(error: Exception) -> str:

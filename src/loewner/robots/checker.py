@@ -415,12 +415,18 @@ class CollisionChecker:
         *,
         tolerance: float = ...,
         joint_error: ArrayLike = ...,
-        t0: float = ...,
+        t0: float | None = ...,
         proof: bool = ...,
     ) -> tuple[CertifiedTrajectory, ...]: ...
     @overload
     def certify_trajectory(
-        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ..., t0: float = ..., proof: bool = ...
+        self,
+        curve: Any,
+        *,
+        tolerance: float = ...,
+        joint_error: ArrayLike = ...,
+        t0: float | None = ...,
+        proof: bool = ...,
     ) -> CertifiedTrajectory: ...
     def certify_trajectory(
         self,
@@ -428,7 +434,7 @@ class CollisionChecker:
         *,
         tolerance: float = 1e-5,
         joint_error: ArrayLike = 0.0,
-        t0: float = 0.0,
+        t0: float | None = None,
         proof: bool = False,
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
         """Prove that a curve executed by a robot is free of collisions at every instant.
@@ -445,9 +451,10 @@ class CollisionChecker:
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the curve; FREE covers all such deviations.
-        t0 : float
+        t0 : float, optional
             Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
-            bodies that follow motions, and the times of the result include it.
+            bodies that follow motions, and the times of the result include it. Default: the `start_time` of a
+            `planners.Trajectory`, and 0 for other curves.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
 
@@ -757,9 +764,9 @@ class CollisionChecker:
         if ready.paths is not None and not timed:
             names = ", ".join(self._scene.following)
             raise InputError(
-                f"expected a time, since bodies of the scene follow motions ({names}): give start_time= to "
-                "planners.plan, t= to collide, classify, pairs, distance and their kin, or t0= and t1= to "
-                "certify_edges. Queries without a time do not take such bodies into account"
+                f"expected a time, since bodies of the scene follow motions ({names}): collide, classify, pairs and "
+                "distances take t=, certify_edges takes t0= and t1=, and planners.plan takes start_time=. Other "
+                "queries have no time and cannot be used while such bodies are in the scene"
             )
         return ready
 

@@ -68,12 +68,12 @@ class TrajectoryContact:
 
 @overload
 def first_contact(
-    self: Any, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., t0: float = ...
+    self: Any, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., t0: float | None = ...
 ) -> tuple[TrajectoryContact, ...]: ...
 @overload
-def first_contact(self: Any, curve: Any, *, tolerance: float = ..., t0: float = ...) -> TrajectoryContact: ...
+def first_contact(self: Any, curve: Any, *, tolerance: float = ..., t0: float | None = ...) -> TrajectoryContact: ...
 def first_contact(
-    self: Any, curve: Any, *, tolerance: float = 1e-6, t0: float = 0.0
+    self: Any, curve: Any, *, tolerance: float = 1e-6, t0: float | None = None
 ) -> TrajectoryContact | tuple[TrajectoryContact, ...]:
     """Find when a robot on a curve first touches something, and prove that it is free until then.
 
@@ -83,7 +83,7 @@ def first_contact(
         As for `certify_trajectory`. Bodies that follow motions move at the same times.
     tolerance : float
         Metres. Where it is proven free no longer, a pair is within this distance of its margin.
-    t0 : float
+    t0 : float, optional
         Seconds that are added to the curve's times, as for `certify_trajectory`.
 
     Returns

@@ -187,7 +187,7 @@ def proven(
     An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
     """
     if not isinstance(given, np.ndarray):
-        curve = cut_in_time(checker.robot, checker._ready(timed=True), curve_of(checker.robot, given, name))
+        curve = cut_in_time(checker.robot, checker._ready(timed=True), curves_of(checker.robot, given, name=name)[0])
         own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., : checker.robot.dof]))
         return own, checker.certify_trajectory(given, joint_error=joint_error, proof=proof)
     rows = checked_path(checker.robot, given)
@@ -218,18 +218,21 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
 # -- forms of curves ----------------------------------------------------------------------------
 
 
-def curves_of(robot: Robot, given: Any, t0: float = 0.0) -> list[Curve]:
-    """Return the courses of one curve, or of each curve in a list, t0 seconds later; errors as for `curve_of`."""
-    if isinstance(given, (list, tuple)):
-        made = [curve_of(robot, one, f"curve {k}") for k, one in enumerate(given)]
-    else:
-        made = [curve_of(robot, given, "curve")]
-    later = _validate.real(t0, "t0")
-    if later:
-        made = [curve._replace(times=curve.times + later) for curve in made]
-        for curve in made:
-            if not (np.diff(curve.times) > 0).all():
-                raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:g}")
+def curves_of(robot: Robot, given: Any, t0: float | None = None, name: str = "curve") -> list[Curve]:
+    """Return the courses of one curve, or of each curve in a list, `t0` seconds later; errors as for `curve_of`.
+
+    By default a trajectory is later by its own start time.
+    """
+    several = isinstance(given, (list, tuple))
+    shift = None if t0 is None else _validate.real(t0, "t0")
+    made = []
+    for k, one in enumerate(given if several else [given]):
+        curve = curve_of(robot, one, f"{name} {k}" if several else name)
+        later = _validate.real(getattr(one, "start_time", 0.0), "start_time") if shift is None else shift
+        curve = curve._replace(times=curve.times + later)
+        if later and not (np.diff(curve.times) > 0).all():
+            raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:g}")
+        made.append(curve)
     return made
 
 

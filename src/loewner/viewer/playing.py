@@ -54,7 +54,11 @@ class Path:
     ----------
     duration : float
         Seconds from the first configuration to the last; 0 if all are equal.
+    start_time : float
+        When it starts, on the clock of bodies that follow motions: 0.
     """
+
+    start_time = 0.0
 
     def __init__(self, robot: Robot, rows: Floats) -> None:
         self._robot, self._rows = robot, rows
@@ -102,7 +106,9 @@ def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
     """Return FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spaced from start to end."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
-    found, _ = classified(ready, codes.EXACT, np.ascontiguousarray(with_bodies(ready, way.positions(times), times)))
+    found, _ = classified(
+        ready, codes.EXACT, np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
+    )
     return SEEN[found]
 
 

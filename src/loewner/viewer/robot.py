@@ -304,8 +304,9 @@ class RobotViewer(Viewer):
             self._notes = gui.add_html("", visible=False)
         if self._way is not None:
             with gui.add_folder("Path"):
-                end = max(self._way.duration, 1e-6)
-                self._clock = self._watch(gui.add_slider("time, s", 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
+                end, begin = max(self._way.duration, 1e-6), self._way.start_time
+                label = f"time since {begin:g} s, s" if begin else "time, s"
+                self._clock = self._watch(gui.add_slider(label, 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
                 self._button = gui.add_button(PLAY)
                 self._button.on_click(lambda _: self._tell("play"))
                 self._strip = gui.add_html("")
@@ -360,7 +361,7 @@ class RobotViewer(Viewer):
         mover, handle = None, None
         if link is None:
             scene = self.checker.scene
-            T = scene.following[name].poses(self._time) if name in scene.following else scene.pose(name)
+            T = scene.following[name].poses(self._clock_time()) if name in scene.following else scene.pose(name)
             mover = Mover(self, node, name, T)
             mover.show(False)
             handle = mover.gizmo
@@ -555,13 +556,17 @@ class RobotViewer(Viewer):
         self._show_verdict(exactly.name, VERDICT_COLOURS[exactly], list(self._rows()), self._contact_lines())
         self._show_near()
 
+    def _clock_time(self) -> float:
+        """Return the time on the clock of bodies that follow motions."""
+        return self._time + (0.0 if self._way is None else self._way.start_time)
+
     def _now(self) -> float | None:
         """Return the time on the path, after bodies that follow motions are where they are then; None without any."""
         following = self.checker.scene.following
         for name, motion in following.items():
             if name in self._shown:
-                self._mover(name).move(motion.poses(self._time))
-        return self._time if following else None
+                self._mover(name).move(motion.poses(self._clock_time()))
+        return self._clock_time() if following else None
 
     def _distance(self) -> StateDistance:
         try:
