@@ -29,7 +29,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 CODE = r"^```python\n(.*?)^```"
 # test_docs.py runs the code of these.
-GUIDES = {"meshes.md", "motions.md", "robots.md", "scenes.md", "viewer.md"}
+GUIDES = {"meshes.md", "motions.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
 PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
@@ -243,6 +243,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot info",
         " robot check",
         " plan",
+        " verify",
         " audit",
         " view",
         " compile",

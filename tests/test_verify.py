@@ -116,6 +116,11 @@ def test_true_proofs_are_verified():
     assert report.sizes == {"links": 1, "values": 1, "bodies": 2, "pieces": 2, "pairs": 1, "planes": 2, "intervals": 2}
     assert report.motions == ((1, True, True, 2), (2, True, True, 2))
     assert report.tightest[:3] == ("body", "post", 1)
+    assert report.margins == (0.1, 0)
+    assert report.points == (((0.0,), (0.5,)), ((0.5,), (0.1,), (0.2,)))
+    for line in ("begins at    value 0.0\n", "ends at      value 0.2\n", "margin       100 mm; 0 ", "joint error  0\n"):
+        assert line in f"{report}\n"
+    assert "body and post, motion 1, t in [0, 1]" in str(report)
     assert report.common is None
     low = min(x * math.sin(a) + y * math.cos(a) for a in (0.5, 0.2) for x in (0.2, 1.0) for y in (-0.05, 0.05))
     assert abs(float(report.tightest[-1]) - (low + 0.5 - 0.1 - bound([0.5, 0.1, 0.2]))) < 1e-12
@@ -133,22 +138,22 @@ def test_a_gap_must_exceed_what_is_required():
         if free:
             verify(sealed(given, proof(still, ALONG_Y)))
         else:
-            with pytest.raises(Refused, match="lacks"):
+            with pytest.raises(Refused, match="fails by"):
                 verify(sealed(given, proof(still, ALONG_Y)))
     room = 0.45 - bound([0.0, 0.5])
     verify(turning(margin=room - 1e-12))
-    with pytest.raises(Refused, match="lacks"):
+    with pytest.raises(Refused, match="fails by"):
         verify(turning(margin=room + 1e-12))
     reach = math.hypot(0.4, 0.05, 0.05) + 0.6
     verify(turning(margin=room - 0.01 * reach - 1e-12, deviations=[0.01]))
-    with pytest.raises(Refused, match="lacks"):
+    with pytest.raises(Refused, match="fails by"):
         verify(turning(margin=room - 0.01 * reach + 1e-12, deviations=[0.01]))
 
 
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
-        (turning(tree=b"\x0e"), "lacks"),  # the plane points to the other side
+        (turning(tree=b"\x0e"), "fails by"),  # the plane points to the other side
         (turning(tree=b"\0" + ALONG_Y), "ends too early"),
         (turning(tree=b""), "too short|ends too early"),
         (turning(tree=b"\3"), "does not name a plane"),
@@ -159,22 +164,25 @@ def test_a_gap_must_exceed_what_is_required():
         (turning(tree=ALONG_Y * 2), "1 bytes too many"),
         (turning(margin=math.nan), "not finite"),
         (turning(margin=-1.0), "negative"),
-        (turning(margins=[(0, 1, 0.44)]), "lacks"),
+        (turning(margins=[(0, 1, 0.44)]), "fails by"),
         (turning(margins=[(0, 1, 0.1), (0, 1, 0.1)]), "named twice"),
         (turning(margins=[(1, 0, 0.1)]), "out of order"),
         (turning(apart=[(0, 2)]), "does not exist"),
         (turning(motions=[[(0.0,)]]), "degree 0"),
-        (turning(motions=[[(0.0,), (math.inf,)]]), "not finite"),
+        (turning(motions=[[(0.0,), (math.inf,)]]), "Byte 21 of the proof: inf is not finite"),
         (turning(motions=[[(0.0,), (2e6,)]]), "1e6 rad"),
         (turning(deviations=[-0.1]), "negative"),
         (turning(post=BELOW[:-1]), "model"),
         (turning(post=b"\5" + BELOW[1:]), "Kinds of pieces"),
         (turning(post=balls([(0, -2, 0, -1)])), "negative radius"),
         (turning(post=()), "cannot have 0 pieces"),
-        (turning()[:-1], "length"),
-        (turning() + b"\0", "length"),
+        (turning()[:-1], "truncated or extended"),
+        (turning() + b"\0", "truncated or extended"),
+        (turning()[:8] + b"\x09" + turning()[9:], "version 9, claim 1; this program reads version 1"),
+        (turning()[:8], "8 bytes"),
+        (b"x" * 99, "not a proof file"),
         (turning()[:-33] + b"\3" + turning()[-32:], "damaged"),
-        (b"", "0 bytes"),
+        (b"", "not a proof file"),
     ],
 )
 def test_files_that_are_no_proofs_are_refused(wrong, match):
@@ -255,7 +263,7 @@ def test_no_planes_prove_a_motion_that_collides():
         return plane(normal, dice.choice((16, 17)))
 
     for _ in range(150):
-        with pytest.raises(Refused, match="lacks"):
+        with pytest.raises(Refused, match="fails by"):
             verify(turning(post, tree(5), [[(0.0,), (math.pi / 2,)]]))
     # Parts of the motion can be proven: up to an eighth, with a plane between the rod and the post.
     verify(turning(post, plane((0, 1, 0), 16), [[(0.0,), (math.pi / 16,)]]))
@@ -265,10 +273,10 @@ def test_pieces_are_divided():
     """A body that no plane separates is divided, and every piece counts."""
     posts = (BELOW, box((0.0, 0.9, -0.1), (1.0, 1.3, 0.1)))
     motion = [[(0.0,), (0.5,)]]
-    with pytest.raises(Refused, match="lacks"):
+    with pytest.raises(Refused, match="fails by"):
         verify(turning(posts, ALONG_Y, motion))
     verify(turning(posts, b"\2" + ALONG_Y + b"\x0e", motion))
-    with pytest.raises(Refused, match="lacks"):
+    with pytest.raises(Refused, match="fails by"):
         verify(turning(posts, b"\2" + b"\x0e" + ALONG_Y, motion))
     with pytest.raises(Refused):
         verify(turning(posts, b"\1" + ALONG_Y + b"\x0e", motion))
@@ -561,6 +569,27 @@ def test_it_runs_by_itself(tmp_path, capsys):
     assert "cannot read" in capsys.readouterr().err
 
 
+def test_a_reader_that_goes_early_changes_no_verdict(tmp_path):
+    """If the pipe is closed before anything is printed, there is no traceback, and the status is the verdict's."""
+    path = tmp_path / "good.proof"
+    path.write_bytes(turning())
+    for command in (["-m", "loewner.verify"], ["-m", "loewner", "verify"]):
+        ran = subprocess.Popen(
+            [sys.executable, *command, str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        ran.stdout.close()
+        assert ran.stderr.read() == ""
+        ran.stderr.close()
+        assert ran.wait() == 0
+
+
+def test_only_bytes_are_checked():
+    """The name of a file, or an object of another type, is no proof that is refused, but a mistake."""
+    for wrong in ("plan.proof", None):
+        with pytest.raises(TypeError, match="expected the bytes of a file"):
+            verify(wrong)
+
+
 def test_names_cannot_forge_the_table(tmp_path, capsys):
     """Names with line breaks are printed as escapes."""
     bodies = [body(0, ROD, called="a\nverified"), body(-1, BELOW, inside=1, called="\x1b[2J")]
@@ -579,7 +608,7 @@ def test_the_checker_is_small_and_exact():
     assert len(text.splitlines()) <= 600
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            assert {alias.name for alias in node.names} <= {"argparse", "hashlib", "struct", "sys"}
+            assert {alias.name for alias in node.names} <= {"argparse", "hashlib", "os", "struct", "sys"}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0
             assert node.module in {

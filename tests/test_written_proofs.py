@@ -71,7 +71,7 @@ def test_an_arm_among_obstacles(panda, rng):
     proof, report = proven(checker, Q, ends)
     assert proof.size < 5000 * len(report.motions)
     assert not report.uncovered
-    assert not report.deviations
+    assert not any(off for _, off in report.deviations)
 
 
 def test_all_joints_and_curved_pieces(tmp_path, rng):
@@ -170,10 +170,16 @@ def test_plans(tmp_path):
     report = verify(found.proof.data)
     assert len(report.motions) == len(found.path) - 1
     assert all(motion[2] for motion in report.motions)
-    assert found.path.astype("<f8").tobytes()[: 8 * robot.dof] in found.proof.data
+    assert np.array_equal(found.proof.motions, np.stack([found.path[:-1], found.path[1:]], axis=1))
+    assert found.proof.verify() == report
+    assert np.array_equal(report.points, found.proof.motions)
     assert planners.plan(checker, LEFT, RIGHT, full=True).proof is None
-    for options in ({"full": False}, {"full": True, "certified": False}):
-        with pytest.raises(InputError, match="proof"):
+    for words, options in (
+        ("full=True: the proof is an attribute", {"full": False}),
+        ("certified=True", {"full": True, "certified": False}),
+        ("in time", {"start_time": 1.3}),
+    ):
+        with pytest.raises(InputError, match=words):
             planners.plan(checker, LEFT, RIGHT, proof=True, **options)
 
 
@@ -264,6 +270,49 @@ def test_equal_models_have_equal_hashes(tmp_path):
     assert len(seen) == 6
 
 
+def test_differences_of_models_are_named(tmp_path):
+    """Each change of robot or scene is described by what it changed; the order of bodies counts, too."""
+    urdf, srdf = gantry(tmp_path)
+    box, post = (Body.box([0.1, 4.0, 1.0]), translation(y=-1.5)), (Body.sphere(0.1), translation(x=9.0))
+
+    def made(margin=0.0, margins=(), allowed=(), old="", new="", **bodies):
+        text = urdf.read_text()
+        assert old in text
+        (tmp_path / "other.urdf").write_text(text.replace(old, new, 1))
+        scene = Scene(margin=margin)
+        for name, (body, pose) in (bodies or {"wall": box, "post": post}).items():
+            scene.add(name, body, pose)
+        for given in margins:
+            scene.set_margin(*given)
+        for pair in allowed:
+            scene.allow(*pair)
+        return CollisionChecker(Robot.from_urdf(tmp_path / "other.urdf", srdf=srdf), scene)
+
+    proof = made().certify_edges(LEFT, LEFT + 0.1, proof=True).proof
+    assert proof.differences(made()) == []
+    for words, checker in (
+        ("body wall: different place", made(wall=(box[0], translation(y=-1.6)), post=post)),
+        ("body post: different pieces", made(wall=box, post=(Body.sphere(0.2), post[1]))),
+        ("body post: only in the proof", made(wall=box)),
+        ("body more: only in the robot and scene", made(wall=box, post=post, more=post)),
+        ("usual margin: 0.0 instead of 0.25", made(margin=0.25)),
+        ("margin of ball and post: only in the robot and scene", made(margins=[(0.1, "post", "ball")])),
+        ("pair left out, ball and post: only in the robot and scene", made(allowed=[("post", "ball")])),
+        ("another order of links, values, bodies or pairs", made(post=post, wall=box)),
+        ("limits of x: -1.0, 1.0 instead of -2.0, 1.0", made(old='lower="-1"', new='lower="-2"')),
+        ("link rail: different axis", made(old='xyz="1 0 0"/>', new='xyz="1 0.5 0"/>')),
+    ):
+        assert proof.differences(checker) == [words]
+    broken = proof.data[:24] + b"\xff" * len(proof.model) + proof.data[24 + len(proof.model) : -32]
+    broken = Proof(broken + hashlib.sha256(broken).digest())
+    with pytest.raises(InputError, match="expected a model"):
+        broken.differences(made())
+    with pytest.raises(InputError, match="expected motions"):
+        _ = broken.motions
+    with pytest.raises(FileError, match="cannot have"):
+        broken.verify()
+
+
 def test_a_proof_of_another_model_is_refused(tmp_path):
     """Planes of one model prove nothing about a model with a larger margin."""
     robot = written(tmp_path, FINGERS)
@@ -321,17 +370,64 @@ def test_command_line(tmp_path, capsys):
     loewner.save_scene(wall(), scene)
     path, common = str(tmp_path / "plan.proof"), [str(urdf), "--srdf", str(srdf), "--scene", str(scene)]
     plan = ["plan", *common, "--start", "-0.5 -0.5 1.57", "--goal", "0.5 -0.5 1.57"]
-    assert cli.main([*plan, "--proof", path]) == 0
-    assert f"written   {path}, a proof of" in capsys.readouterr().out
+    csv = str(tmp_path / "path.csv")
+    assert cli.main([*plan, "--proof", path, "-o", csv]) == 0
+    proof = Proof.load(path)
+    sizes = f"{len(proof.data):,} bytes: model {len(proof.model):,}, proof {proof.size:,}"
+    assert f"written   {path}, {sizes}" in capsys.readouterr().out
     assert cli.main(["verify", path]) == 0
-    assert "verified" in capsys.readouterr().out
-    assert cli.main(["verify", path, "--robot", *common]) == 0
-    assert "the robot's and the scene's own" in capsys.readouterr().out
+    assert capsys.readouterr().out.endswith("\nverified\n")
+    assert cli.main(["verify", path, "--path", csv, "--robot", *common]) == 0
+    assert capsys.readouterr().out.endswith(
+        "\nthe model matches gantry.urdf and scene.yaml\nthe motions are those of path.csv\nverified\n"
+    )
     assert cli.main(["verify", path, "--robot", *common[:3]]) == 1
-    assert "ANOTHER MODEL" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.endswith("\ndifferent    body wall: only in the proof\nDIFFERENT MODEL: not made for gantry.urdf\n")
+    assert "verified" not in out
     assert cli.main(["verify", path, "--srdf", str(srdf)]) == 2
     assert cli.main([*plan, "--sampled", "--proof", path]) == 2
-    assert "--proof: expected no --sampled" in capsys.readouterr().err
+    assert "--proof cannot be combined with --sampled or --start-time" in capsys.readouterr().err
+
+
+def test_paths_are_compared_exactly(tmp_path, capsys):
+    """One row too few, the last bit of a number, another order and curves are different paths."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    rows = np.array([LEFT, LEFT + 0.1, LEFT + 0.2])
+    proof, other = str(tmp_path / "p.proof"), str(tmp_path / "other.npy")
+    checker.certify_edges(rows[:-1], rows[1:], proof=True).proof.save(proof)
+    near = rows.copy()
+    near[1, 2] = np.nextafter(near[1, 2], 9)
+    for made, status, words in (
+        (rows, 0, "the motions are those of other.npy\nverified"),
+        (rows[:2], 1, "DIFFERENT PATH: the proof has 2 motions, and other.npy has 2 configurations"),
+        (near, 1, "DIFFERENT PATH: motion 0 is not from configuration 0 of other.npy to configuration 1"),
+        (rows[::-1], 1, "DIFFERENT PATH: motion 0"),
+    ):
+        np.save(other, made)
+        assert cli.main(["verify", proof, "--path", other]) == status
+        assert words in capsys.readouterr().out.splitlines(keepends=False)[-1] or status == 0
+    checker.certify_trajectory(BPoly(rows[:, None], [0.0, 1.0]), proof=True).proof.save(proof)
+    np.save(other, rows[:2])
+    assert cli.main(["verify", proof, "--path", other]) == 1
+    assert "DIFFERENT PATH: motion 0 has the degree 2, and is not straight" in capsys.readouterr().out
+
+
+def test_audits_write_proofs(tmp_path, capsys):
+    """`loewner audit --proof` and `Trajectory.certify(proof=True)` write the proofs of curves that are free."""
+    urdf, srdf = gantry(tmp_path)
+    robot = Robot.from_urdf(urdf, srdf=srdf)
+    moves = planners.trajectory(robot, np.array([LEFT, LEFT + 0.1]), velocity=1.0, acceleration=1.0)
+    proof = moves.certify(CollisionChecker(robot, wall()), proof=True).proof
+    points, scene, written = tmp_path / "moves.csv", tmp_path / "scene.yaml", tmp_path / "moves.proof"
+    moves.save(points)
+    loewner.save_scene(wall(), scene)
+    audit = ["audit", str(urdf), str(points), "--srdf", str(srdf), "--scene", str(scene), "--proof", str(written)]
+    assert cli.main(audit) == 0
+    assert f"written   {written}" in capsys.readouterr().out
+    for one in (proof, Proof.load(written)):
+        assert len(one.verify().motions) >= 1
 
 
 # -- parts of the search -----------------------------------------------------------------------

@@ -19,12 +19,13 @@ the sum of squares); lengths that multiply them are in metres.
 
 import argparse
 import hashlib
+import os
 import struct
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import combinations, pairwise
+from itertools import combinations, groupby, pairwise
 from math import isqrt
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,8 @@ MOST_LINKS, MOST_BYTES = 10_000, 1 << 24  # links of a model, bytes of a file
 MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
+Names = tuple[str, str]
+Tightest = tuple[str, str, int, Fraction, Fraction, float, Fraction]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
 EVERY = [(i, k) for i in range(3) for k in range(3)]
@@ -51,35 +54,57 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Report:
-    """Contents of a file that was verified.
+    """Contents of a file that was verified; `str` makes a table of them.
 
     Attributes
     ----------
-    model : str
-        SHA-256 of the model.
-    sizes : dict of str to int
-        Numbers of links, values, bodies, pieces, pairs that are proven apart, planes, and intervals of pairs.
+    model, sizes : str, and dict of str to int
+        SHA-256 of the model; numbers of links, values, bodies, pieces, pairs proven apart, planes, intervals of pairs.
+    margins, deviations : (float, int), and tuple of (str, float)
+        The usual margin and how many pairs have another one; each value's name, and how far it may deviate.
     left_out, uncovered : tuple of (str, str), and of str
         Pairs that the model exempts; bodies with an interior that their pieces do not cover, which are not excluded.
-    deviations : tuple of (str, float)
-        Values that may deviate from the motions, and by how much.
-    motions : tuple of (int, bool, bool, int)
-        For each motion its degree, whether it starts where the one before ends, whether its control points are within
-        the limits of the values, and the number of its configurations at which planes were checked.
-    tightest : (str, str, int, Fraction, Fraction, Fraction) or None
-        The check with the least to spare: two bodies, a motion, an interval, and by how much the gap is too large.
-    common : (str, str) or None
-        Two bodies with a common point, if this is the claim of the file.
+    points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
+        For each motion its control points; its degree, whether it starts where the one before ends, whether its control
+        points are within the limits of the values, and the number of its configurations at which planes were checked.
+    tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
+        The check with the least to spare: two bodies, a motion, an interval, the margin, and how much is left; two
+        bodies with a common point, if this is the claim of the file.
     """
 
     model: str
     sizes: dict[str, int]
-    left_out: tuple[tuple[str, str], ...]
+    margins: tuple[float, int]
+    left_out: tuple[Names, ...]
     uncovered: tuple[str, ...]
     deviations: tuple[tuple[str, float], ...]
+    points: tuple[tuple[tuple[float, ...], ...], ...]
     motions: tuple[tuple[int, bool, bool, int], ...]
-    tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None
-    common: tuple[str, str] | None
+    tightest: Tightest | None
+    common: Names | None
+
+    def __str__(self) -> str:
+        lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
+        for number, (degree, joined, inside, places) in enumerate(self.motions):
+            start = ("starts anew", "starts where the last one ends", "the first")[joined + (number == 0)]
+            text = f"degree {degree}, {start}, {'' if inside else 'NOT '}within limits, {places} configurations"
+            lines.append((f"motion {number}", text))
+        for what, row in (("begins at", self.points[0][0]), ("ends at", self.points[-1][-1])) if self.points else ():
+            values = zip(self.deviations, row, strict=True)
+            lines.append((what, ", ".join(f"{_shown(name)} {x!r}" for (name, _), x in values)))
+        if self.tightest:
+            *pair, number, since, until, margin, spare = self.tightest
+            least = f"with the margin of {1000 * margin:.12g} mm, holds by {int(10**6 * spare) / 1000:.3f} mm"
+            where = f"{_shown(*pair)}, motion {number}, t in [{since}, {until}]"
+            lines.append(("tightest", f"plane: its condition, {least} ({where})"))
+        lines.append(("margin", f"{1000 * self.margins[0]:.12g} mm; {self.margins[1]} pairs have another one"))
+        off = [(f"{_shown(name)}: ", x) for name, x in self.deviations if x] or [("", 0)]
+        lines += [("joint error", f"{name}{x!r}") for name, x in off]
+        for name, pairs in groupby(self.left_out, lambda pair: pair[0]):
+            lines.append(("left out", f"{_shown(name)} and {', '.join(_shown(other) for _, other in pairs)}"))
+        lines += [("not covered", f"the interior of {_shown(name)}") for name in self.uncovered]
+        lines += [("common point", _shown(*self.common))] if self.common else []
+        return "\n".join(f"{what:12} {text}" for what, text in lines)
 
 
 def _down(x: float | Fraction, bits: int = BITS) -> int:
@@ -138,8 +163,6 @@ def _shown(*names: str) -> str:
 
 
 class _Reader:
-    """Numbers of a part of the file, each checked to be there."""
-
     def __init__(self, data: bytes, part: str) -> None:
         self.data, self.part, self.at = data, part, 0
 
@@ -150,17 +173,17 @@ class _Reader:
         return struct.unpack_from("<" + form, self.data, start)
 
     def count(self, size: int, what: str, least: int = 0, most: int = MOST_BYTES) -> int:
-        """Read how many things of at least `size` bytes follow."""
+        # Each of them has `size` bytes or more.
         number = int(*self.take("I"))
         if not least <= number <= most or number * size > len(self.data) - self.at:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
         return number
 
-    def doubles(self, number: int, what: str = "") -> list[float]:
-        """Read doubles that are finite and not huge, and not negative if they have a name."""
-        found = self.take(f"{number}d")
-        if not all((0 if what else -(2**32)) <= x < 2**32 for x in found):
-            raise Refused(f"A {what or 'number'} of the {self.part} is not finite, too large or negative.")
+    def doubles(self, number: int, what: str = "") -> list[float]:  # finite, not huge, not negative if they have a name
+        start, found = self.at, self.take(f"{number}d")
+        for k, x in enumerate(found):
+            if not (0 if what else -(2**32)) <= x < 2**32:
+                raise Refused(f"Byte {start + 8 * k} of the {self.part}: {x!r} is not finite, too large or negative.")
         return list(found)
 
     def name(self) -> str:
@@ -194,8 +217,7 @@ class _Link:
             self.unit = [isqrt(_down(n * n / square, 2 * BITS)) * (-1 if n < 0 else 1) for n in self.axis]
             self.outer: Whole = _vector(self.axis[i] * self.axis[k] / square for i, k in EVERY)
 
-    def pose(self, values: list[Fraction]) -> tuple[Whole, Whole]:
-        """Pose in the frame of the link above."""
+    def pose(self, values: list[Fraction]) -> tuple[Whole, Whole]:  # in the frame of the link above
         if not self.kind:
             return self.turn, self.shift
         v = self.by * values[self.value] + self.off
@@ -220,10 +242,7 @@ class _Link:
 
 
 class _Body:
-    """A body: the numbers of the file, its pieces in units in the frame of its link, and a ball that contains it.
-
-    The error of a placed point, and of a matrix times its radius, is at most `fuzz`.
-    """
+    """A body: the numbers of the file, its pieces in units in the frame of its link, and a ball that contains it."""
 
     def __init__(self, reader: _Reader, links: list[_Link]) -> None:
         self.name, (self.link, self.inside) = reader.name(), reader.take("iB")
@@ -251,7 +270,7 @@ class _Body:
                 self.largest = max(self.largest, _norm_up(at) + ONE, _norm_up(g) + ONE)
             self.pieces.append([(kind, r, some, g and _product(self.matrix, g)) for r, some in points.items()])
         # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
-        self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1
+        self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1  # error of a placed point, and of M G
         # A ball has the norm of the matrix as its radius, √2 times this for kinds 2 and 3.
         parts = [part for piece in self.pieces for part in piece]
         balls = [(r + (_norm_up(g * min(kind, 2)) if g else 0), points) for kind, r, points, g in parts]
@@ -345,8 +364,6 @@ class _Motion:
 
 
 class _Checker:
-    """The model and the proof of a file."""
-
     def __init__(self, model: bytes, proof: bytes) -> None:
         reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
         self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
@@ -362,10 +379,11 @@ class _Checker:
         reader.end()
         self.sizes = {"links": len(self.links), "values": len(self.values), "bodies": len(self.bodies)}
         self.sizes |= {"pieces": sum(len(x.pieces) for x in self.bodies), "pairs": 0, "planes": 0, "intervals": 0}
-        self.work, self.deviations, self.motions = 0, list[float](), list[tuple[int, bool, bool, int]]()
+        self.work, self.motions = 0, list[tuple[int, bool, bool, int]]()
+        self.points, self.deviations = list[list[list[float]]](), list[float]()
         self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
-        self.tightest: tuple[str, str, int, Fraction, Fraction, Fraction] | None = None
-        self.common: tuple[str, str] | None = None
+        self.tightest: Tightest | None = None
+        self.common: Names | None = None
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
         """Read pairs of bodies, and a margin of each if this belongs to the list."""
@@ -377,7 +395,7 @@ class _Checker:
             found[i, j] = reader.doubles(1, "margin")[0] if size > 8 else 0
         return found
 
-    def named(self, pair: Pair) -> tuple[str, str]:
+    def named(self, pair: Pair) -> Names:
         return self.bodies[pair[0]].name, self.bodies[pair[1]].name
 
     def spend(self, steps: int) -> None:
@@ -386,25 +404,23 @@ class _Checker:
             raise Refused("The proof takes more than 2^30 steps to check.")
 
     def common_point(self) -> None:
-        """Check that two bodies have a common point."""
         places = [self.reader.take("6I") for _ in range(2)]
         world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
         if pair[0] == pair[1] or max(pair) >= len(self.bodies) or any(link.kind for link in self.links):
-            raise Refused("A common point is proven for two different bodies of a model that does not move.")
+            raise Refused("A common point needs two different bodies and a model without joints.")
         for k, piece, *four in places:
             point, chain = world, [self.bodies[k].link]
             while chain[-1] >= 0:
                 chain.append(self.links[chain[-1]].above)
             for link in (self.links[m] for m in chain[-2::-1]):
-                point = _less(point, link.place)
-                point = _moved([link.rotation[3 * i + m] for m, i in EVERY], point, (0, 0, 0))
+                back = [link.rotation[3 * i + m] for m, i in EVERY]
+                point = _moved(back, _less(point, link.place), (0, 0, 0))
             if piece >= len(self.bodies[k].pieces) or not self.bodies[k].contains(piece, tuple(four), point):
                 raise Refused(f"The point is not shown to belong to {_shown(self.bodies[k].name)}.")
         self.common = self.named(pair)
 
     def run(self) -> None:
-        """Check the proof of all motions."""
-        motions, self.deviations = list[list[list[float]]](), self.reader.doubles(len(self.values), "deviation")
+        motions, self.deviations = self.points, self.reader.doubles(len(self.values), "deviation")
         for number in range(self.reader.count(1, "motions")):
             (degree,) = self.reader.take("B")
             if degree == 0:
@@ -462,14 +478,15 @@ class _Checker:
         length = max(motion.lengths[below.link], motion.lengths[above.link])
         size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
         slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
-        needed = _up(self.margins.get(pair, self.margin)) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
+        margin = self.margins.get(pair, self.margin)
+        needed = _up(margin) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
         spare = (min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack) // norm - needed
         since, until = (Fraction(t, 1 << DEEPEST) for t in spans[0])
         if spare <= 0:
-            where = f"in motion {motion.number} from {since} to {until}"
-            raise Refused(f"{_shown(*self.named(pair))}: a plane {where} lacks {-spare * 10**6 >> BITS} micrometres.")
+            where = f"for motion {motion.number}, t in [{since}, {until}], fails by"
+            raise Refused(f"{_shown(*self.named(pair))}: the plane {where} {(-spare * 10**6 >> BITS) / 1000:.3f} mm.")
         if self.tightest is None or self.tightest[-1] > Fraction(spare, ONE):
-            self.tightest = *self.named(pair), motion.number, since, until, Fraction(spare, ONE)
+            self.tightest = *self.named(pair), motion.number, since, until, margin, Fraction(spare, ONE)
         self.sizes["intervals"] += 1
 
     def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
@@ -491,8 +508,7 @@ class _Checker:
         motion.poses[t] = [*found, ((ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0))]
         return motion.poses[t]
 
-    def bound(self, motion: _Motion, below: int, high: int) -> Pair:
-        """A and V of a body seen from a link, rounded up."""
+    def bound(self, motion: _Motion, below: int, high: int) -> Pair:  # A and V of a body seen from a link
         key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
         if key not in self.balls:  # the links in between, from the body on, and its reach about them without slides
             up, down, self.balls[key], radius = list[int](), list[int](), [], self.bodies[high].radius
@@ -535,38 +551,34 @@ def verify(data: bytes) -> Report:
     >>> from loewner.verify import verify
     >>> verify(b"nothing")
     Traceback (most recent call last):
-    loewner.verify.Refused: The file has 7 bytes; a proof has 56 to 16777216.
+    loewner.verify.Refused: This is not a proof file: it does not start with LOEWNERP.
     """
+    if not isinstance(data, (bytes, bytearray)):
+        raise TypeError(f"data: expected the bytes of a file, found {type(data).__name__}")
+    if data[:8] != b"LOEWNERP":
+        raise Refused("This is not a proof file: it does not start with LOEWNERP.")
     if not 56 <= len(data) <= MOST_BYTES:
         raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
-    magic, version, claim, size, rest = struct.unpack_from("<8s4I", data)
-    if magic != b"LOEWNERP" or version != 1 or claim not in (1, 2) or len(data) != 56 + size + rest:
-        raise Refused("The file is no proof of version 1, or does not have the length that it names.")
+    version, claim, size, rest = struct.unpack_from("<4I", data, 8)
+    if version != 1 or claim not in (1, 2):
+        raise Refused(f"The file has version {version}, claim {claim}; this program reads version 1, claims 1 and 2.")
+    if len(data) != 56 + size + rest:
+        raise Refused(f"The file is truncated or extended: it has {len(data)} bytes instead of {56 + size + rest}.")
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
     checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
     (checker.run if claim == 1 else checker.common_point)()
     checker.reader.end()
     return Report(
-        model=hashlib.sha256(data[24 : 24 + size]).hexdigest(),
-        sizes=checker.sizes,
-        left_out=tuple(map(checker.named, checker.apart)),
-        uncovered=tuple(body.name for body in checker.bodies if body.inside),
-        deviations=tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False) if x),
-        motions=tuple(checker.motions),
-        tightest=checker.tightest,
-        common=checker.common,
-    )
+        hashlib.sha256(data[24 : 24 + size]).hexdigest(), checker.sizes, (checker.margin, len(checker.margins)),
+        tuple(map(checker.named, checker.apart)), tuple(body.name for body in checker.bodies if body.inside),
+        tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False)),
+        tuple(tuple(map(tuple, x)) for x in checker.points), tuple(checker.motions), checker.tightest, checker.common,
+    )  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print its claim; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        Arguments of the command line.
-    """
+    """Check a file and print its claim; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read."""
     parser = argparse.ArgumentParser(description="Check a file that proves motions free of collisions.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file
@@ -576,23 +588,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (OSError, Refused) as error:
         print(f"refused: {error}" if isinstance(error, Refused) else f"cannot read {path}: {error}", file=sys.stderr)
         return 1 if isinstance(error, Refused) else 2
-    lines = [("model", report.model), ("", ", ".join(f"{count} {what}" for what, count in report.sizes.items()))]
-    for number, (degree, joined, inside, places) in enumerate(report.motions):
-        start = ("starts anew", "starts where the last one ends")[joined] if number else "the first"
-        limits = "within limits" if inside else "NOT WITHIN LIMITS"
-        lines.append((f"motion {number}", f"degree {degree}, {start}, {limits}, {places} configurations"))
-    if report.tightest:
-        *pair, number, since, until, spare = report.tightest
-        where = f"to spare in motion {number} from {since} to {until}: {_shown(*pair)}"
-        lines.append(("tightest", f"{_down(1000 * spare, 0)}.{_down(10**6 * spare, 0) % 1000:03d} mm {where}"))
-    left_out = dict[str, list[str]]()
-    for first, second in report.left_out:
-        left_out.setdefault(first, []).append(second)
-    lines += [("left out", f"{_shown(name)} and {', '.join(map(_shown, some))}") for name, some in left_out.items()]
-    lines += [("deviation", f"{_shown(name)}: {x!r}") for name, x in report.deviations]
-    lines += [("not covered", f"the interior of {_shown(name)}") for name in report.uncovered]
-    lines += [("common point", _shown(*report.common))] if report.common else []
-    print("".join(f"{what:12} {text}\n" for what, text in lines) + "verified")
+    try:
+        print(f"{report}\nverified", flush=True)
+    except BrokenPipeError:  # the reader has gone, and Python would fail again when it closes standard output
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

@@ -75,6 +75,7 @@ def add(commands: Any) -> None:
     audit.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
     )
+    audit.add_argument("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
     audit.add_argument("--json", action="store_true", help="print JSON")
     audit.set_defaults(run=_run)
 
@@ -159,7 +160,10 @@ def _answer(
     checker: loewner.CollisionChecker, given: planners.ControllerPoints | Floats, options: argparse.Namespace
 ) -> dict[str, Any]:
     """Return the verdicts and distances of a trajectory or path and of its pieces, for printing."""
-    curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory))
+    prove = options.proof is not None
+    curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory), prove)
+    if found.proof is not None:
+        found.proof.save(options.proof)
     times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     ticks, piece, Q = curves.sampled(checker.robot, curve, found)
     measured = checker.distance(Q, ticks, exact=True)
@@ -199,6 +203,7 @@ def _answer(
         "nearest_pair": measured.names[nearest].tolist(),
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
+        "proof": str(options.proof) if found.proof is not None else None,
     }
 
 
@@ -269,3 +274,5 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"curve     {answer['controller']} between points{error}")
     else:
         print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")
+    if answer["proof"] is not None:
+        print(f"written   {answer['proof']}, for loewner verify")

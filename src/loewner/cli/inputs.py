@@ -68,7 +68,9 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
     if required:
         command.add_argument("urdf", type=Path, metavar="URDF")
     else:
-        command.add_argument("--robot", dest="urdf", type=Path, metavar="URDF", help="a robot to compare with")
+        command.add_argument(
+            "--robot", dest="urdf", type=Path, metavar="URDF", help="the robot that the proof must be about"
+        )
     command.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
     command.add_argument(
         "--package-dir",

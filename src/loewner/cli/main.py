@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
 import re
 import sys
 import traceback
@@ -21,7 +20,7 @@ from typing import Any
 import loewner
 from loewner import _validate
 from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, robot, verify, view
-from loewner.cli.output import ERROR
+from loewner.cli.output import ERROR, reader_gone
 from loewner.errors import InputError, LoewnerError
 
 
@@ -55,8 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
     except BrokenPipeError:
-        # The reader has gone (`| head`). Python would fail again when it closes standard output.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        reader_gone()  # `| head`
     except KeyboardInterrupt:
         print("loewner: interrupted", file=sys.stderr)
     except Exception:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import nullcontext
 from itertools import zip_longest
@@ -20,6 +21,11 @@ FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
 # No path is an answer, like a collision, and not an error.
 NO_PATH = COLLIDING
+
+
+def reader_gone() -> None:
+    """Send the rest of standard output nowhere; Python would fail again when it closes a pipe without a reader."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class PlainTable:

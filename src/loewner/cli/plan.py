@@ -181,7 +181,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
     if options.proof is not None and (options.sampled or options.start_time is not None):
-        raise InputError("--proof: expected no --sampled and no --start-time with it; it is written for proven paths")
+        raise InputError("--proof cannot be combined with --sampled or --start-time")
     if options.weights is not None and not options.improve_for:
         raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
@@ -286,7 +286,9 @@ def _answer(
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
         "proof": None if proof is None else str(options.proof),
-        "proof_bytes": None if proof is None else proof.size,
+        "proof_bytes": None
+        if proof is None
+        else {"file": len(proof.data), "model": len(proof.model), "proof": proof.size},
     }
 
 
@@ -323,9 +325,11 @@ def _print_answer(answer: dict[str, Any]) -> None:
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
     )
     print(f"found in  {1e3 * answer['seconds']:.3g} ms, this machine, this run")
-    for written, what in ((answer["out"], ""), (answer["proof"], f", a proof of {answer['proof_bytes']} bytes")):
-        if written is not None:
-            print(f"written   {written}{what}")
+    if answer["out"] is not None:
+        print(f"written   {answer['out']}")
+    if answer["proof"] is not None:
+        size = answer["proof_bytes"]
+        print(f"written   {answer['proof']}, {size['file']:,} bytes: model {size['model']:,}, proof {size['proof']:,}")
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:

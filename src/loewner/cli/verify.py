@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 import loewner
 from loewner import verify
 from loewner._files import read_regular
-from loewner.cli import inputs
-from loewner.cli.output import COLLIDING
+from loewner.cli import configurations, inputs
+from loewner.cli.output import COLLIDING, FREE, reader_gone
 from loewner.errors import InputError
 
 EXAMPLES = """examples:
   loewner verify plan.proof
+  loewner verify plan.proof --path path.csv
   loewner verify plan.proof --robot panda.urdf --srdf panda.srdf --scene shelf.yaml
 
 The proof is checked by loewner.verify, which computes in whole numbers and shares no code with the planner. It is about
-the model in the file; with --robot, this model has to be the robot's and the scene's own, to the last bit.
+the model and the motions in the file. With --robot, the model must be identical, bit for bit, to that of this robot and
+scene. With --path, the motions must be the straight ones between the configurations of the path, in order and bit for
+bit.
 
-exit status: 0 verified, and the same model; 1 refused, or another model; 2 error
+exit status: 0 verified, and the same model and path; 1 refused, or a different model or path; 2 error
 """
 
 
 # Largest file that is read, to be refused if it is too large for a proof.
 MOST_BYTES = 2**30
+
+# Differences of two models that are printed.
+MOST_SHOWN = 10
 
 
 def add(commands: Any) -> None:
@@ -34,6 +45,7 @@ def add(commands: Any) -> None:
     command.add_argument("file", type=Path, metavar="FILE", help="a proof, as loewner plan --proof writes it")
     inputs.add_robot_options(command, required=False)
     command.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    command.add_argument("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
     command.set_defaults(run=_run)
 
 
@@ -42,15 +54,44 @@ def _run(options: argparse.Namespace) -> int:
         for name in ("srdf", "scene", "model", "decompose", "package_dir"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
-    read_regular(options.file, "a proof", MOST_BYTES)  # errors as in other commands
-    status = verify.main(["--", str(options.file)])
-    if status or options.urdf is None:
-        return status
-    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-    expected = loewner.CollisionChecker(inputs.robot(options), scene).model_hash
-    found = loewner.Proof.load(options.file).model_hash
-    if found == expected:
-        print("the model is the robot's and the scene's own")
-        return status
-    print(f"ANOTHER MODEL  the hash of {options.urdf.name} and its scene is {expected}")
-    return COLLIDING
+    data = read_regular(options.file, "a proof", MOST_BYTES)
+    try:
+        report = verify.verify(data)
+    except verify.Refused as error:
+        print(f"refused: {error}", file=sys.stderr)
+        return COLLIDING
+    lines, faults = [str(report)], list[str]()
+    if options.urdf is not None:
+        scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+        made_for = " and ".join(file.name for file in (options.urdf, options.scene) if file is not None)
+        found = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
+        lines += [f"different    {words}" for words in found[:MOST_SHOWN]]
+        lines += [f"             and {len(found) - MOST_SHOWN} more"] if len(found) > MOST_SHOWN else []
+        if found:
+            faults.append(f"DIFFERENT MODEL: not made for {made_for}")
+        else:
+            lines.append(f"the model matches {made_for}")
+    if options.path is not None:
+        if words := _difference(report, options.path):
+            faults.append(f"DIFFERENT PATH: {words}")
+        else:
+            lines.append(f"the motions are those of {options.path.name}")
+    try:
+        print("\n".join([*lines, *(faults or ["verified"])]), flush=True)
+    except BrokenPipeError:
+        reader_gone()
+    return COLLIDING if faults else FREE
+
+
+def _difference(report: verify.Report, path: Path) -> str:
+    """Describe the first difference between the motions and a path; empty if there is none."""
+    named: Any = SimpleNamespace(configuration_names=[name for name, _ in report.deviations])
+    rows = np.atleast_2d(configurations.read(path, named, named=True)).tolist()
+    if len(report.points) != len(rows) - 1:
+        return f"the proof has {len(report.points)} motions, and {path.name} has {len(rows)} configurations"
+    for k, (points, ends) in enumerate(zip(report.points, pairwise(rows), strict=True)):
+        if len(points) != 2:
+            return f"motion {k} has the degree {len(points) - 1}, and is not straight"
+        if list(map(list, points)) != list(ends):
+            return f"motion {k} is not from configuration {k} of {path.name} to configuration {k + 1}"
+    return ""

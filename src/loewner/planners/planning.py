@@ -231,8 +231,12 @@ def plan(
     timed = any(value is not None for value in times.values())
     better, keep = None, rare.pop("keep", None)
     proof = _validate.flag(rare.pop("proof", False), "proof")
-    if proof and (step or not full):
-        raise InputError("proof: expected certified=True and full=True with it, found others")
+    if proof and timed:
+        raise InputError("proof: plans in time (start_time=) have no proofs yet")
+    if proof and not full:
+        raise InputError("proof=True needs full=True: the proof is an attribute of the Plan")
+    if proof and step:
+        raise InputError("proof=True needs certified=True: sampled motions have no proof")
     if rare or full:
         better = improving.Improvement.of(robot, rare, full, make is None, timeout)
     if timed:

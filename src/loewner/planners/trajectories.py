@@ -378,7 +378,7 @@ class Trajectory:
         return read._read_only()
 
     def certify(
-        self, checker: CollisionChecker, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
+        self, checker: CollisionChecker, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0, proof: bool = False
     ) -> CertifiedTrajectory:
         """Prove that the robot is free of collisions at every instant; see `CollisionChecker.certify_trajectory`.
 
@@ -390,6 +390,8 @@ class Trajectory:
             Metres, as for `CollisionChecker.certify_trajectory`.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the trajectory at any time.
+        proof : bool
+            Also write a `Proof`, as for `CollisionChecker.certify_trajectory`.
 
         Returns
         -------
@@ -402,7 +404,8 @@ class Trajectory:
         >>> trajectory(robot, [[0, 0], [2, 0]], acceleration=1.0).certify(CollisionChecker(robot)).verdict
         <Verdict.FREE: 0>
         """
-        return checked_checker(checker).certify_trajectory(self, tolerance=tolerance, joint_error=joint_error)
+        certify = checked_checker(checker).certify_trajectory
+        return certify(self, tolerance=tolerance, joint_error=joint_error, proof=proof)
 
     # -- inside -------------------------------------------------------------------------------
 

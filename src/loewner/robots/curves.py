@@ -176,10 +176,12 @@ def of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajector
             time = times[k] + segments.fraction[k] * (times[k + 1] - times[k])
             a, b = segments.names[k].tolist()
             return CertifiedTrajectory(verdict, float(time), (a, b), times, segments)
-    return CertifiedTrajectory(Verdict.FREE, np.nan, ("", ""), times, segments)
+    return CertifiedTrajectory(Verdict.FREE, np.nan, ("", ""), times, segments, segments.proof)
 
 
-def proven(checker: Any, given: Any, joint_error: ArrayLike, name: str = "curve") -> tuple[Curve, CertifiedTrajectory]:
+def proven(
+    checker: Any, given: Any, joint_error: ArrayLike, name: str = "curve", proof: bool = False
+) -> tuple[Curve, CertifiedTrajectory]:
     """Return the courses of a curve, and whether it is free.
 
     An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
@@ -187,11 +189,11 @@ def proven(checker: Any, given: Any, joint_error: ArrayLike, name: str = "curve"
     if not isinstance(given, np.ndarray):
         curve = cut_in_time(checker.robot, checker._ready(timed=True), curves_of(checker.robot, given, name=name)[0])
         own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., : checker.robot.dof]))
-        return own, checker.certify_trajectory(given, joint_error=joint_error)
+        return own, checker.certify_trajectory(given, joint_error=joint_error, proof=proof)
     rows = checked_path(checker.robot, given)
     a, b = rows[:-1], rows[1:]
     curve = Curve(None, np.arange(len(rows), dtype=np.float64), straight(checker.robot, a, b), np.zeros_like(a))
-    return curve, of_segments(curve.times, checker.certify_edges(a, b, joint_error=joint_error))
+    return curve, of_segments(curve.times, checker.certify_edges(a, b, joint_error=joint_error, proof=proof))
 
 
 def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Floats, Ints, Floats]:

@@ -279,3 +279,70 @@ def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
     data = [struct.pack("<I", len(left_out)), left_out.astype("<u4").tobytes(), struct.pack("<dI", usual, len(other))]
     data += [struct.pack("<IId", *pairs[k].tolist(), margins[k]) for k in other]
     return b"".join(data)
+
+
+# -- two models -------------------------------------------------------------------------------
+
+
+def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
+    """Read the names of a model's values, and the contents of each of its parts by the part's name.
+
+    Raises
+    ------
+    struct.error, IndexError
+        If the bytes are no model.
+    """
+    at, values, found, links, bodies = 0, list[str](), dict[str, Any](), list[str](), list[str]()
+
+    def take(form: str) -> Any:
+        nonlocal at
+        start, at = at, at + struct.calcsize("<" + form)
+        return struct.unpack_from("<" + form, data, start)
+
+    def name() -> str:
+        text: str = bytes(*take(f"{take('H')[0]}s")).decode(errors="backslashreplace")
+        return text if text.isprintable() else ascii(text)
+
+    def pair() -> str:
+        return " and ".join(sorted(bodies[k] for k in take("2I")))
+
+    for _ in range(*take("I")):
+        links.append(name())
+        (above, *joint), numbers = take("iBi"), take("12d")
+        parts = {"link above": links[above] if above >= 0 else None, "joint": (joint, numbers[:2])}
+        found[f"link {links[-1]}"] = parts | {"place": numbers[2:9], "axis": numbers[9:]}
+    for _ in range(*take("I")):
+        values.append(name())
+        found[f"limits of {values[-1]}"] = take("2d")
+    for _ in range(*take("I")):
+        bodies.append(name())
+        (link, hollow), place, (count,) = take("iB"), take("12d"), take("I")
+        first = at
+        for _ in range(count):
+            kind, _ = take("Bd")
+            take(f"{12 if 0 < kind < 4 else (3 if kind == HULL else 4) * take('I')[0]}d")
+        parts = {"link": links[link] if link >= 0 else None, "place": place, "interior": hollow}
+        found[f"body {bodies[-1]}"] = parts | {"pieces": data[first:at]}
+    for _ in range(*take("I")):
+        found[f"pair left out, {pair()}"] = True
+    found["usual margin"] = take("d")
+    for _ in range(*take("I")):
+        part = f"margin of {pair()}"
+        found[part] = take("d")
+    return values, found
+
+
+def differences(one: bytes, other: bytes) -> list[str]:
+    """Describe how the model of a proof differs from the expected one; the list is empty only for equal bytes."""
+    if one == other:
+        return []
+    (_, has), (_, wanted), words = contents(one), contents(other), list[str]()
+    for part in has | wanted:
+        a, b = has.get(part), wanted.get(part)
+        if a is None or b is None:
+            words.append(f"{part}: only in {'the proof' if b is None else 'the robot and scene'}")
+        elif isinstance(a, dict) and a != b:
+            words.append(f"{part}: different {' and '.join(what for what in a if a[what] != b[what])}")
+        elif a != b:
+            words.append(f"{part}: {', '.join(map(repr, a))} instead of {', '.join(map(repr, b))}")
+    return words or ["another order of links, values, bodies or pairs"]

@@ -6,13 +6,19 @@ import hashlib
 import os
 import struct
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from loewner import _files, _validate
 from loewner._validate import Floats
 from loewner.errors import FileError, InputError
 from loewner.robots import separations
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import Model
+from loewner.robots.proof_models import Model, contents, differences, model_of
+
+if TYPE_CHECKING:
+    from loewner.verify import Report
 
 MAGIC, VERSION, FREE, COMMON = b"LOEWNERP", 1, 1, 2
 _HEAD = struct.Struct("<8sIIII")
@@ -45,6 +51,11 @@ class Proof:
     >>> proof.save("motion.proof")
     >>> Proof.load("motion.proof") == proof, proof.model_hash == checker.model_hash
     (True, True)
+    >>> proof.verify().sizes["pairs"] == len(checker.checked_pairs), proof.differences(checker)
+    (True, [])
+    >>> proof.motions
+    [array([[0. , 0. ],
+           [1. , 0.5]])]
     """
 
     data: bytes
@@ -73,6 +84,67 @@ class Proof:
     def model_hash(self) -> str:
         """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` computes it without a motion."""
         return hashlib.sha256(self.model).hexdigest()
+
+    @property
+    def motions(self) -> list[Floats]:
+        """Control points of each motion, shape (degree + 1, dof); a straight motion has its two ends.
+
+        An InputError is raised if the file has none that can be read. `verify` does more: it proves the motions free.
+        """
+        block, found = self.data[-32 - self.size : -32], list[Floats]()
+        try:
+            dof = len(contents(self.model)[0])
+            at = 8 * dof + 4
+            for _ in range(*struct.unpack_from("<I", block, at - 4)):
+                count = (block[at] + 1) * dof
+                found.append(np.frombuffer(block, "<f8", count, at + 1).reshape(-1, dof).astype(np.float64))
+                at += 1 + 8 * count
+        except (struct.error, IndexError, ValueError):
+            raise InputError("data: expected motions, found something else") from None
+        return found
+
+    def verify(self) -> Report:
+        """Verify the proof by `loewner.verify.verify`, which shares no code with the rest of the library.
+
+        Returns
+        -------
+        loewner.verify.Report
+            Its `str` is the table that ``loewner verify`` prints.
+
+        Raises
+        ------
+        FileError
+            If these are not the contents of a file that proves anything.
+        """
+        from loewner.verify import Refused, verify
+
+        try:
+            return verify(self.data)
+        except Refused as error:
+            raise FileError(f"proof: {error}") from None
+
+    def differences(self, checker: Any) -> list[str]:
+        """Describe in words how the model differs from the model of a checker.
+
+        Parameters
+        ----------
+        checker : CollisionChecker
+
+        Returns
+        -------
+        list of str
+            Links, limits, bodies, pairs and margins that differ, each with its name; empty if the hashes are equal.
+
+        Raises
+        ------
+        InputError
+            If proofs cannot express the checker's robot or scene, or these are not the contents of a file with a model.
+        """
+        expected = model_of(checker._ready(timed=True)).data
+        try:
+            return differences(self.model, expected)
+        except (struct.error, IndexError):
+            raise InputError("data: expected a model, found something else") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file, under a temporary name that is then changed.
