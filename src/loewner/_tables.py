@@ -14,6 +14,9 @@ from loewner.errors import FileError
 LINE_END, COMMENT = re.compile(r"\r\n|\r|\n"), re.compile("#[^\r\n]*")
 BLANK, CONTENT = re.compile(r"^[ \t]+(?=#|\r?$)", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 
+# Before the header of a table, the time at which a trajectory starts, unless it is 0.
+STARTS = "# start_time: "
+
 
 def row(text: str, *, commas: bool | None = None) -> list[float]:
     """Numbers of a line.
@@ -107,3 +110,9 @@ def _refuse_lines(text: str, name: str, commas: bool) -> None:
                 raise FileError(f"{name}, line {number}: {error}") from None
             if found != (length := length or found):
                 raise FileError(f"{name}, line {number}: expected {length} numbers as in the first line, found {found}")
+
+
+def start_of(text: str) -> tuple[float, str]:
+    """Split a table into its start time and the lines behind it."""
+    first, _, rest = text.partition("\n")
+    return (float(first.removeprefix(STARTS)), rest) if first.startswith(STARTS) else (0.0, text)

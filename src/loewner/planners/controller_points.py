@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner import _tables, _validate
 from loewner._files import read_regular, shown
 from loewner.errors import FileError, InputError
 from loewner.robots.courses import CURVE_ROUNDINGS
@@ -26,15 +26,6 @@ DEEPEST = 6
 
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
-
-# Before the header of a table, the time at which a trajectory starts, unless it is 0.
-STARTS = "# start_time: "
-
-
-def start_of(text: str) -> tuple[float, str]:
-    """Split a table into its start time and the lines behind it."""
-    first, _, rest = text.partition("\n")
-    return (float(first.removeprefix(STARTS)), rest) if first.startswith(STARTS) else (0.0, text)
 
 
 class ControllerPoints:
@@ -154,7 +145,7 @@ class ControllerPoints:
     @classmethod
     def _of_table(cls, text: str) -> ControllerPoints:
         """Read points from a table with a header."""
-        start_time, text = start_of(text)
+        start_time, text = _tables.start_of(text)
         rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
         header = rows[0] if rows else []
         if not header or header[0] not in TIMES or len(set(header)) < len(header):

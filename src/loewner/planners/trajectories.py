@@ -19,13 +19,12 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner import _tables, _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
-from loewner.planners.controller_points import STARTS, start_of
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
@@ -457,7 +456,7 @@ class Trajectory:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         if self.start_time:
-            out.write(f"{STARTS}{self.start_time!r}\n")
+            out.write(f"{_tables.STARTS}{self.start_time!r}\n")
         if self.jumps:
             writer.writerows([["time", *self.names], *np.column_stack([self.times, self.knots]).tolist()])
             return out.getvalue()
@@ -868,7 +867,7 @@ def _header(names: tuple[str, ...], bends: bool) -> list[str]:
 
 def _read_csv(text: str) -> Trajectory:
     """Read a string written by `_csv`."""
-    start_time, text = start_of(text)
+    start_time, text = _tables.start_of(text)
     header, *rows = csv.reader(io.StringIO(text), strict=True)
     if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
         return _read_straight(header[1:], [[float(entry) for entry in row] for row in rows], start_time)
