@@ -9,7 +9,7 @@
  * are exact. Sines and cosines are summed here and do not come from the library.
  *
  * As the page allows, this program refuses numbers of 2^32 or more (but for limits of values), angles above 1e6, more than
- * 10,000 links, files over 16 MiB and trees more than 64 deep; and, for its own sake, more than 65536 bodies.
+ * 1,000 links, degrees above 31, files over 16 MiB and trees more than 64 deep; and, for its own sake, more than 65536 bodies.
  * So all numbers below stay far from overflow. The bytes of names are not looked at. A common point in a flat hull is
  * accepted only at a vertex, or on an edge if it is exactly there. */
 #include <float.h>
@@ -23,7 +23,7 @@
 #endif
 #define FOR(i, n) for (int i = 0; i < (n); i++)
 #define EACH(i, n) for (size_t i = 0; i < (n); i++)
-enum { MAX_DEPTH = 64, MAX_BODIES = 65536, MAX_LINKS = 10000, MAX_FILE = 1 << 24 };
+enum { MAX_DEPTH = 64, MAX_BODIES = 65536, MAX_LINKS = 1000, MAX_DEGREE = 31, MAX_FILE = 1 << 24 };
 _Noreturn static void refuse(const char *why) { printf("refused: %s\n", why), exit(1); }
 static void *allocate(size_t count, size_t size) { /* room for one more, and zeros */
     void *p = calloc(count + 1, size);
@@ -491,7 +491,7 @@ static void check_motions(Block *b) {
     motions = allocate(n, sizeof *motions);
     for (motion = motions; motion < motions + n; motion++) {
         motion->degree = (int)u8(b), motion->points = b->p;
-        if (motion->degree == 0) refuse("a motion of degree 0");
+        if (motion->degree == 0 || motion->degree > MAX_DEGREE) refuse("a motion of degree 0, or above 31");
         EACH(k, ((size_t)motion->degree + 1) * value_count) real(b, -INFINITY);
     }
     if (n && pair_count > b->left / n) refuse("the proof is too short for all pairs");

@@ -232,6 +232,16 @@ def test_bad_input_is_refused(slider):
         planners.plan(afloat, q, q, joints="slide", **good)
 
 
+def test_bodies_that_shake(slider):
+    """A motion that repeats thousands of times during a plan is refused, since each time cuts the robot's motions."""
+    scene = gate()
+    scene.add("shaking", Body.box([0.1, 0.1, 0.1]))
+    ends = [translation(0, 0, 5), translation(0, 0, 5.01), translation(0, 0, 5)]
+    scene.follow("shaking", [0.0, 1e-5, 2e-5], ends, repeat=True)
+    with pytest.raises(InputError, match="at most 16384 of their times .*'shaking'"):
+        planners.plan(CollisionChecker(slider, scene), LEFT, RIGHT, start_time=0.0, velocity=1.0)
+
+
 def test_a_search_ends_in_time(slider):
     """A timeout ends a search that cannot succeed."""
     checker = CollisionChecker(slider, gate())

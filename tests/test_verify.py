@@ -169,6 +169,7 @@ def test_a_gap_must_exceed_what_is_required():
         (turning(margins=[(1, 0, 0.1)]), "out of order"),
         (turning(apart=[(0, 2)]), "does not exist"),
         (turning(motions=[[(0.0,)]]), "degree 0"),
+        (turning(motions=[[(0.0,)] * 33]), "degree 32"),
         (turning(motions=[[(0.0,), (math.inf,)]]), "Byte 21 of the proof: inf is not finite"),
         (turning(motions=[[(0.0,), (2e6,)]]), "1e6 rad"),
         (turning(deviations=[-0.1]), "negative"),
@@ -230,7 +231,7 @@ def test_work_is_bounded(monkeypatch):
     monkeypatch.setattr(checker, "MOST_WORK", 1 << 24)  # a 64th of what is allowed
     still = model([link()], [], [])
     with pytest.raises(Refused, match="steps"):
-        verify(sealed(still, struct.pack("<I", 10**5) + b"\xff" * 10**5))
+        verify(sealed(still, struct.pack("<I", 10**5) + b"\x1f" * 10**5))
 
 
 def test_each_changed_byte_is_found():

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.interpolate import BPoly, CubicSpline
 
 import loewner
@@ -39,6 +40,11 @@ CART = [
     ("fixed", 2, '<origin xyz="0.1 0 0" rpy="0.4 1 0"/>'),
     ("prismatic", 3, '<origin xyz="0.3 0 0" rpy="0 0.3 0"/><axis xyz="1 0 1"/><limit lower="-0.2" upper="0.2"/>'),
 ]
+
+
+BALL = """<robot name="r"><link name="a"/><link name="b"><collision><geometry><sphere radius="0.1"/></geometry>
+</collision></link><joint name="j" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="1 0 0"/>
+<limit lower="-2" upper="2" velocity="1" effort="1"/></joint></robot>"""
 
 
 @pytest.fixture(scope="module")
@@ -480,3 +486,38 @@ def test_gaps_are_distances(rng, tmp_path, k):
     search.clusters = separations.clusters_of(proof_models.model_of(CollisionChecker(robot, scene)._ready()))
     gap = -search.supports(search.clusters.of_body, np.stack([found.normal, -found.normal], axis=1)).sum()
     assert gap == pytest.approx(found.distance, abs=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
+def test_gaps_below_what_a_proof_can_hold_end_the_search():
+    """A gap of 1e-11 m is free, and too small for a proof: an error at once, however far the halving could go."""
+    robot = Robot.from_urdf(text=BALL)
+    for gap, far in ((1e-11, 0.0), (3e-5, 1e6)):
+        scene = Scene()
+        scene.add("box", Body.box([1, 1, 1]), translation(far, 0, -0.6 - gap))
+        checker = CollisionChecker(robot.placed(translation(far)), scene)
+        assert checker.certify_edges([-0.2], [0.2]).verdict == Verdict.FREE
+        with pytest.raises(ConvergenceError, match="b and box"):
+            checker.certify_edges([-0.2], [0.2], proof=True)
+
+
+def test_a_moving_surface_of_many_corners():
+    """Its hull has more corners than kernels search one by one; its distance from a ball is right."""
+    ring_ = trimesh.creation.torus(0.25, 0.07)
+    robot = replace(Robot.from_urdf(text=BALL), bodies={"b": Body.from_surface(ring_)})
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.1), translation(-0.25, 0.1, 0.3))
+    checker = CollisionChecker(robot, scene)
+    assert checker.certify_edges([-0.02], [0.02]).verdict == Verdict.FREE
+    assert verify(checker.certify_edges([-0.02], [0.02], proof=True).proof.data).sizes["planes"] == 1
+
+
+def test_minus_zero_is_zero():
+    """Poses that differ in the sign of a zero have the same model."""
+    hashes = set()
+    for zero in (0.0, -0.0):
+        scene, T = Scene(), np.eye(4)
+        T[0, 1], T[1, 3], T[2, 3] = zero, zero, -2.0
+        scene.add("box", Body.box([1, 1, 1]), T)
+        hashes.add(CollisionChecker(Robot.from_urdf(text=BALL), scene).model_hash)
+    assert len(hashes) == 1

@@ -35,9 +35,8 @@ __all__ = ["Refused", "Report", "main", "verify"]
 BITS, ONE = 72, 1 << 72  # lengths, sines and entries of matrices are multiples of 2^-BITS
 GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GUARD
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
-TURN = 64  # error of a rotation for each link of its chain; derived: 41
-DEEPEST = 64  # a tree is nested this deep at most, so intervals end at multiples of 2^-DEEPEST
-MOST_LINKS, MOST_BYTES = 10_000, 1 << 24  # links of a model, bytes of a file
+TURN, DEEPEST = 64, 64  # error of a rotation for each link of its chain (derived: 41); the deepest nesting of a tree
+MOST_LINKS, MOST_BYTES, MOST_DEGREE, MOST_STILL = 1000, 1 << 24, 31, 100  # the last: links with a common point
 MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
@@ -406,8 +405,9 @@ class _Checker:
     def common_point(self) -> None:
         places = [self.reader.take("6I") for _ in range(2)]
         world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
-        if pair[0] == pair[1] or max(pair) >= len(self.bodies) or any(link.kind for link in self.links):
-            raise Refused("A common point needs two different bodies and a model without joints.")
+        still = len(self.links) <= MOST_STILL and not any(link.kind for link in self.links)
+        if pair[0] == pair[1] or max(pair) >= len(self.bodies) or not still:
+            raise Refused("A common point needs two different bodies and a model of up to 100 links without joints.")
         for k, piece, *four in places:
             point, chain = world, [self.bodies[k].link]
             while chain[-1] >= 0:
@@ -423,8 +423,8 @@ class _Checker:
         motions, self.deviations = self.points, self.reader.doubles(len(self.values), "deviation")
         for number in range(self.reader.count(1, "motions")):
             (degree,) = self.reader.take("B")
-            if degree == 0:
-                raise Refused(f"Motion {number} has the degree 0.")
+            if not 0 < degree <= MOST_DEGREE:
+                raise Refused(f"Motion {number} has the degree {degree}.")
             self.spend(1000 * (degree + 1) + 100 * len(self.links) + len(self.bodies) ** 2 // 8)
             motions.append([self.reader.doubles(len(self.values)) for _ in range(degree + 1)])
         for number, points in enumerate(motions):
@@ -589,7 +589,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"refused: {error}" if isinstance(error, Refused) else f"cannot read {path}: {error}", file=sys.stderr)
         return 1 if isinstance(error, Refused) else 2
     try:
-        print(f"{report}\nverified", flush=True)
+        code = sys.stdout.encoding or "utf-8"
+        print(f"{report}\nverified".encode(code, "backslashreplace").decode(code), flush=True)
     except BrokenPipeError:  # the reader has gone, and Python would fail again when it closes standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0

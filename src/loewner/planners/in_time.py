@@ -41,6 +41,9 @@ CROSSINGS, PERIODS = 4.0, 2.0
 # Largest spacing of times near the start, as a share of the time to cross all ranges.
 COARSEST = 1e-6
 
+# Times of a body that repeats its motion, during a plan: each of them cuts the robot's motions.
+MOST_KNOTS = 2**14
+
 # Starts of the path through the still scene within the horizon, and its other durations.
 STARTS, SLOWER = 12, (1.5, 2.0, 3.0)
 
@@ -231,6 +234,13 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
         limit = min(limit, last - begin)
         while begin + limit > last:
             limit = float(np.nextafter(limit, 0.0))
+    paths = () if ready.paths is None else ready.paths.paths
+    for name, path in zip(checker.scene.following, paths, strict=True):
+        if path.repeat and limit / path.period * len(path.times) > MOST_KNOTS:
+            raise InputError(
+                f"start_time: expected bodies that reach at most {MOST_KNOTS} of their times in the {limit:.3g} s of a "
+                f"plan, found {name!r}, whose motion repeats after {path.period:g} s; give an earlier arrive_by"
+            )
     if not np.spacing(max(abs(begin), abs(begin + limit))) <= COARSEST * crossing:
         raise InputError(
             f"start_time: expected a time to which motions of {crossing:.3g} s can be added, found {begin:g}"

@@ -355,8 +355,8 @@ class CollisionChecker:
         UnknownNameError
             As for `collide`.
         ConvergenceError
-            If the motions are free, but a proof cannot be written, since its bound on the effect of joint errors is
-            coarser; the message names the pair.
+            If the motions are free, but a proof cannot be written: since its bound on the effect of joint errors is
+            coarser, or since a pair comes within some micrometres of its margin. The message names the pair.
 
         See Also
         --------

@@ -240,7 +240,9 @@ def _name(text: str) -> bytes:
 
 
 def _of_links(links: Links) -> list[bytes]:
-    numbers = np.column_stack([links.multiplier, links.offset, links.quaternion, links.translation, links.axis])
+    numbers = 0.0 + np.column_stack(
+        [links.multiplier, links.offset, links.quaternion, links.translation, links.axis]
+    )  # -0 becomes 0
     return [
         _name(name) + struct.pack("<iBi", above, moves, value) + row.astype("<f8").tobytes()
         for name, above, moves, value, row in zip(
@@ -254,14 +256,14 @@ def of_bodies(names: tuple[str, ...], link: Ints, hollow: Ints, turn: Floats, sh
     data, first = [struct.pack("<I", len(names))], pieces.start.tolist()
     for k, name in enumerate(names):
         count = first[k + 1] - first[k]
-        placed = np.append(turn[k], shift[k]).astype("<f8").tobytes()
+        placed = (np.append(turn[k], shift[k]) + 0.0).astype("<f8").tobytes()
         data.append(_name(name) + struct.pack("<iB", link[k], bool(hollow[k])) + placed + struct.pack("<I", count))
         for piece in range(first[k], first[k + 1]):
             kind, points = int(pieces.kind[piece]), pieces.points[piece]
             data.append(struct.pack("<Bd", kind, pieces.radius[piece]))
             if kind == HULL:
                 data.append(struct.pack("<I", len(points)))
-            data.append(points.astype("<f8").tobytes())
+            data.append((points + 0.0).astype("<f8").tobytes())
     return b"".join(data)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from loewner._kernels import columns, records
 from loewner._measure import measure
+from loewner._native import entries
 from loewner._rotations import rotations_of
 from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Packed
@@ -43,6 +44,9 @@ BOX_ROOM = 4e-6
 
 # Trees, and motions, that are proven at a time.
 AT_ONCE, MOTIONS_AT_ONCE = 2**15, 2**10
+
+# Open intervals at a time, besides those at the start: more of them mean that the search does not end.
+MOST_OPEN = 2**16
 
 # Candidates among the axes that are tried after the boxes.
 BEST_AXES = 3
@@ -167,7 +171,7 @@ class _Search:
         for depth in range(DEEPEST + 1):
             if not len(open_.node):
                 break
-            if depth == DEEPEST:
+            if depth == DEEPEST or len(open_.node) > MOST_OPEN + 16 * len(m):
                 self._fail(open_, 0)
             found, planes, divide = self._level(open_, depth)
             at = open_.node[found]
@@ -261,6 +265,7 @@ class _Search:
         # Halving does not help where the bodies are too near at one end, by their distance or by precise normals.
         sunk = (distance < least - BOX_ROOM * self.size).any(axis=0)
         if depth >= DEEP:
+            sunk |= (distance < least + ROOM * self.size).any(axis=0)
             sunk[near] |= ((spare <= ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
         for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
             self._fail(some, k)
@@ -482,11 +487,15 @@ def _kernel(packed: Packed, model: Model) -> Any:
     kernel, layout = packed.kernel, packed.kernel.layout.copy()
     blocks, count = [kernel.points], len(kernel.points) // 3
     for k in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
-        own = model.pieces.points[k]
+        own, kind, nodes = model.pieces.points[k], columns.POLYTOPE, np.empty(0)
+        if len(own) > columns.LARGE:
+            chosen, nodes = entries.direction_map(own)
+            own, kind = own[chosen], columns.MAPPED
         own = np.concatenate([own, np.repeat(own[-1:], -len(own) % columns.BLOCK, axis=0)])
-        layout[k, : columns.POINTS_TO + 1] = columns.POLYTOPE, count, count + len(own)
+        layout[k, : columns.POINTS_TO + 1] = kind, count, count + len(own)
         blocks.append(own.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1).ravel())
-        count += len(own)
+        blocks.append(np.append(nodes, np.zeros(-nodes.size % (3 * columns.BLOCK))))
+        count += len(own) + len(blocks[-1]) // 3
     if len(blocks) == 1:
         return kernel
     points = records.aligned(3 * count)
