@@ -45,7 +45,7 @@ BOX_ROOM = 4e-6
 # Trees, and motions, that are proven at a time.
 AT_ONCE, MOTIONS_AT_ONCE = 2**15, 2**10
 
-# Open intervals at a time, besides those at the start: more of them mean that the search does not end.
+# Open intervals at a time, besides sixteen for each tree: with more of them, the search would not end.
 MOST_OPEN = 2**16
 
 # Candidates among the axes that are tried after the boxes.
