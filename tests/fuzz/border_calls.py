@@ -1078,7 +1078,7 @@ CALLS: dict[str, Call] = {
         {
             "curve": arg(moved, "empty list", "empty tuple"),
             "tolerance": positive(1e-6),
-            "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+            "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
         },
     ),
     "CollisionChecker.joint_error": Call(
@@ -1096,12 +1096,14 @@ CALLS: dict[str, Call] = {
             "curve": arg(moved, "empty list", "empty tuple"),
             "tolerance": positive(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
-            "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+            "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
             "proof": flag(False),
         },
     ),
     "Proof": Call(loewner.Proof, {"data": arg(lambda: proof().data)}),
     "Proof.save": Call(on(proof, "save"), {"path": PATH_OUT}),
+    "Proof.verify": Call(on(proof, "verify"), {}),
+    "Proof.differences": Call(on(proof, "differences"), {"checker": arg(checker)}),
     "Proof.load": Call(loewner.Proof.load, {"path": arg("plan.proof")}),
     "CollisionChecker.pairs": Call(on(checker_in_time, "pairs"), {"q": ONE, "t": arg(0.5, NUMBERS, ZERO, NEGATIVE)}),
     "CollisionChecker.collide_by_pair": Call(on(checker_in_time, "collide_by_pair"), {"Q": CONFIGURATIONS, "t": AT}),
@@ -1231,6 +1233,7 @@ CALLS: dict[str, Call] = {
             "checker": arg(checker),
             "tolerance": positive(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "proof": flag(False),
         },
     ),
     "planners.ControllerPoints": Call(
