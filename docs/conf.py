@@ -31,7 +31,7 @@ suppress_warnings = ["myst.header"]  # ARCHITECTURE.md and its like are whole pa
 
 nitpicky = True
 # Arguments that are called like a module: links to them lead nowhere.
-nitpick_ignore = [("py:obj", "bodies"), ("py:obj", "dataset")]
+nitpick_ignore = [("py:obj", "bodies"), ("py:obj", "dataset"), ("py:obj", "start_time"), ("py:obj", "loewner.verify")]
 default_role = "autolink"
 autosummary_generate = True
 # Shapes and units are in the docstrings; annotations can say neither.

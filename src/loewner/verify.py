@@ -181,7 +181,7 @@ class _Reader:
     def doubles(self, number: int, what: str = "") -> list[float]:  # finite, not huge, not negative if they have a name
         start, found = self.at, self.take(f"{number}d")
         for k, x in enumerate(found):
-            if not (0 if what else -(2**32)) <= x < 2**32:
+            if not (abs(x) < 2**32 and (x >= 0 or not what)):
                 raise Refused(f"Byte {start + 8 * k} of the {self.part}: {x!r} is not finite, too large or negative.")
         return list(found)
 
