@@ -187,7 +187,7 @@ def proven(
     An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
     """
     if not isinstance(given, np.ndarray):
-        curve = cut_in_time(checker.robot, checker._ready(timed=True), curves_of(checker.robot, given, name=name)[0])
+        curve = cut_in_time(checker.robot, checker._ready(timed=True), started(checker.robot, given, name))
         own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., : checker.robot.dof]))
         return own, checker.certify_trajectory(given, joint_error=joint_error, proof=proof)
     rows = checked_path(checker.robot, given)
@@ -218,22 +218,22 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
 # -- forms of curves ----------------------------------------------------------------------------
 
 
-def curves_of(robot: Robot, given: Any, t0: float | None = None, name: str = "curve") -> list[Curve]:
-    """Return the courses of one curve, or of each curve in a list, `t0` seconds later; errors as for `curve_of`.
+def curves_of(robot: Robot, given: Any, t0: float | None = None) -> list[Curve]:
+    """Return the courses of one curve, or of each curve in a list; errors as for `curve_of`."""
+    if isinstance(given, (list, tuple)):
+        return [started(robot, one, f"curve {k}", t0) for k, one in enumerate(given)]
+    return [started(robot, given, "curve", t0)]
 
-    By default a trajectory is later by its own start time.
-    """
-    several = isinstance(given, (list, tuple))
-    shift = None if t0 is None else _validate.real(t0, "t0")
-    made = []
-    for k, one in enumerate(given if several else [given]):
-        curve = curve_of(robot, one, f"{name} {k}" if several else name)
-        later = _validate.real(getattr(one, "start_time", 0.0), "start_time") if shift is None else shift
-        curve = curve._replace(times=curve.times + later)
-        if later and not (np.diff(curve.times) > 0).all():
-            raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:g}")
-        made.append(curve)
-    return made
+
+def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Curve:
+    """Return the courses of a curve, `t0` seconds later; by default, a trajectory is later by its own start time."""
+    curve = curve_of(robot, given, name)
+    own = t0 is None
+    later = _validate.real(getattr(given, "start_time", 0.0) if own else t0, "start_time" if own else "t0")
+    curve = curve._replace(times=curve.times + later)
+    if later and not (np.diff(curve.times) > 0).all():
+        raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:g}")
+    return curve
 
 
 def curve_of(robot: Robot, given: Any, name: str) -> Curve:
