@@ -28,7 +28,7 @@ from loewner import CollisionChecker, PlanningError, Robot, Verdict, planners, r
 from loewner.planners import ControllerPoints, Trajectory
 from motion_bench_maker import Task
 from rivals import Missing
-from robot_samples import panda
+from robot_samples import panda_for
 from samples import Array
 
 HERE = Path(__file__).parent
@@ -421,14 +421,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=1, help="every Nth problem of a group; 1 for all")
     parser.add_argument("--out", type=Path, help="folder for results")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
-    try:
-        robot = panda().robot
-    except Missing as missing:
-        print(f"not run: {missing}")
-        return 0
+    robot = arm.robot
     facts = report.machine()
     versions = ", ".join(f"{name} {report.version_of(name) or 'missing'}" for name in PACKAGES)
     print(f"{versions}; {facts['processor']}, load {facts['load']}\n", flush=True)

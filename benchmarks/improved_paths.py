@@ -22,8 +22,7 @@ from loewner import PlanningError, planners, read_motion_bench_maker
 from loewner.planners import improving
 from motion_bench_maker import Task
 from plans import way
-from rivals import Missing
-from robot_samples import panda
+from robot_samples import panda_for
 from samples import Array
 
 BUDGETS = (0.005, 0.01, 0.02, 0.05)  # s
@@ -43,13 +42,8 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--ompl-seconds", type=float, default=10.0, help="wall time of each of OMPL's planners")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
-        return 0
-    try:
-        arm = panda()
-    except Missing as missing:
-        print(f"not run: {missing}")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
     problems = [p for p in read_motion_bench_maker(options.data) if p.index % options.every == 0]
     improving.time = SimpleNamespace(monotonic=time.process_time)  # type: ignore[attr-defined]

@@ -29,7 +29,7 @@ from loewner.robots.edges import coarse_first
 from report import REQUIRED, Row
 from rivals import Missing
 from robot_rivals import MANAGERS, Pinocchio
-from robot_samples import Sample, panda
+from robot_samples import Sample, panda_for
 from samples import Array
 
 HERE = Path(__file__).parent
@@ -52,15 +52,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=7, help="plan every Nth problem of a group; 1 for all")
     parser.add_argument("--out", type=Path, help="folder for results")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
-        return 0
     facts = report.machine()
     results = options.out or HERE / "results" / report.machine_name(facts)
-    try:
-        arm = panda()
-    except Missing as missing:
-        print(f"not run: {missing}")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
     problems = read_motion_bench_maker(options.data)
     with threads_set_to(1):

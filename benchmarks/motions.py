@@ -25,7 +25,7 @@ from loewner import CollisionChecker, Robot, Verdict, read_motion_bench_maker
 from motion_bench_maker import Task
 from report import REQUIRED, Row
 from rivals import Missing
-from robot_samples import obstacles, panda
+from robot_samples import obstacles, panda, panda_for
 from samples import Array
 
 COUNT, QUICK = 1_000, 20
@@ -44,15 +44,10 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, help="folder for results")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
-        return 0
     facts = report.machine()
     results = options.out or Path(__file__).parent / "results" / report.machine_name(facts)
-    try:
-        arm = panda()
-    except Missing as missing:
-        print(f"not run: {missing}")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
     problems = [p for p in read_motion_bench_maker(options.data) if p.index % options.only_every == 0]
     with threads_set_to(1):

@@ -32,8 +32,7 @@ import report
 from clock import threads_set_to
 from loewner import CollisionChecker, Verdict, read_motion_bench_maker
 from motion_bench_maker import Task
-from rivals import Missing
-from robot_samples import panda
+from robot_samples import panda_for
 from samples import Array
 
 KEEP = 0.01  # metres
@@ -54,15 +53,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--points", type=int, default=32, help="points of a path")
     parser.add_argument("--out", type=Path, help="folder for results")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
-        return 0
     facts = report.machine()
     results = options.out or Path(__file__).parent / "results" / report.machine_name(facts)
-    try:
-        arm = panda()
-    except Missing as missing:
-        print(f"not run: {missing}")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
     with threads_set_to(1):
         tasks = colliding([Task.of(problem, arm.robot) for problem in read_motion_bench_maker(options.data)])

@@ -17,8 +17,7 @@ from clock import threads_set_to
 from loewner import CollisionChecker, PlanningError, planners, read_motion_bench_maker
 from loewner.verify import verify
 from motion_bench_maker import Task
-from rivals import Missing
-from robot_samples import panda
+from robot_samples import panda_for
 
 # The best of so many counts.
 ROUNDS = 3
@@ -29,13 +28,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, required=True, help="the problems, in JSON")
     parser.add_argument("--every", type=int, default=7, help="every Nth problem of a group; 1 for all")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
-        return 0
-    try:
-        arm = panda()
-    except Missing as missing:
-        print(f"not run: {missing}")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
     rows = []
     with threads_set_to(1):

@@ -47,6 +47,17 @@ def panda() -> Sample:
     return example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
 
 
+def panda_for(problems: Path) -> Sample | None:
+    """The Panda, for a file of MotionBenchMaker problems; None, and why, if the file or the robot is missing."""
+    try:
+        if not problems.exists():
+            raise Missing(f"there is no {problems}; docs/scenes.md says what it would be")
+        return panda()
+    except Missing as missing:
+        print(f"not run: {missing}")
+        return None
+
+
 def talos() -> Sample:
     return example("talos_data/robots/talos_full_v2.urdf", "talos_data/srdf/talos.srdf")
 

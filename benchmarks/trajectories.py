@@ -26,8 +26,7 @@ from clock import threads_set_to
 from loewner import PlanningError, Robot, planners, read_motion_bench_maker
 from loewner.planners import Trajectory
 from motion_bench_maker import Task
-from rivals import Missing
-from robot_samples import panda
+from robot_samples import panda_for
 from samples import Array
 
 HERE = Path(__file__).parent
@@ -98,14 +97,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=14, help="every Nth problem of a group; 1 for all")
     parser.add_argument("--out", type=Path, help="folder for results")
     options = parser.parse_args(arguments)
-    if not options.data.exists():
-        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
+    arm = panda_for(options.data)
+    if arm is None:
         return 0
-    try:
-        robot = panda().robot
-    except Missing as missing:
-        print(f"not run: {missing}")
-        return 0
+    robot = arm.robot
     results = options.out or HERE / "results" / report.machine_name(report.machine())
     with threads_set_to(1):
         problems = [p for p in read_motion_bench_maker(options.data) if p.index % options.every == 0]

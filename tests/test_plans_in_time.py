@@ -242,6 +242,20 @@ def test_bodies_that_shake(slider):
         planners.plan(CollisionChecker(slider, scene), LEFT, RIGHT, start_time=0.0, velocity=1.0)
 
 
+def test_a_changed_scene_is_planned_anew(slider):
+    """A plan, then a body that stands in the way or no longer does: each plan is about the present scene."""
+    scene = gate(opens=-5.0)
+    checker = CollisionChecker(slider, scene)
+    free = planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0)
+    scene.add("post", Body.box([0.2, 0.4, 0.4]), translation(0, -0.5))
+    around = planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0)
+    check(checker, around, LEFT, RIGHT, 1.0, 0.0)
+    assert len(around.times) > len(free.times) == 2
+    scene.remove("post")
+    again = planners.plan(checker, LEFT, RIGHT, start_time=0.0, velocity=1.0)
+    np.testing.assert_array_equal(again.knots, free.knots)
+
+
 def test_a_search_ends_in_time(slider):
     """A timeout ends a search that cannot succeed."""
     checker = CollisionChecker(slider, gate())
@@ -291,6 +305,11 @@ def test_files_give_back_the_plan(slider, tmp_path):
         for kind in (planners.Trajectory, planners.ControllerPoints):
             with pytest.raises(FileError):
                 kind.load(tmp_path / "wrong.csv")
+    for begin in ("true", '"4"', "1e999", "null"):
+        (tmp_path / "wrong.json").write_text((tmp_path / "later.json").read_text().replace("-2.5", begin))
+        for kind in (planners.Trajectory, planners.ControllerPoints):
+            with pytest.raises(FileError):
+                kind.load(tmp_path / "wrong.json")
     with pytest.raises(InputError, match="start_time"):
         checker.certify_trajectory(replace(rounded, start_time="soon"))
     for text in ("time,x,y\n0,1,1\n0,2,2\n", "time,x\n0,nan\n", "time,x\n", "time,x\n1,2\n2,3\n", "time,x\n0,1,2\n"):

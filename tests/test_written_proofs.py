@@ -27,7 +27,7 @@ from loewner import (
     cli,
     planners,
 )
-from loewner.robots import proof_models, separations
+from loewner.robots import proof_models, separations, written_proofs
 from loewner.verify import Refused, verify
 from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
 
@@ -521,3 +521,23 @@ def test_minus_zero_is_zero():
         scene.add("box", Body.box([1, 1, 1]), T)
         hashes.add(CollisionChecker(Robot.from_urdf(text=BALL), scene).model_hash)
     assert len(hashes) == 1
+
+
+@pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
+def test_what_checkers_might_refuse_is_not_written(monkeypatch):
+    """Many links, far places, far turns and large files are errors of the library, not refusals of a checker."""
+    chain = "".join(
+        f'<link name="l{k}"/><joint name="j{k}" type="prismatic"><parent link="{"a" if k == 0 else f"l{k - 1}"}"/>'
+        f'<child link="l{k}"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for k in range(1000)
+    )
+    long = BALL.replace("</robot>", chain + "</robot>")
+    with pytest.raises(InputError, match="at most 1000 links .* found 1002 links"):
+        CollisionChecker(Robot.from_urdf(text=long)).model_hash  # noqa: B018
+    turning = BALL.replace("prismatic", "continuous").replace('lower="-2" upper="2" ', "")
+    checker = CollisionChecker(Robot.from_urdf(text=turning))
+    with pytest.raises(InputError, match="turn to 1e.06 rad"):
+        checker.certify_edges([1.5e6], [1.5e6], proof=True)
+    monkeypatch.setattr(written_proofs, "MOST_BYTES", 10_000)
+    with pytest.raises(InputError, match="prove fewer motions at a time"):
+        checker.certify_edges(np.zeros((1000, 1)), [0.0], proof=True)

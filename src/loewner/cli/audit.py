@@ -204,6 +204,7 @@ def _answer(
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
         "proof": str(options.proof) if found.proof is not None else None,
+        "moving": list(checker.scene.following),
     }
 
 
@@ -274,5 +275,10 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"curve     {answer['controller']} between points{error}")
     else:
         print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")
+    if answer["moving"]:
+        print(
+            f"clock     the trajectory begins at {answer['begins']:.6g} s on the clock of the bodies that move "
+            f"({', '.join(answer['moving'])}); --start-time shifts it"
+        )
     if answer["proof"] is not None:
         print(f"written   {answer['proof']}, for loewner verify")

@@ -31,10 +31,6 @@ bit.
 exit status: 0 verified, and the same model and path; 1 refused, or a different model or path; 2 error
 """
 
-
-# Largest file that is read, to be refused if it is too large for a proof.
-MOST_BYTES = 2**30
-
 # Differences of two models that are printed.
 MOST_SHOWN = 10
 
@@ -54,7 +50,7 @@ def _run(options: argparse.Namespace) -> int:
         for name in ("srdf", "scene", "model", "decompose", "package_dir"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
-    data = read_regular(options.file, "a proof", MOST_BYTES)
+    data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # a file that is a little too large is refused below
     try:
         report = verify.verify(data)
     except verify.Refused as error:

@@ -171,8 +171,8 @@ class ControllerPoints:
         """Read points from a message or from a file written by `Trajectory.save`."""
         if isinstance(held, Mapping) and ("blended" in held or "jumps" in held):
             arrays = held["positions"], held.get("velocities"), held.get("accelerations")
-            began = _validate.finite_array(held["times"], "times", ("n",)) + float(held.get("start_time", 0.0))
-            return cls(began, *arrays, names=held["names"])
+            began = _validate.real(held.get("start_time", 0.0), "start_time")
+            return cls(began + _validate.finite_array(held["times"], "times", ("n",)), *arrays, names=held["names"])
         message = _message(held, DEEPEST)
         if message is None:
             raise KeyError("points")

@@ -222,10 +222,8 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
     moved[space.columns] = np.inf  # in any case elsewhere
     fastest = limits_of(robot, np.stack([space.still, moved]), None, times.get("velocity"), None, None)[0]
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
-    spans = [
-        PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0)
-        for path in (() if ready.paths is None else ready.paths.paths)
-    ]
+    paths = () if ready.paths is None else ready.paths.paths
+    spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
     limit = CROSSINGS * crossing + max(spans, default=0.0)
     if last is not None:
         last = _validate.real(last, "arrive_by")
@@ -234,7 +232,6 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
         limit = min(limit, last - begin)
         while begin + limit > last:
             limit = float(np.nextafter(limit, 0.0))
-    paths = () if ready.paths is None else ready.paths.paths
     for name, path in zip(checker.scene.following, paths, strict=True):
         if path.repeat and limit / path.period * len(path.times) > MOST_KNOTS:
             raise InputError(

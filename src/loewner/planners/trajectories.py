@@ -895,7 +895,7 @@ def _read_json(text: str) -> Trajectory:
     held = json.loads(text)
     if not isinstance(held, dict):
         raise ValueError(f"{type(held).__name__} instead of the keys names, times, positions, velocities and blended")
-    start_time = float(held.get("start_time", 0.0))
+    start_time = _validate.real(held.get("start_time", 0.0), "start_time")
     if held.get("jumps") is True:
         table = np.column_stack([np.array(held[key], dtype=np.float64) for key in ("times", "positions")])
         return _read_straight(held["names"], table, start_time)

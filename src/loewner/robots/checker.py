@@ -117,11 +117,12 @@ class CollisionChecker:
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared = UNPREPARED
+        self._still: tuple[int, CollisionChecker] | None = None  # see `without_motions`, for a version of the scene
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the prepared pairs out of copies and pickles: a handle is an address, valid only in this object."""
-        return {**self.__dict__, "_prepared": UNPREPARED}
+        return {**self.__dict__, "_prepared": UNPREPARED, "_still": None}
 
     def __repr__(self) -> str:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
@@ -820,9 +821,13 @@ def without_motions(checker: CollisionChecker) -> CollisionChecker:
     """Return a checker of the same pairs, in the present scene without the bodies that follow motions."""
     if not checker.scene.following:
         return checker
-    scene = checker.scene.copy()
-    for name in scene.following:
-        scene.remove(name)
-    made = CollisionChecker(checker.robot, scene)
-    made._skipped = checker._skipped
-    return made
+    version = checker.scene.version
+    if checker._still is None or checker._still[0] != version:
+        scene = checker.scene.copy()
+        for name in scene.following:
+            scene.remove(name)
+        made = CollisionChecker(checker.robot, scene)
+        made._skipped = checker._skipped
+        checker._still = version, made
+        return made
+    return checker._still[1]

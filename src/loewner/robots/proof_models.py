@@ -26,6 +26,9 @@ STAYS, TURNS, SLIDES = 0, 1, 2
 HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
 _CURVED = {columns.ELLIPSOID: BALL, columns.CYLINDER: CYLINDER, columns.CONE: CONE}
 
+# Programs that check proofs may refuse longer lengths [m], and more links.
+LARGEST, MOST_LINKS = 2.0**32, 1000
+
 # Names are preceded by their length in 16 bits.
 LONGEST_NAME = 2**16 - 1
 
@@ -125,6 +128,12 @@ def model_of(ready: Problem) -> Model:
     turn = np.concatenate([turns[moving], standing[:, :3, :3]])
     shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
     pieces = pieces_of(cut.packed)
+    lengths = shift, links.translation, links.axis, pieces.radius, ready.margins, *pieces.points
+    if len(links.names) > MOST_LINKS or not all((np.abs(array) < LARGEST).all() for array in lengths):
+        raise InputError(
+            f"proof: expected at most {MOST_LINKS} links and lengths below {LARGEST:g} m, which checkers take, found "
+            f"{len(links.names)} links, or longer lengths"
+        )
     solid = np.logical_or.reduceat(ready.packed.layout[:, columns.KIND] == columns.SOLID, ready.packed.piece_start[:-1])
     hollow = solid & np.array([one is not other for one, other in zip(ready.packs, cut.packs, strict=True)])
     data = [

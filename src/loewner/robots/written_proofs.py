@@ -15,7 +15,7 @@ from loewner._validate import Floats
 from loewner.errors import FileError, InputError
 from loewner.robots import separations
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import Model, contents, differences, model_of
+from loewner.robots.proof_models import LARGEST, TURNS, Model, contents, differences, model_of
 
 if TYPE_CHECKING:
     from loewner.verify import Report
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 MAGIC, VERSION, FREE, COMMON = b"LOEWNERP", 1, 1, 2
 _HEAD = struct.Struct("<8sIIII")
 
-# Largest file [bytes]: the lengths of its blocks are numbers of 32 bits.
-MOST_BYTES = 2**32
+# Programs that check proofs may refuse larger files [bytes], and joints that turn beyond this [rad].
+MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,7 +140,7 @@ class Proof:
         InputError
             If proofs cannot express the checker's robot or scene, or these are not the contents of a file with a model.
         """
-        if not hasattr(checker, "model_hash"):  # its class is above this module
+        if not hasattr(checker, "_ready"):  # its class is above this module
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         expected = model_of(checker._ready(timed=True)).data
         try:
@@ -182,9 +182,10 @@ class Proof:
         """
         at = _validate.path(path, "path")
         data = _files.read_regular(at, "a proof", MOST_BYTES)
-        if (fault := _fault(data)) is not None:
-            raise FileError(f"{_files.shown(at)}: expected {fault}")
-        return cls(data)
+        try:
+            return cls(data)
+        except InputError as error:
+            raise FileError(f"{_files.shown(at)}: {str(error).removeprefix('data: ')}") from None
 
 
 def _fault(data: bytes) -> str | None:
@@ -202,8 +203,13 @@ def _fault(data: bytes) -> str | None:
 
 
 def assembled(what: int, model: bytes, proof: bytes) -> Proof:
-    """Make a file of its blocks."""
+    """Make a file of its blocks, unless it is larger than checkers take."""
     data = _HEAD.pack(MAGIC, VERSION, what, len(model), len(proof)) + model + proof
+    if len(data) + 32 > MOST_BYTES:
+        raise InputError(
+            f"proof: expected a file of at most {MOST_BYTES} bytes, found {len(data) + 32}, of which the model takes "
+            f"{len(model)}; prove fewer motions at a time"
+        )
     return Proof(data + hashlib.sha256(data).digest())
 
 
@@ -221,8 +227,17 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) 
 
     Raises
     ------
+    InputError
+        If checkers might refuse the file: it is too large, or a joint turns too far.
     ConvergenceError
         If the format's bounds do not suffice.
     """
+    turns = model.links.moves == TURNS
+    values = courses[..., model.links.value[turns]] * model.links.multiplier[turns] + model.links.offset[turns]
+    if not (np.abs(values) <= FARTHEST_TURN).all() or not (np.abs(courses) < LARGEST).all():
+        raise InputError(
+            f"proof: expected values below {LARGEST:g} and joints that turn to {FARTHEST_TURN:g} rad at most, found "
+            "others"
+        )
     found = separations.trees(ready, model, courses, deviations)
     return assembled(FREE, model.data, separations.written(deviations, courses) + found)
