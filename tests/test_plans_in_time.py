@@ -206,6 +206,7 @@ def test_bad_input_is_refused(slider):
         ({"velocity": -1.0}, "velocity"),
         ({"velocity": [1.0, 0.0, 1.0]}, "velocity"),
         ({"velocity": np.inf}, "velocity"),
+        ({"velocity": 1e-300}, "velocity: expected joints that cross their ranges in 1e.09 s"),
         ({"velocity": [1.0, 1.0]}, "velocity: expected one number or shape"),
         ({"velocity": None}, "velocity: expected a limit of each joint that moves, found none"),
         ({"arrive_by": np.nan}, "arrive_by: expected"),

@@ -38,6 +38,9 @@ SLACK = 1e-9
 # The horizon, unless it is given: this many times the time to cross all ranges, and of the periods of motions.
 CROSSINGS, PERIODS = 4.0, 2.0
 
+# Longest time to cross all ranges [s], thirty years: a slip in a unit.
+SLOWEST = 1e9
+
 # Largest spacing of times near the start, as a share of the time to cross all ranges.
 COARSEST = 1e-6
 
@@ -222,6 +225,8 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
     moved[space.columns] = np.inf  # in any case elsewhere
     fastest = limits_of(robot, np.stack([space.still, moved]), None, times.get("velocity"), None, None)[0]
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
+    if not crossing <= SLOWEST:
+        raise InputError(f"velocity: expected joints that cross their ranges in {SLOWEST:g} s, found {crossing:g} s")
     paths = () if ready.paths is None else ready.paths.paths
     spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
     limit = CROSSINGS * crossing + max(spans, default=0.0)
