@@ -50,7 +50,7 @@ def _run(options: argparse.Namespace) -> int:
         for name in ("srdf", "scene", "model", "decompose", "package_dir"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
-    data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # a file that is a little too large is refused below
+    data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # too large ones are refused below
     try:
         report = verify.verify(data)
     except verify.Refused as error:

@@ -457,14 +457,6 @@ class _Search:
 _AXES = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (2, 1)).astype(np.int64)
 
 
-def width(kind: int, v: Floats) -> Floats:
-    """Compute the largest products of directions v, shape (N, 3), with points of a unit shape."""
-    across = np.hypot(v[:, 0], v[:, 1])
-    if kind == BALL:
-        return np.hypot(across, v[:, 2])
-    return across + np.abs(v[:, 2]) if kind == CYLINDER else np.maximum(v[:, 2], across - v[:, 2])
-
-
 def rounded(n: Floats, scales: int) -> Ints:
     """Round directions, shape (..., 3), to whole numbers: of some multiples, the one that is turned least."""
     flat = n.reshape(-1, 3)
