@@ -20,7 +20,7 @@ from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx,
 from loewner._kernels import _jit, _sealed, columns
 from loewner._kernels.simd import scalars, trig
 from loewner._native import library
-from loewner.gpu import configurations, driver
+from loewner.gpu import configurations, driver, motions, tables, tiles
 from loewner.gpu.driver import Device
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -133,14 +133,13 @@ def test_sines_are_within_their_bound(rng):
 
 def placed_links(device: Device, robot: Robot, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of links as the GPU has them, and how far off it says they may be: shapes (N, L, 3, 4) and (N, L, 2)."""
-    tables = configurations._tables(device, CollisionChecker(robot, Scene())._ready())
-    S, n = configurations.TILE, len(Q)
-    placed, there = device.memory(4 * columns.LINK_NUMBERS * tables.links * S), device.upload(Q.astype(np.float32))
+    t = tables.tables_of(device, CollisionChecker(robot, Scene())._ready())
+    S, n = tiles.TILE, len(Q)
+    placed, there = device.memory(4 * columns.LINK_NUMBERS * t.links * S), device.upload(Q.astype(np.float32))
     device.launch(
-        "place_links", n, S, there.address, robot.dof, tables.links, tables.joints.address, tables.constants.address,
-        placed.address,
-    )  # fmt: skip
-    found = np.empty((tables.links, columns.LINK_NUMBERS, S), dtype=np.float32)
+        "place_links", n, S, there.address, 0, robot.dof, t.links, t.joints.address, t.constants.address, placed.address
+    )
+    found = np.empty((t.links, columns.LINK_NUMBERS, S), dtype=np.float32)
     device.download(placed.address, found)
     numbers = found[:, :, :n].transpose(2, 0, 1).astype(np.float64)
     R, t = numbers[:, :, :9].reshape(n, -1, 3, 3), numbers[:, :, 9:12, None]
@@ -233,8 +232,8 @@ def test_a_list_that_is_too_short_leaves_configurations_to_the_cpu(monkeypatch, 
     robot = robot_of(tmp_path, joints, {f"l{k}": bodies[k] for k in range(5)})
     checker = CollisionChecker(robot, Scene(), skip_adjacent=False)
     Q = robot.random_configurations(200, 3)
-    tile = configurations._tile
-    monkeypatch.setattr(configurations, "_tile", lambda *of: tile(*of)._replace(capacity=50))
+    tile = tiles.tile_of
+    monkeypatch.setattr(configurations, "tile_of", lambda *of: tile(*of)._replace(capacity=50))
     np.testing.assert_array_equal(gpu.Checker(checker).collide(Q), checker.collide(Q))
 
 

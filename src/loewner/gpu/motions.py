@@ -1,0 +1,81 @@
+"""Prove straight motions of a robot on a GPU."""
+
+from __future__ import annotations
+
+from loewner._validate import Ints
+from loewner.gpu.driver import Device, Memory
+from loewner.gpu.tables import Tables
+from loewner.gpu.tiles import LOG_TILE, TILE, Tile, place, tile_of
+from loewner.gpu.work import Left, length_of
+
+# Number of motions whose intervals are listed together, and room in a list of intervals: an even number.
+LOG_MOTIONS = 16
+MOTIONS = 1 << LOG_MOTIONS
+INTERVALS = 64 * MOTIONS
+
+
+def certified(gpu: Device, tables: Tables, dof: int, ends: tuple[int, int], total: int) -> tuple[Memory, Ints]:
+    """Return the verdicts of motions whose ends are at two addresses, and the indices of those left to the CPU."""
+    verdicts, left, tile = gpu.memory(total), Left(gpu, total), tile_of(gpu, tables)
+    run = _Run(gpu, tables, dof, tile)
+    for first in range(0, total, MOTIONS):
+        count = min(MOTIONS, total - first)
+        run.prove(ends[0] + 4 * dof * first, ends[1] + 4 * dof * first, count)
+        gpu.launch("conclude", count, first, run.state.address, verdicts.address, left.list.address)
+    return verdicts, left.numbers()
+
+
+class _Run:
+    """Memory for the proofs of some motions; intervals without a proof are halved until none is left."""
+
+    def __init__(self, gpu: Device, tables: Tables, dof: int, tile: Tile) -> None:
+        self._gpu, self._tables, self._dof, self._tile = gpu, tables, dof, tile
+        self.state = gpu.memory(4 * MOTIONS)
+        self._bends, self._flags = gpu.memory(4 * tables.chains * MOTIONS), gpu.memory(2 * TILE)
+        self._items, self._halves = (gpu.memory(4 * (1 + 2 * INTERVALS)) for _ in range(2))
+        self._Q, self._spans = (gpu.memory(4 * dof * TILE) for _ in range(2))
+
+    def prove(self, Q0: int, Q1: int, count: int) -> None:
+        """Find the states of `count` motions."""
+        gpu, cell, bends = self._gpu, self._tables.cell.address, self._bends.address
+        gpu.clear(self.state.address, 4 * count)
+        gpu.clear(self._items.address, 4)
+        gpu.launch(
+            "bound_motion", self._tables.chains * MOTIONS, MOTIONS, count, self._dof, Q0, Q1, cell, bends
+        )  # fmt: skip
+        gpu.launch(
+            "begin_motion", count, MOTIONS, self._tables.moving, bends, self.state.address, self._items.address,
+            INTERVALS,
+        )  # fmt: skip
+        listed = min(length_of(gpu, self._items), INTERVALS)
+        while listed > 0:
+            gpu.clear(self._halves.address, 4)
+            for first in range(0, listed, TILE // 2):
+                self._halve(Q0, Q1, self._items.address + 4 + 8 * first, min(TILE // 2, listed - first))
+            self._items, self._halves = self._halves, self._items
+            listed = min(length_of(gpu, self._items), INTERVALS)
+
+    def _halve(self, Q0: int, Q1: int, items: int, count: int) -> None:
+        """Prove intervals of a tile, and list the halves of the others."""
+        gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state.address, self._flags.address
+        cell, bends, searches = t.cell.address, self._bends.address, tile.searches.address
+        gpu.clear(flags, 4 * count)
+        gpu.clear(tile.survivors.address, 4)
+        gpu.clear(searches, 4)
+        gpu.launch(
+            "place_end", 2 * count * self._dof, self._dof, Q0, Q1, items, self._Q.address, self._spans.address
+        )  # fmt: skip
+        place(gpu, t, tile, self._Q.address, self._spans.address, self._dof, 2 * count)
+        gpu.launch(
+            "cull_interval", t.pair_count * (TILE // 2), TILE, LOG_TILE, MOTIONS, count, cell, items,
+            tile.bounds.address, t.standing.address, bends, state, tile.survivors.address, tile.capacity, flags,
+        )  # fmt: skip
+        gpu.launch(
+            "certify_interval", tile.capacity, TILE, LOG_TILE, MOTIONS, cell, items, tile.placed.address, bends,
+            state, tile.survivors.address, searches, tile.capacity, flags,
+        )  # fmt: skip
+        gpu.launch(
+            "search_interval", tile.capacity, TILE, LOG_TILE, MOTIONS, cell, items, tile.placed.address, bends, state,
+            searches, tile.capacity, flags,
+        )  # fmt: skip
+        gpu.launch("halve_interval", count, items, state, flags, self._halves.address, INTERVALS)
