@@ -20,7 +20,7 @@ from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx,
 from loewner._kernels import _jit, _sealed, columns
 from loewner._kernels.simd import scalars, trig
 from loewner._native import library
-from loewner.gpu import configurations, driver, motions, tables, tiles
+from loewner.gpu import configurations, driver, tables, tiles
 from loewner.gpu.driver import Device
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
