@@ -182,8 +182,9 @@ def measure_motions(device: Device, count: int, share: float) -> bool:
     there, on_gpu = [OnGpu(device, Q) for Q in ends], gpu.Checker(checker, device=device.number)
     addresses = there[0]._memory.address, there[1]._memory.address
     tables = on_gpu._tables_of(device, prepared_of(checker))
-    seconds = in_kernels(device, lambda: certified(device, tables, checker.robot.dof, addresses, count))
-    left = len(certified(device, tables, checker.robot.dof, addresses, count)[1])
+    asked = device, tables, on_gpu._tile_of(device, tables), checker.robot.dof, addresses, count
+    seconds = in_kernels(device, lambda: certified(*asked))
+    left = len(certified(*asked)[1])
     whole, verdicts = timed(lambda: np.asarray(on_gpu.certify_edges(*there)))
     alone, expected = timed(lambda: checker.certify_edges(*(Q.astype(np.float64) for Q in ends)).verdict)
     agree = not ((verdicts != expected) & (verdicts != codes.AMBIGUOUS) & (expected != codes.AMBIGUOUS)).any()

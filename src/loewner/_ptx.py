@@ -31,6 +31,8 @@ KERNELS = {
     "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "search_survivor", "conclude"),
     "motions": (
         "bound_motion",
+        "list_probe",
+        "strike_motion",
         "begin_motion",
         "place_end",
         "cull_interval",

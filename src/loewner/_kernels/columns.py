@@ -59,7 +59,7 @@ BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 # Numbers of a placed link: rotation by rows, translation, and bounds on the error of each, in roundings.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
-# A piece's int32 row for searches: kind, first and last + 1 pair of vertices; and its float32 row: center and factor of
+# A piece's int32 row for searches: kind, first and last + 1 vertex; and its float32 row: center and factor of
 # a curved core, radius of the ball that is added, and reach.
 CORE_KIND, CORE_START, CORE_STOP, CORE_INTEGERS = 0, 1, 2, 4
 CORE_CENTER, CORE_FACTOR, CORE_RADIUS, CORE_REACH, CORE_NUMBERS = 0, 3, 12, 13, 16

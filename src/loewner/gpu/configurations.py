@@ -18,7 +18,7 @@ from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.motions import certified
 from loewner.gpu.tables import Tables, tables_of
-from loewner.gpu.tiles import LOG_TILE, TILE, Tile, place, tile_of
+from loewner.gpu.tiles import TILE, Tile, check, place, tile_of
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.robots import CollisionChecker, edges
 from loewner.robots.checker import prepared_of
@@ -70,6 +70,7 @@ class Checker:
             raise InputError("checker: expected joints that turn or slide, found planar, floating or ball joints")
         self._checker = checker
         self._tables: dict[Device, Tables] = {}
+        self._tiles: dict[Device, Tile] = {}
 
     def __repr__(self) -> str:
         return f"<loewner.gpu.Checker of {self._checker.robot.dof} joints on GPU {self._number}>"
@@ -183,7 +184,9 @@ class Checker:
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
             there = [gpu.upload(Q.astype(np.float32)) for Q in (a, b)]
         tables, dof = self._tables_of(gpu, ready), self._checker.robot.dof
-        verdicts, left = certified(gpu, tables, dof, (there[0].address, there[1].address), len(a))
+        verdicts, left = certified(
+            gpu, tables, self._tile_of(gpu, tables), dof, (there[0].address, there[1].address), len(a)
+        )
         out = np.empty(len(a), dtype=np.int8)
         gpu.download(verdicts.address, out)
         out[left] = _proven(ready, a[left], b[left], tolerance)
@@ -197,7 +200,9 @@ class Checker:
         total = math.prod(views[0].shape[:-1])
         expect_few(total, "motions")
         tables = self._tables_of(gpu, ready)
-        verdicts, left = certified(gpu, tables, robot.dof, (views[0].address, views[1].address), total)
+        verdicts, left = certified(
+            gpu, tables, self._tile_of(gpu, tables), robot.dof, (views[0].address, views[1].address), total
+        )
         a, b = (robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views)
         scattered(gpu, left, _proven(ready, a, b, tolerance), verdicts)
         return DeviceArray(verdicts, views[0].shape[:-1], np.int8)
@@ -244,7 +249,7 @@ class Checker:
         expect_few(total, "configurations")
         tables = self._tables_of(gpu, ready)
         verdicts, left = gpu.memory(total), Left(gpu, total)
-        tile = tile_of(gpu, tables)
+        tile = self._tile_of(gpu, tables)
         for first in range(0, total, TILE):
             self._run(gpu, tables, tile, Q, first, min(TILE, total - first), verdicts, left)
         return verdicts, left.numbers()
@@ -253,25 +258,18 @@ class Checker:
         self, gpu: Device, tables: Tables, tile: Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
     ) -> None:
         """Run the kernels on one tile, one after the other."""
-        dof, t = self._checker.robot.dof, tables
-        gpu.clear(tile.state.address, 4 * TILE)
-        gpu.clear(tile.survivors.address, 4)
-        gpu.clear(tile.searches.address, 4)
-        place(gpu, t, tile, Q + 4 * dof * first, 0, dof, count)
-        gpu.launch(
-            "cull_pair", t.pair_count * TILE, TILE, LOG_TILE, count, t.moving, t.pairs.address, t.margins.address,
-            tile.bounds.address, t.standing.address, tile.state.address, tile.survivors.address, tile.capacity,
-        )  # fmt: skip
-        gpu.launch(
-            "certify_survivor", tile.capacity, TILE, LOG_TILE, t.moving, t.bodies.address, t.pairs.address,
-            t.margins.address, tile.placed.address, tile.bounds.address, t.rows.address, tile.state.address,
-            tile.survivors.address, tile.searches.address, tile.capacity,
-        )  # fmt: skip
-        gpu.launch(
-            "search_survivor", tile.capacity, TILE, LOG_TILE, t.cell.address, tile.placed.address, tile.state.address,
-            tile.searches.address, tile.capacity,
-        )  # fmt: skip
+        dof = self._checker.robot.dof
+        place(gpu, tables, tile, Q + 4 * dof * first, 0, dof, count)
+        check(gpu, tables, tile, count)
         gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
+
+    def _tile_of(self, gpu: Device, tables: Tables) -> Tile:
+        """Return memory for a tile, from the last call if it fits."""
+        shape, tile = (tables.links, tables.moving), self._tiles.get(gpu)
+        if tile is None or tile.shape != shape:
+            self._tiles.pop(gpu, None)
+            tile = self._tiles[gpu] = tile_of(gpu, tables)
+        return tile
 
     def _tables_of(self, gpu: Device, ready: Problem) -> Tables:
         """Return the kernels' input, copied to the GPU again if the scene has changed."""

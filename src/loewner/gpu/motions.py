@@ -5,18 +5,20 @@ from __future__ import annotations
 from loewner._validate import Ints
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.tables import Tables
-from loewner.gpu.tiles import LOG_TILE, TILE, Tile, place, tile_of
+from loewner.gpu.tiles import TILE, Tile, check, place, room_for
 from loewner.gpu.work import Left, length_of
 
 # Number of motions whose intervals are listed together, and room in a list of intervals: an even number.
-LOG_MOTIONS = 16
+LOG_MOTIONS = 17
 MOTIONS = 1 << LOG_MOTIONS
-INTERVALS = 64 * MOTIONS
+INTERVALS = 32 * MOTIONS
 
 
-def certified(gpu: Device, tables: Tables, dof: int, ends: tuple[int, int], total: int) -> tuple[Memory, Ints]:
+def certified(
+    gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, int], total: int
+) -> tuple[Memory, Ints]:
     """Return the verdicts of motions whose ends are at two addresses, and the indices of those left to the CPU."""
-    verdicts, left, tile = gpu.memory(total), Left(gpu, total), tile_of(gpu, tables)
+    verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile)
     for first in range(0, total, MOTIONS):
         count = min(MOTIONS, total - first)
@@ -39,10 +41,11 @@ class _Run:
         """Find the states of `count` motions."""
         gpu, cell, bends = self._gpu, self._tables.cell.address, self._bends.address
         gpu.clear(self.state.address, 4 * count)
-        gpu.clear(self._items.address, 4)
         gpu.launch(
             "bound_motion", self._tables.chains * MOTIONS, MOTIONS, count, self._dof, Q0, Q1, cell, bends
         )  # fmt: skip
+        self._probe(Q0, Q1, count)
+        gpu.clear(self._items.address, 4)
         gpu.launch(
             "begin_motion", count, MOTIONS, self._tables.moving, bends, self.state.address, self._items.address,
             INTERVALS,
@@ -55,27 +58,42 @@ class _Run:
             self._items, self._halves = self._halves, self._items
             listed = min(length_of(gpu, self._items), INTERVALS)
 
+    def _probe(self, Q0: int, Q1: int, count: int) -> None:
+        """Check motions at four configurations, to find most of those that collide."""
+        gpu, tile = self._gpu, self._tile
+        gpu.launch("list_probe", 2 * count, self._items.address + 4)
+        for first in range(0, 2 * count, TILE // 2):
+            listed, items = min(TILE // 2, 2 * count - first), self._items.address + 4 + 8 * first
+            self._place(Q0, Q1, items, listed)
+            check(gpu, self._tables, tile, 2 * listed)
+            gpu.launch("strike_motion", 2 * listed, items, tile.state.address, self.state.address)
+
+    def _place(self, Q0: int, Q1: int, items: int, count: int) -> None:
+        """Place the robot at both ends of intervals."""
+        self._gpu.launch(
+            "place_end", 2 * count * self._dof, self._dof, Q0, Q1, items, self._Q.address, self._spans.address
+        )
+        place(self._gpu, self._tables, self._tile, self._Q.address, self._spans.address, self._dof, 2 * count)
+
     def _halve(self, Q0: int, Q1: int, items: int, count: int) -> None:
         """Prove intervals of a tile, and list the halves of the others."""
         gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state.address, self._flags.address
+        S, log_S = room_for(2 * count)
         cell, bends, searches = t.cell.address, self._bends.address, tile.searches.address
         gpu.clear(flags, 4 * count)
         gpu.clear(tile.survivors.address, 4)
         gpu.clear(searches, 4)
+        self._place(Q0, Q1, items, count)
         gpu.launch(
-            "place_end", 2 * count * self._dof, self._dof, Q0, Q1, items, self._Q.address, self._spans.address
-        )  # fmt: skip
-        place(gpu, t, tile, self._Q.address, self._spans.address, self._dof, 2 * count)
-        gpu.launch(
-            "cull_interval", t.pair_count * (TILE // 2), TILE, LOG_TILE, MOTIONS, count, cell, items,
+            "cull_interval", t.pair_count * (S // 2), S, log_S, MOTIONS, count, cell, items,
             tile.bounds.address, t.standing.address, bends, state, tile.survivors.address, tile.capacity, flags,
         )  # fmt: skip
         gpu.launch(
-            "certify_interval", tile.capacity, TILE, LOG_TILE, MOTIONS, cell, items, tile.placed.address, bends,
-            state, tile.survivors.address, searches, tile.capacity, flags,
+            "certify_interval", min(tile.capacity, t.pair_count * count), S, log_S, MOTIONS, cell, items,
+            tile.placed.address, bends, state, tile.survivors.address, searches, tile.capacity, flags,
         )  # fmt: skip
         gpu.launch(
-            "search_interval", tile.capacity, TILE, LOG_TILE, MOTIONS, cell, items, tile.placed.address, bends, state,
-            searches, tile.capacity, flags,
+            "search_interval", min(tile.capacity, t.piece_pairs * count), S, log_S, MOTIONS, cell, items,
+            tile.placed.address, bends, state, searches, tile.capacity, flags,
         )  # fmt: skip
         gpu.launch("halve_interval", count, items, state, flags, self._halves.address, INTERVALS)

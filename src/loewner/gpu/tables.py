@@ -17,6 +17,8 @@ from loewner.robots.problem import Problem
 # A ball that is added to a core keeps its shape only under a pose that is so close to a rotation.
 ROUND = 1e-9
 
+GROUP = 4  # vertices that a search reads at a time
+
 
 class Tables(NamedTuple):
     """Kernel input for a robot and its scene; `loewner._kernels.threads.configurations` describes the fields."""
@@ -24,6 +26,7 @@ class Tables(NamedTuple):
     version: int
     moving: int
     pair_count: int
+    piece_pairs: int
     links: int
     chains: int
     joints: Memory
@@ -68,8 +71,8 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
     others = tuple(gpu.upload(array) for array in (*_cores(ready), *chains.arrays()))
     cell = np.array([moving, *(memory.address for memory in (*at.values(), *others))], dtype=np.int64)
     return Tables(
-        version=ready.version, moving=moving, pair_count=len(ready.pairs), links=len(tree.parent),
-        chains=len(chains.joints), joints=gpu.upload(joints), constants=gpu.upload(floats[0]),
+        version=ready.version, moving=moving, pair_count=len(ready.pairs), piece_pairs=ready.piece_pairs,
+        links=len(tree.parent), chains=len(chains.joints), joints=gpu.upload(joints), constants=gpu.upload(floats[0]),
         standing=gpu.upload(ready.standing.bounds), cell=gpu.upload(cell), others=others, **at,
     )  # fmt: skip
 
@@ -98,20 +101,17 @@ def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDAr
     numbers[:, columns.CORE_REACH] = reach * (1.0 + 4.0 * tolerances.ROTATION_TOLERANCE)
     bent = np.linalg.norm(R.transpose(0, 2, 1) @ R - np.eye(3), axis=(1, 2)) > ROUND
     integers[bent & (radius > 0.0), columns.CORE_KIND] = columns.SURFACE  # left to the CPU
-    two: list[Floats] = []
-    pairs = 0
+    placed: list[Floats] = [np.zeros((0, 3))]
+    count = 0
     for k, (kind, begin, end) in enumerate(packed.layout[:, :3].tolist()):
-        integers[k, columns.CORE_START] = pairs
+        integers[k, columns.CORE_START] = count
         if columns.MAPPED <= kind <= columns.POLYTOPE:
             points = packed.points[begin:end] @ R[k].T + t[k]
-            if len(points) % 2:
-                points = np.append(points, points[-1:], axis=0)
-            two.append(points)
-            pairs += len(points) // 2
-        integers[k, columns.CORE_STOP] = pairs
-    vertices = np.zeros((max(1, 2 * pairs), 4), dtype=np.float32)
-    if two:
-        vertices[: 2 * pairs, :3] = np.concatenate(two)
+            placed.append(np.append(points, np.tile(points[-1:], (-len(points) % GROUP, 1)), axis=0))
+            count += len(placed[-1])
+        integers[k, columns.CORE_STOP] = count
+    vertices = np.zeros((max(GROUP, count), 4), dtype=np.float32)
+    vertices[:count, :3] = np.concatenate(placed)
     with np.errstate(over="ignore"):
         return integers, numbers.astype(np.float32), vertices
 

@@ -4,8 +4,10 @@ Each step is a separate kernel:
 
 bound_motion
     curvature of the paths of bodies' points, for one chain of joints.
+list_probe, strike_motion
+    find motions that collide at one of four configurations.
 begin_motion
-    lists the first intervals of a motion.
+    lists the first intervals of another motion.
 place_end
     values at an end of an interval, for `configurations.place_links`; `configurations.place_body` follows.
 cull_interval
@@ -150,6 +152,28 @@ def _rates(cell, k, motion, dof, Q0, Q1):
 
 
 @njit()
+def list_probe(thread, items):
+    """List the second and the last quarter of a motion, for a check of its configurations at all four quarters.
+
+    Parameters
+    ----------
+    thread : int
+        Twice the motion, or one more.
+    items : int32, shape (2 motions, 2)
+        Receives the motion and the node.
+    """
+    put_integer(items, 2 * thread, thread >> 1)
+    put_integer(items, 2 * thread + 1, 5 + 2 * (thread & 1))
+
+
+@njit()
+def strike_motion(thread, items, found, state):
+    """Set the state of a motion that collides at a configuration of the tile, whose state is in `found`."""
+    if integer_at(found, thread) == HIT:
+        raise_to(state, integer_at(items, 2 * (thread >> 1)), HIT)
+
+
+@njit()
 def begin_motion(thread, most, moving, bends, state, items, capacity):
     """List the first intervals of a motion.
 
@@ -162,6 +186,8 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     items : int32, shape (1 + 2 capacity,)
         Receives the motion and the node for each interval, after how many there are.
     """
+    if integer_at(state, thread) == HIT:
+        return
     bend = lane_of(0.0)
     body = 0
     while body < moving:
