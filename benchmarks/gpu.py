@@ -28,7 +28,7 @@ from loewner import Bodies, CollisionChecker, classify, gpu
 from loewner._kernels import codes
 from loewner.gpu import arrays, driver
 from loewner.gpu.driver import Device
-from loewner.gpu.motions import certified
+from loewner.gpu.motions import certified, slots
 from loewner.robots.checker import prepared_of
 from robot_samples import obstacles, panda
 from samples import Array, poses, rotations
@@ -182,7 +182,7 @@ def measure_motions(device: Device, count: int, share: float) -> bool:
     there, on_gpu = [OnGpu(device, Q) for Q in ends], gpu.Checker(checker, device=device.number)
     addresses = there[0]._memory.address, there[1]._memory.address
     tables = on_gpu._tables_of(device, prepared_of(checker))
-    asked = device, tables, on_gpu._tile_of(device, tables), checker.robot.dof, addresses, count
+    asked = device, tables, on_gpu._tile_of(device, tables, slots(count)), checker.robot.dof, addresses, count
     seconds = in_kernels(device, lambda: certified(*asked))
     left = len(certified(*asked)[1])
     whole, verdicts = timed(lambda: np.asarray(on_gpu.certify_edges(*there)))

@@ -13,12 +13,11 @@ from loewner._guard import guarded
 from loewner._kernels import codes, columns
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
-from loewner.gpu import driver
+from loewner.gpu import driver, motions
 from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
-from loewner.gpu.motions import certified
 from loewner.gpu.tables import Tables, tables_of
-from loewner.gpu.tiles import TILE, Tile, check, place, tile_of
+from loewner.gpu.tiles import Tile, check, most_of, place, tile_of
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.robots import CollisionChecker, edges
 from loewner.robots.checker import prepared_of
@@ -184,8 +183,13 @@ class Checker:
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
             there = [gpu.upload(Q.astype(np.float32)) for Q in (a, b)]
         tables, dof = self._tables_of(gpu, ready), self._checker.robot.dof
-        verdicts, left = certified(
-            gpu, tables, self._tile_of(gpu, tables), dof, (there[0].address, there[1].address), len(a)
+        verdicts, left = motions.certified(
+            gpu,
+            tables,
+            self._tile_of(gpu, tables, motions.slots(len(a))),
+            dof,
+            (there[0].address, there[1].address),
+            len(a),
         )
         out = np.empty(len(a), dtype=np.int8)
         gpu.download(verdicts.address, out)
@@ -200,8 +204,13 @@ class Checker:
         total = math.prod(views[0].shape[:-1])
         expect_few(total, "motions")
         tables = self._tables_of(gpu, ready)
-        verdicts, left = certified(
-            gpu, tables, self._tile_of(gpu, tables), robot.dof, (views[0].address, views[1].address), total
+        verdicts, left = motions.certified(
+            gpu,
+            tables,
+            self._tile_of(gpu, tables, motions.slots(total)),
+            robot.dof,
+            (views[0].address, views[1].address),
+            total,
         )
         a, b = (robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views)
         scattered(gpu, left, _proven(ready, a, b, tolerance), verdicts)
@@ -249,9 +258,9 @@ class Checker:
         expect_few(total, "configurations")
         tables = self._tables_of(gpu, ready)
         verdicts, left = gpu.memory(total), Left(gpu, total)
-        tile = self._tile_of(gpu, tables)
-        for first in range(0, total, TILE):
-            self._run(gpu, tables, tile, Q, first, min(TILE, total - first), verdicts, left)
+        tile = self._tile_of(gpu, tables, total)
+        for first in range(0, total, tile.most):
+            self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
         return verdicts, left.numbers()
 
     def _run(
@@ -263,20 +272,20 @@ class Checker:
         check(gpu, tables, tile, count)
         gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
 
-    def _tile_of(self, gpu: Device, tables: Tables) -> Tile:
-        """Return memory for a tile, from the last call if it fits."""
-        shape, tile = (tables.links, tables.moving), self._tiles.get(gpu)
-        if tile is None or tile.shape != shape:
-            self._tiles.pop(gpu, None)
-            tile = self._tiles[gpu] = tile_of(gpu, tables)
-        return tile
+    def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
+        """Return memory for a tile of `count` configurations if there can be so many, from the last call if it fits."""
+        most, shape, tile = most_of(tables, count), (tables.links, tables.moving), self._tiles.get(gpu)
+        if tile is None or tile.shape != shape or tile.most < most:
+            tile = None
+            self._tiles.pop(gpu, None)  # its memory is free before more is needed
+            tile = self._tiles[gpu] = tile_of(gpu, tables, most)
+        return tile._replace(most=most)
 
     def _tables_of(self, gpu: Device, ready: Problem) -> Tables:
         """Return the kernels' input, copied to the GPU again if the scene has changed."""
         tables = self._tables.get(gpu)
         if tables is None or tables.version != ready.version:
             tables = self._tables[gpu] = tables_of(gpu, ready)
-            expect_few(tables.pair_count * TILE, f"pairs of bodies, times {TILE},")
         return tables
 
 

@@ -7,12 +7,13 @@ from typing import NamedTuple
 from loewner._kernels import columns
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.tables import Tables
+from loewner.gpu.work import MOST, expect_few
 
-# Number of configurations in a tile, a power of two: as many as threads run on a large GPU, since each launch waits for
-# its slowest thread.
-LOG_TILE = 18
-TILE = 1 << LOG_TILE
-LEAST = 10  # the logarithm for few configurations
+# Logarithm of the number of configurations in a tile: as many as a large GPU has threads, since each launch waits for
+# its slowest one; and for few configurations.
+LOG_TILE, LEAST = 18, 10
+
+BYTES = 1 << 30  # a tile of a robot with very many links has fewer configurations
 
 # Average number of pairs of bodies that bounds may leave open per configuration of a tile, and of pairs of pieces that
 # ellipsoids may; the CPU gets the rest.
@@ -20,8 +21,9 @@ SURVIVORS = 32
 
 
 class Tile(NamedTuple):
-    """Kernel output for one tile of configurations; `shape` are the numbers of links and bodies it has room for."""
+    """Kernel output for one tile: of `most` configurations, for the numbers of links and bodies in `shape`."""
 
+    most: int
     shape: tuple[int, int]
     placed: Memory
     bounds: Memory
@@ -32,7 +34,7 @@ class Tile(NamedTuple):
 
 
 def room_for(count: int) -> tuple[int, int]:
-    """Number of configurations in a tile for `count` of them, at most TILE, and its logarithm."""
+    """Smallest power of two that is used for `count` configurations, and its logarithm."""
     log = max(LEAST, (count - 1).bit_length())
     return 1 << log, log
 
@@ -49,14 +51,25 @@ def place(gpu: Device, tables: Tables, tile: Tile, Q: int, spans: int, dof: int,
     )  # fmt: skip
 
 
-def tile_of(gpu: Device, tables: Tables) -> Tile:
+def most_of(tables: Tables, count: int) -> int:
+    """Number of configurations in a tile for `count` of them: fewer if there are very many pairs or links."""
+    each = 4 * (columns.LINK_NUMBERS * tables.links + columns.BOUNDS * tables.moving + 4 * SURVIVORS)
+    log = min(LOG_TILE, room_for(count)[1])
+    while log > LEAST and (tables.pair_count << log > MOST or each << log > BYTES):
+        log -= 1
+    expect_few(tables.pair_count << log, f"pairs of bodies, times {1 << log},")
+    return 1 << log
+
+
+def tile_of(gpu: Device, tables: Tables, most: int) -> Tile:
     """Allocate the kernel output for a tile."""
-    capacity = TILE * SURVIVORS
+    capacity = most * SURVIVORS
     return Tile(
+        most,
         (tables.links, tables.moving),
-        gpu.memory(4 * columns.LINK_NUMBERS * tables.links * TILE),
-        gpu.memory(4 * columns.BOUNDS * tables.moving * TILE),
-        gpu.memory(4 * TILE),
+        gpu.memory(4 * columns.LINK_NUMBERS * tables.links * most),
+        gpu.memory(4 * columns.BOUNDS * tables.moving * most),
+        gpu.memory(4 * most),
         gpu.memory(4 * (1 + capacity)),
         gpu.memory(4 * (1 + 3 * capacity)),
         capacity,
