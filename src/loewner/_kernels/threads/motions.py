@@ -76,8 +76,16 @@ from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 # MOST_HALVINGS; an interval that was halved DEEPEST times is left to the CPU.
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
-# Allowance for the roundings of a bound on curvature.
-UPWARD = 1.0 + 1e-4  # derived 1e-5, certified.md B61
+# Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` and of the largest magnitude.
+SPAN = 2.0  # derived 1.1, certified.md B64
+
+# Allowance for the roundings of a bound on curvature, for up to a thousand joints; and error of a difference of sums of
+# rates, in roundings of the sum for each joint.
+STRETCH = 1e-3  # derived 2e-4, certified.md B65
+REST_ERROR = 4.0  # derived 2, certified.md B66
+
+# Error of the middle and of half the length of a chord together, in roundings of both.
+CHORD_ERROR = 8.0  # derived 4, certified.md B67
 
 
 @inline
@@ -133,8 +141,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
         speed = speed + moved
         travel = travel + far
         k += 1
-    # `rest` is a difference: a few roundings of the whole for each joint.
-    put_number(bends, thread, (bend + 1e-5 * every * speed) * UPWARD)
+    off = REST_ERROR * SINGLE_ROUNDOFF * lane_of_integer(last - first) * every * speed
+    put_number(bends, thread, (bend + off) * (1.0 + STRETCH))
 
 
 @inline
@@ -210,7 +218,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
 
 @njit()
 def place_end(thread, dof, Q0, Q1, items, Q, spans):
-    """Write one value at an end of an interval, and the largest magnitude from which it is computed, twice.
+    """Write one value at an end of an interval, and SPAN times the largest magnitude from which it is computed.
 
     Parameters
     ----------
@@ -225,7 +233,7 @@ def place_end(thread, dof, Q0, Q1, items, Q, spans):
     first, last = number_at(Q0, at), number_at(Q1, at)
     where = begin + lane_of_integer(slot & 1) * width
     put_number(Q, thread, first + where * (last - first))
-    put_number(spans, thread, 2.0 * maximum(absolute(first), absolute(last)))
+    put_number(spans, thread, SPAN * maximum(absolute(first), absolute(last)))
 
 
 @inline
@@ -297,7 +305,7 @@ def _apart_between(a0, b0, a1, b1, keep):
     middle, way = scaled(0.5, plus(r0, r1)), scaled(0.5, minus(r1, r0))
     wide = maximum(a0.radius, a1.radius) + maximum(b0.radius, b1.radius)
     lengths = one_norm(middle) + one_norm(way)
-    far = (wide + keep + sqrt(dot(way, way))) * (1.0 + 16.0 * SINGLE_ROUNDOFF) + 8.0 * SINGLE_ROUNDOFF * lengths
+    far = (wide + keep + sqrt(dot(way, way))) * (1.0 + 16.0 * SINGLE_ROUNDOFF) + CHORD_ERROR * SINGLE_ROUNDOFF * lengths
     return holds(apart | (dot(middle, middle) * (1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far))
 
 

@@ -50,8 +50,8 @@ from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 ROUNDS = 12  # nine in ten pairs take six, and all except one in a hundred take ten
 
 # Error of the height of a support plane, and of a point of the difference, in roundings, times the lengths.
-PLANE_ERROR = 128.0  # derived 79, certified.md B56
-POINT_ERROR = 32.0  # derived 30, certified.md B57
+PLANE_ERROR = 128.0  # derived 79, certified.md B61
+POINT_ERROR = 32.0  # derived 30, certified.md B62
 
 
 class Core(NamedTuple):
