@@ -472,7 +472,7 @@ def pose_in(cell, placed, upper, lower, S, s):
     -------
     R, t : tuple
     off : float
-        The largest error of the body's points by those of the kinematics, in metres (docs/certified.md, B63).
+        Error of the body's points that comes from the kinematics, in metres (docs/certified.md, B63).
     """
     link = integer_at(cell.bodies, BODY_INTEGERS * upper + LINK_OF_BODY) * LINK_NUMBERS
     R, t = _rotation_at(placed, link, S, s), _vector_at(placed, link + LINK_AT, S, s)
@@ -492,7 +492,7 @@ def pose_in(cell, placed, upper, lower, S, s):
 
 @inline
 def from_lower(cell, i, j, R, t):
-    """Vector from the center of piece j to that of piece i at a pose in its frame."""
+    """Vector between the centers of two pieces, from piece j to piece i at a pose in its frame."""
     return minus(_placed_center(cell.rows, i, OUTER_CENTER, R, t), _three(cell.rows, HOT * j + OUTER_CENTER))
 
 

@@ -123,8 +123,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     cell = cell_at(table)
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    # The joints from the upper body to the lower one, as in `motion_bounds.ways_between`; the turns between a joint and
-    # the lower body are those that follow, so the sum runs backwards first.
+    # The joints from the upper body to the lower one, as in `motion_bounds.ways_between`. The turns between a joint and
+    # the lower body follow it, so the sum runs backwards first.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
@@ -207,7 +207,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     at = add_to(items, 0, parts)
     if at + parts > capacity:
         raise_to(state, thread, LEFT_OPEN)
-        # What was counted must be there: intervals of no motion.
+        # As many are written as fit, since every listed interval is read.
         parts = max(0, min(parts, capacity - at))
     k = 0
     while k < parts:
@@ -256,7 +256,7 @@ def cull_interval(
         Number of motions in a row of `bends`.
     total : int
         Number of intervals in the tile.
-    bounds, standing, survivors, capacity
+    bounds, `standing`, survivors, capacity
         As for `configurations.cull_pair`.
     state, flags : int32
         States of motions; and whether an interval is open. An interval for which the list is too short is open.
@@ -359,7 +359,7 @@ def _reach(cell, piece):
 
 @inline
 def _ellipsoids_apart(cell, j, k, first, last, keep):
-    """Whether a plane separates the outer ellipsoid of piece k from that of piece j at both poses."""
+    """Whether a plane separates the outer ellipsoids of piece k and of piece j at both poses."""
     shape, still = eight_at(cell.rows, HOT * j + OUTER_SHAPE), eight_at(cell.rows, HOT * k + OUTER_SHAPE)
     P = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
     Q = still[0], still[1], still[2], still[3], still[4], still[5]
