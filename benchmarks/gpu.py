@@ -9,6 +9,7 @@ Without a GPU it says so and ends. All bodies, poses and configurations are on t
                      all verdicts are `classify`'s
     configurations   Panda among ten obstacles: the kernels alone, the whole call, the CPU alone, and whether all
                      answers are `CollisionChecker.collide`'s
+    sizes            whole calls for few and many configurations and motions, from which size on the GPU is faster
     motions          the same, from a random configuration some share of the way to another one, for
                      `CollisionChecker.certify_edges`; a verdict that only the GPU or only the CPU can give is no fault
 """
@@ -20,6 +21,7 @@ import ctypes
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,6 +42,8 @@ ROUNDS = 20
 BYTES = 2 * 4 * 16 + 1
 
 SHARES = 1.0, 0.3, 0.05
+
+SIZES = 1, 100, 1_000, 10_000, 100_000
 
 
 class OnGpu:
@@ -71,6 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
     agree = measure_pairs(device, asked.pairs) & measure_configurations(device, asked.configurations)
     for share in SHARES:
         agree &= measure_motions(device, asked.motions, share)
+    measure_sizes(device)
     return 0 if agree else 1
 
 
@@ -194,6 +199,23 @@ def measure_motions(device: Device, count: int, share: float) -> bool:
         f"{count / whole / 1e6:.2f} M/s, the CPU alone {count / alone / 1e6:.2f} M/s; {told(agree)}"
     )
     return agree
+
+
+def measure_sizes(device: Device) -> None:
+    """Microseconds of whole calls, on the GPU and on the CPU."""
+    checker = CollisionChecker(panda().robot, obstacles(SEED))
+    on_gpu = gpu.Checker(checker, device=device.number)
+    for count in SIZES:
+        Q0, Q1 = (checker.robot.random_configurations(count, SEED + k) for k in range(2))
+        Q1 = Q0 + 0.3 * (Q1 - Q0)
+        there = [OnGpu(device, Q) for Q in (Q0, Q1)]
+        compare(f"{count} configurations", partial(on_gpu.collide, there[0]), partial(checker.collide, Q0))
+        compare(f"{count} motions", partial(on_gpu.certify_edges, *there), partial(checker.certify_edges, Q0, Q1))
+
+
+def compare(what: str, there: Callable[[], Any], here: Callable[[], Any]) -> None:
+    np.asarray(there())
+    print(f"{what}: {timed(lambda: np.asarray(there()))[0] * 1e6:.0f} us, the CPU alone {timed(here)[0] * 1e6:.0f} us")
 
 
 if __name__ == "__main__":
