@@ -22,6 +22,7 @@ from test_verify import (
     bound,
     box,
     common,
+    doubles,
     hull,
     link,
     model,
@@ -94,6 +95,7 @@ def test_they_agree_about_mutants(count, agrees):
     sound = [
         turning(margin=0.2),
         turning(tree=b"\0" + plane((0, 300, 1), 17) + b"\3", margin=0.3),
+        turning(tree=b"\0\x13" + doubles(1e-3, 0.7, -1e-300) + b"\3", margin=0.3),
         turning((BELOW, box((-1.0, -0.8, 0.3), (-0.5, -0.5, 0.5))), b"\2" + ALONG_Y + ALONG_Y, margin=0.05),
         sealed(
             model([TURNING, link(0, 2, 1, axis=(1, 0, 0))], [(-3, 3), (-1, 1)], [body(1, ROD), body(-1, BELOW)]),
