@@ -13,6 +13,7 @@ import numpy as np
 from loewner import _files, _validate
 from loewner._validate import Floats
 from loewner.errors import FileError, InputError
+from loewner.queries import Verdict
 from loewner.robots import separations
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import LARGEST, TURNS, Model, contents, differences, model_of
@@ -84,6 +85,11 @@ class Proof:
     def model_hash(self) -> str:
         """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` computes it without a motion."""
         return hashlib.sha256(self.model).hexdigest()
+
+    @property
+    def verdict(self) -> Verdict:
+        """FREE for a proof of motions, or of two bodies that are apart, and COLLIDING for one of a common point."""
+        return Verdict.FREE if _HEAD.unpack_from(self.data)[2] == FREE else Verdict.COLLIDING
 
     @property
     def motions(self) -> list[Floats]:

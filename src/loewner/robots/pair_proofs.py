@@ -1,0 +1,111 @@
+"""Prove the verdict of two bodies at two poses: a plane between them, or a point of both."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate, queries
+from loewner._guard import guarded
+from loewner.bodies import Body, packed_of
+from loewner.bodies.pack import Packed, join
+from loewner.bodies.parts import in_parts
+from loewner.errors import ConvergenceError, FileError, InputError
+from loewner.robots import common_points, separations
+from loewner.robots.proof_models import PAIR, Model, model_of_pair
+from loewner.robots.written_proofs import COMMON, FREE, Proof, assembled
+
+if TYPE_CHECKING:
+    from loewner._validate import Floats
+
+
+@guarded
+def prove(
+    a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | None, *, margin: float = 0.0
+) -> Proof:  # fmt: skip
+    """Decide whether two bodies collide, as `collide` does, and write a proof of the answer.
+
+    Parameters
+    ----------
+    a, b : Body
+    T_world_a, T_world_b : array_like, shape (4, 4), or None
+        Poses; translation in metres. None is the identity.
+    margin : float
+        Distance in metres that the bodies have to keep. If they are farther apart, this is proven.
+
+    Returns
+    -------
+    Proof
+        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes that separate the bodies, one for those of a
+        single piece; a proof of COLLIDING names a common point.
+
+    Raises
+    ------
+    PoseError, InputError
+        As for `collide`, and if there is more than one pair.
+    ConvergenceError
+        If the format cannot express a proof of the answer: the bodies are apart, but not by more than the margin; or
+        they touch, or nearly touch, so that no point is inside both, or no plane between them, by more than rounding;
+        or a surface or a cloud takes part in a collision.
+
+    Examples
+    --------
+    >>> from loewner import Body, prove
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 1.2
+    >>> proof = prove(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
+    >>> proof.verdict, proof.size
+    (<Verdict.COLLIDING: 1>, 72)
+    >>> proof.verify().common
+    ('a', 'b')
+    """
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
+    for name, body in (("a", a), ("b", b)):
+        if not isinstance(body, Body):
+            raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
+    poses = np.stack([
+        _validate.poses(T, name, check=True) for T, name in ((T_world_a, "T_world_a"), (T_world_b, "T_world_b"))
+    ])  # fmt: skip
+    packs = packed_of(a), packed_of(b)
+    if not queries.collide(a, poses[0], b, poses[1], margin=keep):
+        cut = in_parts(packs, np.array([True, True]))
+        return _apart(model_of_pair(packs, cut, poses, keep), join(cut))
+    found = queries.distance(a, poses[0], b, poses[1], exact=True)
+    if any(pack.trees for pack in packs):
+        raise ConvergenceError("proof: expected convex pieces of bodies that collide, found a surface or a cloud")
+    if found.distance > 0.0:
+        raise ConvergenceError(
+            f"proof: expected bodies that have a common point, or are apart by more than the margin of {keep:g} m, "
+            f"found a distance of {found.distance:.3g} m"
+        )
+    model = model_of_pair(packs, packs, poses, keep)
+    near = np.stack([found.witness_a, found.witness_b])
+    for block in common_points.blocks(packs, poses, near):
+        proof = assembled(COMMON, model.data, block)
+        if _holds(proof):
+            return proof
+    raise ConvergenceError(
+        f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
+        f"{-found.distance:.3g} m deep"
+    )
+
+
+def _apart(model: Model, packed: Packed) -> Proof:
+    """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes."""
+    try:
+        return assembled(FREE, model.data, separations.still(PAIR, packed, model, separations.ROOM))
+    except ConvergenceError:
+        proof = assembled(FREE, model.data, separations.still(PAIR, packed, model, 0.0))
+        if _holds(proof):
+            return proof
+        raise
+
+
+def _holds(proof: Proof) -> bool:
+    try:
+        proof.verify()
+    except FileError:
+        return False
+    return True
