@@ -71,12 +71,10 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
     planes = np.concatenate([piece.planes(middle) for piece in (a, b)])
     best, deepest = None, 0.0
     for _ in range(ROUNDS):
-        found = linprog(
-            [0.0, 0.0, 0.0, -1.0],
-            np.column_stack([planes[:, :3], np.ones(len(planes))]),
-            (planes[:, 3] - planes[:, :3] @ middle) / scale,
-            bounds=[(-away, away)] * 4,
-        )
+        limits = (planes[:, 3] - planes[:, :3] @ middle) / scale
+        near = limits < 3.0 * away  # the other planes are beyond all points that are sought
+        rows = np.column_stack([planes[near, :3], np.ones(near.sum())])
+        found = linprog([0.0, 0.0, 0.0, -1.0], rows, limits[near], bounds=[(-away, away)] * 4)
         if found.x is None or found.x[3] <= deepest:
             break
         point = middle + scale * found.x[:3]
@@ -147,10 +145,9 @@ class _Piece:
             a, b, c = (self.points[self.triangles] - self.points[apex]).transpose(1, 0, 2)
             normals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
             volume = (a * normals[0]).sum(axis=1)
-            with np.errstate(all="ignore"):
-                weights = normals @ (point - self.points[apex]) / volume
+            weights = normals @ (point - self.points[apex]) / np.where(volume == 0.0, 1.0, volume)
             least = np.minimum(weights.min(axis=0), 1.0 - weights.sum(axis=0))
-            best = int(np.nanargmax(np.where(volume != 0.0, least, -np.inf)))
+            best = int(np.where(volume == 0.0, -np.inf, least).argmax())
             yield (apex, *self.triangles[best].tolist())
 
 
