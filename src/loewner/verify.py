@@ -312,7 +312,7 @@ class _Body:
         if max(four) >= len(numbers) // width:
             return False
         corners = [_moved(self.turn, numbers[width * k : width * k + 3], self.place) for k in four]
-        for some in (some for count in range(1, 5) for some in combinations(corners, count) if kind == 0):
+        for some in (some for count in range(4, 0, -1) for some in combinations(corners, count) if kind == 0):
             weights = _solved([list(row) for row in zip(*some, point, strict=True)] + [[one] * (len(some) + 1)])
             if weights and min(weights) >= 0:
                 return True

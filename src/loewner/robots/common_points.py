@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.optimize import linprog
 
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
@@ -68,6 +67,8 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
     The planes around the pieces make a linear program, with lengths in multiples of `scale` from the middle. Curved
     pieces get more planes where its solutions are.
     """
+    from scipy.optimize import linprog
+
     planes = np.concatenate([piece.planes(middle) for piece in (a, b)])
     best, deepest = None, 0.0
     for _ in range(ROUNDS):
