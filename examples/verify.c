@@ -563,14 +563,14 @@ static int belongs(const Body *b, const Piece *p, const uint32_t at[4], const Nu
 }
 static void check_point(Block *b) {
     uint32_t at[2][6];
-    Num point[3];
+    Num point[6];
     EACH(i, link_count) if (links[i].kind) refuse("a link moves, in a proof of a common point");
     FOR(i, 2) {
         FOR(k, 6) at[i][k] = u32(b);
         if (at[i][0] >= body_count || at[i][1] >= bodies[at[i][0]].count) refuse("a body or a piece does not exist");
     }
     if (at[0][0] == at[1][0]) refuse("a common point of a body with itself");
-    nums(b, point, 3);
+    nums(b, point, 6), combine(point, point + 3, 1, point);
     if (b->left) refuse("the proof has more bytes than it uses");
     FOR(i, 2) if (!belongs(bodies + at[i][0], pieces + bodies[at[i][0]].first + at[i][1], at[i] + 2, point))
         refuse("the common point is not shown to belong to both pieces");

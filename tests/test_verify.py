@@ -523,8 +523,8 @@ def test_no_plane_proves_more_than_the_closest_approach(chains):
 TOUCHING = [body(-1, box((0, 0, 0), (1, 1, 1))), body(-1, box((1, 0, 0), (2, 1, 1)))]
 
 
-def common(bodies, first, second, point, links=(), values=()):
-    content = struct.pack("<6I", *first) + struct.pack("<6I", *second) + doubles(*point)
+def common(bodies, first, second, point, links=(), values=(), more=(0.0, 0.0, 0.0)):
+    content = struct.pack("<6I", *first) + struct.pack("<6I", *second) + doubles(*point, *more)
     return sealed(model(list(links), values, bodies), content, claim=2)
 
 
@@ -535,6 +535,15 @@ def test_common_points_are_exact():
     for wrong in ((1 + 2.0**-52, 0.25, 0.5), (1 - 2.0**-53, 0.25, 0.5), (1, -(2.0**-60), 0.5), (1, 0.25, 1.5)):
         with pytest.raises(Refused, match="not shown"):
             verify(common(TOUCHING, first, second, wrong))
+    # A point is the exact sum of two vectors: of a box that begins 2^-80 m before the other ends, and of no other.
+    near = [body(-1, box((0, 0, 0), (1, 1, 1)), matrix=EYE, shift=(2.0**-80, 0, 0)), TOUCHING[1]]
+    for off, good in ((2.0**-81, True), (2.0**-80, True), (2.0**-79, False), (-(2.0**-90), False)):
+        data = common(near, first, second, (1, 0.25, 0.5), more=(off, 0.0, 0.0))
+        if good:
+            verify(data)
+        else:
+            with pytest.raises(Refused, match="not shown"):
+                verify(data)
     for places in ((first, (1, 0, 0, 1, 2, 8)), (first, (1, 1, 0, 1, 2, 3)), ((0, 0, 0, 0, 0, 0), second)):
         with pytest.raises(Refused):
             verify(common(TOUCHING, *places, (1, 0.25, 0.5)))

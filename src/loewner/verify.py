@@ -89,9 +89,8 @@ class Report:
             text = f"degree {degree}, {start}, {'' if inside else 'NOT '}within limits, {places} configurations"
             lines.append((f"motion {number}", text))
         ends = (self.points[0][0], self.points[-1][-1]) if self.points and self.deviations else ()
-        for what, row in zip(("begins at", "ends at"), ends, strict=False):
-            values = zip(self.deviations, row, strict=True)
-            lines.append((what, ", ".join(f"{_shown(name)} {x!r}" for (name, _), x in values)))
+        for what, q in zip(("begins at", "ends at"), ends, strict=False):
+            lines.append((what, ", ".join(f"{_shown(x)} {v!r}" for (x, _), v in zip(self.deviations, q, strict=True))))
         if self.tightest:
             *pair, number, since, until, margin, spare = self.tightest
             least = f"with the margin of {1000 * margin:.12g} mm, holds by {int(10**12 * spare) / 10**9:.6g} mm"
@@ -406,7 +405,8 @@ class _Checker:
 
     def common_point(self) -> None:
         places = [self.reader.take("6I") for _ in range(2)]
-        world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
+        terms = list(map(Fraction, self.reader.doubles(6)))
+        world, pair = list(_sum(terms[:3], terms[3:])), (places[0][0], places[1][0])
         still = len(self.links) <= MOST_STILL and not any(link.kind for link in self.links)
         if pair[0] == pair[1] or max(pair) >= len(self.bodies) or not still:
             raise Refused("A common point needs two different bodies and a model of up to 100 links without joints.")

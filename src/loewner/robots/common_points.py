@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
+from loewner._exact import cross, dot, minus, placed
 from loewner._kernels import columns
-from loewner._validate import Floats, Ints
+from loewner._validate import Floats
 from loewner.bodies import Packed
 
 # A point that is this share of the depth away from the boundaries of both pieces is well inside them.
@@ -20,8 +23,11 @@ AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 # Lengths below this share of the pieces' size are rounding.
 LEAST = 1e-15
 
-# Vertices of a hull from which tetrahedra are tried.
-APEXES = 3
+# Where planes matter that are this near, in multiples of the size, rounding matters as well.
+ROUNDED = 1e-9
+
+# Vertices of a hull from which tetrahedra are tried, and how many from each.
+APEXES, TRIANGLES = 3, 2
 
 
 def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[bytes]:
@@ -41,55 +47,61 @@ def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[byt
         best = int(np.argmax([piece.depth(middle) for piece in pieces]))
         chosen.append((best, pieces[best]))
     (i, a), (j, b) = chosen
-    for point in _points(a, b, near):
-        for first in a.vertices_about(point):
-            for second in b.vertices_about(point):
-                yield struct.pack("<12I3d", 0, i, *first, 1, j, *second, *point)
+    for step in _steps(a, b, near):
+        for first in a.vertices_about(middle + step):
+            for second in b.vertices_about(middle + step):
+                yield struct.pack("<12I6d", 0, i, *first, 1, j, *second, *middle, *step)
 
 
-def _points(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
-    """Make points that may belong to two pieces, first one that is well inside both."""
-    middle = near.mean(axis=0)
-    scale = max(float(np.linalg.norm(near[1] - near[0])), LEAST * (a.size + b.size))
+def _steps(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
+    """Make steps, from the middle of the witnesses, to points that may belong to two pieces; first well inside both."""
+    middle, half = near.mean(axis=0), (near[1] - near[0]) / 2
+    scale = max(2.0 * float(np.linalg.norm(half)), LEAST * (a.size + b.size))
     if min(a.depth(middle), b.depth(middle)) > WELL_INSIDE * scale:
-        yield middle
+        yield np.zeros(3)
     for away in AWAY:
         found = _innermost(a, b, middle, scale, away)
         if found is not None:
             yield found
             break
-    yield from (middle, *near)
+    yield from (np.zeros(3), half, -half)
 
 
 def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) -> Floats | None:
-    """Find about the point that is deepest inside two pieces; None if none is inside.
+    """Find about the point that is deepest inside two pieces, as a step from the middle; None if none is inside.
 
     The planes around the pieces make a linear program, with lengths in multiples of `scale` from the middle. Curved
     pieces get more planes where its solutions are.
     """
     from scipy.optimize import linprog
 
-    planes = np.concatenate([piece.planes(middle) for piece in (a, b)])
+    reach = 3.0 * away * scale  # planes farther away are beyond all points that are sought
+    planes = np.concatenate([piece.near_planes(middle, reach) for piece in (a, b)])
     best, deepest = None, 0.0
     for _ in range(ROUNDS):
-        limits = (planes[:, 3] - planes[:, :3] @ middle) / scale
-        near = limits < 3.0 * away  # the other planes are beyond all points that are sought
-        rows = np.column_stack([planes[near, :3], np.ones(near.sum())])
-        found = linprog([0.0, 0.0, 0.0, -1.0], rows, limits[near], bounds=[(-away, away)] * 4)
+        rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
+        found = linprog([0.0, 0.0, 0.0, -1.0], rows, planes[:, 3] / scale, bounds=[(-away, away)] * 4)
         if found.x is None or found.x[3] <= deepest:
             break
-        point = middle + scale * found.x[:3]
-        depth = min(a.depth(point), b.depth(point)) / scale
+        step = scale * found.x[:3]
+        more = np.concatenate(
+            [piece.planes(middle + step) for piece in (a, b) if piece.kind != columns.POLYTOPE] + [planes[:0]]
+        )
+        more[:, 3] += more[:, :3] @ step
+        depth = float((np.concatenate([planes, more]) @ np.append(-step, 1.0)).min()) / scale
         if depth > deepest:
-            best, deepest = point, depth
+            best, deepest = step, depth
         if deepest > found.x[3] / 2:
             break
-        planes = np.concatenate([planes, *(piece.planes(point) for piece in (a, b) if piece.kind != columns.POLYTOPE)])
+        planes = np.concatenate([planes, more])
     return best
 
 
 class _Piece:
-    """A piece in the world: its kind, radius and size, the points of its core, and planes or the factor of its image."""
+    """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
+
+    Planes are rows of a unit outward normal, and how far the plane is from a point; those of `faces` from `place`.
+    """
 
     def __init__(self, packed: Packed, k: int, T: Floats) -> None:
         row, frame = packed.layout[k], packed.frames[k]
@@ -100,25 +112,46 @@ class _Piece:
         if self.kind == columns.SEGMENT:
             self.points = center + np.outer([-1.0, 1.0], self.factor[:, 2])
         elif self.kind == columns.POLYTOPE:
-            self.points = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]] @ M.T + s
+            self.own, self.T = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], T
+            self.points = self.own @ M.T + s
             self.triangles = packed.triangles[packed.triangle_start[k] : packed.triangle_start[k + 1]]
-            self.faces = _moved(packed.planes[slice(*row[3:])], np.linalg.inv(M), -np.linalg.solve(M, s))
+            self.faces, self.place = _turned(packed.planes[slice(*row[3:])], np.linalg.inv(M)), s
         extent = np.abs(self.points).max() + np.abs(self.factor).max()
         self.size = float(extent + self.radius)
 
+    def depth(self, x: Floats) -> float:
+        """How far the planes near a point are from it, at least; negative outside."""
+        return float(self.planes(x)[:, 3].min())
+
+    def near_planes(self, x: Floats, reach: float) -> Floats:
+        """Planes that are not farther from a point than `reach`; of faces, if these are rounding, exact ones."""
+        planes = self.planes(x)
+        planes = planes[planes[:, 3] < reach + LEAST * self.size]
+        if self.kind != columns.POLYTOPE or reach > ROUNDED * self.size:
+            return planes
+        corners = self.points[self.triangles]
+        n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
+        away, found = ((corners[:, 0] - x) * n).sum(axis=1), []
+        for triangle in self.triangles[away < reach + ROUNDED * self.size]:
+            (o, p, q, r), unit = placed([(np.eye(4), x), *((self.T, self.own[k]) for k in triangle)])
+            normal = cross(minus(q, p), minus(r, p))
+            length = math.isqrt(dot(normal, normal)) or 1
+            found.append([*(y / length for y in normal), dot(normal, minus(p, o)) / length * float(unit)])
+        return np.array(found, dtype=np.float64).reshape(-1, 4)
+
     def planes(self, x: Floats) -> Floats:
-        """Planes around the piece, as rows of a unit normal and an offset, that are tight near a point."""
+        """Planes around the piece that are tight near a point."""
         if self.kind == columns.POLYTOPE:
-            return self.faces
+            return np.column_stack([self.faces[:, :3], self.faces[:, 3] - self.faces[:, :3] @ (x - self.place)])
         if self.kind in (columns.POINT, columns.SEGMENT):
             along = self.points[-1] - self.points[0]
             share = (x - self.points[0]) @ along / max(float(along @ along), 1e-300)
-            nearest = self.points[0] + min(max(share, 0.0), 1.0) * along
-            n = x - nearest
-            if not n.any():  # any direction across
+            n = x - self.points[0] - min(max(share, 0.0), 1.0) * along
+            length = float(np.linalg.norm(n))
+            if length == 0.0:  # any direction across
                 n = np.cross(along, np.eye(3)[np.argmin(np.abs(along))]) if along.any() else np.eye(3)[0]
-            n = n / np.linalg.norm(n)
-            return np.append(n, n @ nearest + self.radius)[None]
+            return np.append(n / np.linalg.norm(n), self.radius - length)[None]
         back = np.linalg.inv(self.factor)
         u = back @ (x - self.points[0])
         across = np.append(u[:2], 0.0) / np.hypot(*u[:2]) if u[:2].any() else np.eye(3)[0]
@@ -129,12 +162,7 @@ class _Piece:
             rows = [across, up, -up]
         else:
             rows = [2.0 * across + up, -up]
-        return _moved(np.column_stack([rows, np.ones(len(rows))]), back, -back @ self.points[0])
-
-    def depth(self, x: Floats) -> float:
-        """How far the planes near a point are from it, at least; negative outside."""
-        planes = self.planes(x)
-        return float((planes[:, 3] - planes[:, :3] @ x).min())
+        return _turned(np.column_stack([rows, 1.0 - rows @ u]), back)
 
     def vertices_about(self, point: Floats) -> Iterator[tuple[int, ...]]:
         """Name four points of the core that show that a point belongs to the piece."""
@@ -148,11 +176,11 @@ class _Piece:
             volume = (a * normals[0]).sum(axis=1)
             weights = normals @ (point - self.points[apex]) / np.where(volume == 0.0, 1.0, volume)
             least = np.minimum(weights.min(axis=0), 1.0 - weights.sum(axis=0))
-            best = int(np.where(volume == 0.0, -np.inf, least).argmax())
-            yield (apex, *self.triangles[best].tolist())
+            for best in np.argsort(np.where(volume == 0.0, np.inf, -least))[:TRIANGLES]:
+                yield (apex, *self.triangles[best].tolist())
 
 
-def _moved(planes: Floats, back: Floats, shift: Floats) -> Floats:
-    """Planes n·u <= d about points u = back x + shift, as planes about x."""
+def _turned(planes: Floats, back: Any) -> Floats:
+    """Planes about vectors u = back v, as planes about v."""
     n = planes[:, :3] @ back
-    return np.column_stack([n, planes[:, 3] - planes[:, :3] @ shift]) / np.linalg.norm(n, axis=1)[:, None]
+    return np.asarray(np.column_stack([n, planes[:, 3]]) / np.linalg.norm(n, axis=1)[:, None])

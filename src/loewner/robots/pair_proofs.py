@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,9 +14,6 @@ from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots import common_points, separations
 from loewner.robots.proof_models import PAIR, Model, model_of_pair
 from loewner.robots.written_proofs import COMMON, FREE, Proof, assembled
-
-if TYPE_CHECKING:
-    from loewner._validate import Floats
 
 
 @guarded
