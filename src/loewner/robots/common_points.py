@@ -26,8 +26,11 @@ LEAST = 1e-15
 # Where planes matter that are this near, in multiples of the size, rounding matters as well.
 ROUNDED = 1e-9
 
+# A step beside a point, in multiples of its depth: a point in the middle of a hull is in the faces of many tetrahedra.
+BESIDE = np.array([0.17, 0.08, -0.23])
+
 # Vertices of a hull from which tetrahedra are tried, and how many from each.
-APEXES, TRIANGLES = 3, 2
+APEXES, TRIANGLES = 4, 2
 
 
 def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[bytes]:
@@ -57,18 +60,18 @@ def _steps(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
     """Make steps, from the middle of the witnesses, to points that may belong to two pieces; first well inside both."""
     middle, half = near.mean(axis=0), (near[1] - near[0]) / 2
     scale = max(2.0 * float(np.linalg.norm(half)), LEAST * (a.size + b.size))
-    if min(a.depth(middle), b.depth(middle)) > WELL_INSIDE * scale:
-        yield np.zeros(3)
+    if (depth := min(a.depth(middle), b.depth(middle))) > WELL_INSIDE * scale:
+        yield depth * BESIDE
     for away in AWAY:
-        found = _innermost(a, b, middle, scale, away)
-        if found is not None:
-            yield found
+        step, depth = _innermost(a, b, middle, scale, away)
+        if depth > 0.0:
+            yield step + depth * BESIDE
             break
     yield from (np.zeros(3), half, -half)
 
 
-def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) -> Floats | None:
-    """Find about the point that is deepest inside two pieces, as a step from the middle; None if none is inside.
+def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) -> tuple[Floats, float]:
+    """Find about the point that is deepest inside two pieces, as a step from the middle, and its depth; 0 if none is.
 
     The planes around the pieces make a linear program, with lengths in multiples of `scale` from the middle. Curved
     pieces get more planes where its solutions are.
@@ -77,7 +80,7 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 
     reach = 3.0 * away * scale  # planes farther away are beyond all points that are sought
     planes = np.concatenate([piece.near_planes(middle, reach) for piece in (a, b)])
-    best, deepest = None, 0.0
+    best, deepest = np.zeros(3), 0.0
     for _ in range(ROUNDS):
         rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
         found = linprog([0.0, 0.0, 0.0, -1.0], rows, planes[:, 3] / scale, bounds=[(-away, away)] * 4)
@@ -94,7 +97,7 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
         if deepest > found.x[3] / 2:
             break
         planes = np.concatenate([planes, more])
-    return best
+    return best, scale * deepest
 
 
 class _Piece:
@@ -169,15 +172,19 @@ class _Piece:
         if self.kind != columns.POLYTOPE:
             yield (0, len(self.points) - 1, 0, 0)
             return
-        # The ray from a vertex through the point leaves the hull through a triangle.
+        # The ray from a vertex through the point leaves the hull through a triangle. Of these tetrahedra, the one is best
+        # whose faces are far from the point.
+        rated = []
         for apex in np.argsort(-((self.points - point) ** 2).sum(axis=1))[:APEXES].tolist():
             a, b, c = (self.points[self.triangles] - self.points[apex]).transpose(1, 0, 2)
             normals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
             volume = (a * normals[0]).sum(axis=1)
             weights = normals @ (point - self.points[apex]) / np.where(volume == 0.0, 1.0, volume)
             least = np.minimum(weights.min(axis=0), 1.0 - weights.sum(axis=0))
-            for best in np.argsort(np.where(volume == 0.0, np.inf, -least))[:TRIANGLES]:
-                yield (apex, *self.triangles[best].tolist())
+            least[volume == 0.0] = -np.inf
+            rated += [(float(least[k]), apex, k) for k in np.argsort(-least)[:TRIANGLES].tolist()]
+        for _, apex, k in sorted(rated, reverse=True)[: APEXES * TRIANGLES // 2]:
+            yield (apex, *self.triangles[k].tolist())
 
 
 def _turned(planes: Floats, back: Any) -> Floats:
