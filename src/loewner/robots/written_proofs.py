@@ -97,14 +97,16 @@ class Proof:
 
         An InputError is raised if the file has none that can be read. `verify` does more: it proves the motions free.
         """
+        if self.verdict == Verdict.COLLIDING:
+            raise InputError("data: expected motions, found a common point")
         block, found = self.data[-32 - self.size : -32], list[Floats]()
         try:
             dof = len(contents(self.model)[0])
             at = 8 * dof + 4
             for _ in range(*struct.unpack_from("<I", block, at - 4)):
-                count = (block[at] + 1) * dof
-                found.append(np.frombuffer(block, "<f8", count, at + 1).reshape(-1, dof).astype(np.float64))
-                at += 1 + 8 * count
+                shape = block[at] + 1, dof
+                found.append(np.array(struct.unpack_from(f"<{shape[0] * dof}d", block, at + 1)).reshape(shape))
+                at += 1 + 8 * shape[0] * dof
         except (struct.error, IndexError, ValueError):
             raise InputError("data: expected motions, found something else") from None
         return found
