@@ -103,7 +103,7 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
-    Planes are rows of a unit outward normal, and how far the plane is from a point; those of `faces` from `place`.
+    Planes are rows of a unit outward normal, and how far the plane is from a point; for `faces` it is `place`.
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats) -> None:
@@ -172,8 +172,8 @@ class _Piece:
         if self.kind != columns.POLYTOPE:
             yield (0, len(self.points) - 1, 0, 0)
             return
-        # The ray from a vertex through the point leaves the hull through a triangle. Of these tetrahedra, the one is best
-        # whose faces are far from the point.
+        # The ray from a vertex through the point leaves the hull through a triangle. The best such tetrahedron has its
+        # faces far from the point.
         rated = []
         for apex in np.argsort(-((self.points - point) ** 2).sum(axis=1))[:APEXES].tolist():
             a, b, c = (self.points[self.triangles] - self.points[apex]).transpose(1, 0, 2)

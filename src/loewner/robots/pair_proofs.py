@@ -33,7 +33,7 @@ def prove(
     Returns
     -------
     Proof
-        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes that separate the bodies, one for those of a
+        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes that separate the bodies, one plane if each is a
         single piece; a proof of COLLIDING names a common point.
 
     Raises
