@@ -33,8 +33,8 @@ def prove(
     Returns
     -------
     Proof
-        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes that separate the bodies, one plane if each is a
-        single piece; a proof of COLLIDING names a common point.
+        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes between the bodies: one, if both are single
+        pieces. A proof of COLLIDING names a common point.
 
     Raises
     ------

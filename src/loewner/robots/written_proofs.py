@@ -30,7 +30,7 @@ MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 @dataclass(frozen=True, repr=False)
 class Proof:
-    """A proof that motions are free of collisions, in the format of docs/proof-format.md.
+    """A proof that motions are free of collisions, or of the verdict of two bodies, as in docs/proof-format.md.
 
     `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
 
