@@ -107,15 +107,20 @@ def test_normals_of_doubles_only_where_they_are_needed(rng):
 
 
 def test_clouds_and_surfaces(rng):
-    """If they are apart, they are proven so by their parts; a collision is none that a proof can hold."""
+    """If their parts are apart, so are they; balls of a cloud can have a point in common with another body."""
     trimesh = pytest.importorskip("trimesh")
     cloud = Body.from_cloud(rng.normal(size=(300, 3)) * 0.1, radius=0.02)
     torus = Body.from_surface(trimesh.creation.torus(0.4, 0.1))
     proven(cloud, None, torus, translation(z=0.6))
     proof = proven(torus, None, Body.sphere(0.2), None)  # in the hole
     assert proof.verify().uncovered == ("a",)
-    with pytest.raises(ConvergenceError, match="surface or a cloud"):
-        prove(cloud, None, torus, translation(x=0.4))
+    for other in simple_bodies(rng)[::2]:
+        assert proven(other, None, cloud, translation(x=0.1)).verdict == Verdict.COLLIDING
+    with pytest.raises(ConvergenceError, match="m deep, and a surface has no inside"):
+        prove(SPHERE, None, torus, translation(x=0.4))
+    dust = [Body.from_cloud(rng.random((1500, 3)), radius=1e-4) for _ in range(2)]
+    with pytest.raises(ConvergenceError, match="hulls of parts of a surface or a cloud are nearer"):
+        prove(dust[0], None, dust[1], None)
 
 
 def test_bad_input():

@@ -39,14 +39,14 @@ def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[byt
     Parameters
     ----------
     packs : sequence of Packed
-        The bodies, without surfaces.
+        The bodies, with their surfaces in parts.
     poses : ndarray, shape (2, 4, 4)
     near : ndarray, shape (2, 3)
         Witnesses of the depth, see `loewner.distance`.
     """
     middle, chosen = near.mean(axis=0), list[tuple[int, _Piece]]()
     for packed, T in zip(packs, poses, strict=True):
-        pieces = [_Piece(packed, k, T) for k in range(len(packed.layout))]
+        pieces = [_Piece(packed, k, T, middle) for k in range(len(packed.layout))]
         best = int(np.argmax([piece.depth(middle) for piece in pieces]))
         chosen.append((best, pieces[best]))
     (i, a), (j, b) = chosen
@@ -103,16 +103,24 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
-    Planes are rows of a unit outward normal, and how far the plane is from a point; for `faces` it is `place`.
+    A surface or a cloud counts as the ball about its corner that is nearest to a point. Planes are rows of a unit outward
+    normal, and how far the plane is from a point; for `faces` it is `place`.
     """
 
-    def __init__(self, packed: Packed, k: int, T: Floats) -> None:
+    def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
         row, frame = packed.layout[k], packed.frames[k]
         self.kind, self.radius = int(row[columns.KIND]), float(frame[0])
         M, s = T[:3, :3], T[:3, 3]
         center, self.factor = M @ frame[1:4] + s, M @ frame[4:].reshape(3, 3)
-        self.points = center[None]
-        if self.kind == columns.SEGMENT:
+        self.points, self.four = center[None], (0, 0, 0, 0)
+        if self.kind <= columns.SURFACE:
+            corners = (
+                np.unique(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]] + 0.0, axis=0) @ M.T + s
+            )
+            best = int(((corners - near) ** 2).sum(axis=1).argmin())
+            self.kind, self.points, self.four = columns.POINT, corners[best, None], (best,) * 4
+        elif self.kind == columns.SEGMENT:
+            self.four = 0, 1, 0, 0
             self.points = center + np.outer([-1.0, 1.0], self.factor[:, 2])
         elif self.kind == columns.POLYTOPE:
             self.own, self.T = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], T
@@ -170,7 +178,7 @@ class _Piece:
     def vertices_about(self, point: Floats) -> Iterator[tuple[int, ...]]:
         """Name four points of the core that show that a point belongs to the piece."""
         if self.kind != columns.POLYTOPE:
-            yield (0, len(self.points) - 1, 0, 0)
+            yield self.four
             return
         # The ray from a vertex through the point leaves the hull through a triangle. The best such tetrahedron has its
         # faces far from the point.

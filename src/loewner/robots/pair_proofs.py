@@ -12,7 +12,7 @@ from loewner.bodies.pack import Packed, join
 from loewner.bodies.parts import in_parts
 from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots import common_points, separations
-from loewner.robots.proof_models import PAIR, Model, model_of_pair
+from loewner.robots.proof_models import Model, model_of_pair
 from loewner.robots.written_proofs import COMMON, FREE, Proof, assembled
 
 
@@ -41,9 +41,9 @@ def prove(
     PoseError, InputError
         As for `collide`, and if there is more than one pair.
     ConvergenceError
-        If the format cannot express a proof of the answer: the bodies are apart, but not by more than the margin; or
-        they touch, or nearly touch, so that no point is inside both, or no plane between them, by more than rounding;
-        or a surface or a cloud takes part in a collision.
+        If the format cannot express a proof of the answer: the bodies are apart, but not by more than the margin; they
+        touch, or nearly touch, so that no point is inside both, or no plane between them, by more than rounding; a
+        surface takes part in a collision; or hulls of parts of surfaces and clouds meet, while the bodies do not.
 
     Examples
     --------
@@ -62,35 +62,32 @@ def prove(
             raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
     poses = np.stack([_validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")])
     packs = packed_of(a), packed_of(b)
+    cut = in_parts(packs, np.array([True, True]))
+    model = model_of_pair(packs, cut, poses, keep)
     if not queries.collide(a, poses[0], b, poses[1], margin=keep):
-        cut = in_parts(packs, np.array([True, True]))
-        return _apart(model_of_pair(packs, cut, poses, keep), join(cut))
+        return _apart(model, join(cut))
     found = queries.distance(a, poses[0], b, poses[1], exact=True)
-    if any(pack.trees for pack in packs):
-        raise ConvergenceError("proof: expected convex pieces of bodies that collide, found a surface or a cloud")
     if keep > 0.0 and found.distance > 0.0:
         raise ConvergenceError(
             f"proof: expected bodies that have a common point, or are apart by more than the margin of {keep:g} m, "
             f"found a distance of {found.distance:.3g} m"
         )
-    model = model_of_pair(packs, packs, poses, keep)
-    near = np.stack([found.witness_a, found.witness_b])
-    for block in common_points.blocks(packs, poses, near):
+    for block in common_points.blocks(cut, poses, np.stack([found.witness_a, found.witness_b])):
         proof = assembled(COMMON, model.data, block)
         if _holds(proof):
             return proof
     raise ConvergenceError(
         f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
-        f"{-found.distance:.3g} m deep"
+        f"{-found.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
     )
 
 
 def _apart(model: Model, packed: Packed) -> Proof:
     """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes."""
     try:
-        return assembled(FREE, model.data, separations.still(PAIR, packed, model, separations.ROOM))
+        return assembled(FREE, model.data, separations.still(packed, model, separations.ROOM))
     except ConvergenceError:
-        proof = assembled(FREE, model.data, separations.still(PAIR, packed, model, 0.0))
+        proof = assembled(FREE, model.data, separations.still(packed, model, 0.0))
         if _holds(proof):
             return proof
         raise

@@ -21,7 +21,7 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Packed
 from loewner.errors import ConvergenceError
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import BALL, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
+from loewner.robots.proof_models import BALL, CYLINDER, HULL, PAIR, SLIDES, STAYS, TURNS, Model
 from loewner.robots.robot import Robot, link_poses
 
 # Tokens of the trees.
@@ -142,8 +142,8 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
     return b"".join(search.of(courses[k : k + step], k) for k in range(0, len(courses), step))
 
 
-def still(names: tuple[str, ...], packed: Packed, model: Model, room: float) -> bytes:
-    """Make the trees of a motion of bodies that do not move, whose gaps exceed the margins by `room` of all lengths.
+def still(packed: Packed, model: Model, room: float) -> bytes:
+    """Make the tree of two bodies that do not move, with a gap that exceeds the margin by `room` of all lengths.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def still(names: tuple[str, ...], packed: Packed, model: Model, room: float) -> 
         As for `trees`.
     """
     none = np.empty((1, 2, 0))
-    return written(none[0, 0], none) + _Search(names, packed, model, none[0, 0], room=room).of(none, 0)
+    return written(none[0, 0], none) + _Search(PAIR, packed, model, none[0, 0], room=room).of(none, 0)
 
 
 class _Search:
@@ -168,7 +168,7 @@ class _Search:
         self.recent = np.zeros((len(model.pairs), 4))
         links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
         self.turn = np.ascontiguousarray(model.turn.transpose(1, 2, 0))
-        self.kernel = _kernel(packed, model)
+        self.kernel, self.cut = _kernel(packed, model), bool(packed.trees)
         self.count = 0 if robot is None else len(robot.link_names)
         self.link = np.where(links < 0, self.count, links)
 
@@ -316,6 +316,9 @@ class _Search:
         return Tasks(twice.motion, twice.pair, a, b, count + np.arange(len(a)), low, high)
 
     def _fail(self, tasks: Tasks, k: int) -> None:
+        if self.robot is None:
+            why = "the hulls of parts of a surface or a cloud are nearer" if self.cut else "their gap is too small"
+            raise ConvergenceError(f"proof: expected planes between the bodies, which are apart, found none: {why}")
         a, b = (self.names[n] for n in self.model.pairs[tasks.pair[k]])
         why = "they come nearer than the room for rounding that proofs leave"
         if self.deviations.any():
