@@ -103,8 +103,8 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
-    A surface or a cloud counts as the ball about its corner that is nearest to a point. Planes are rows of a unit outward
-    normal, and how far the plane is from a point; for `faces` it is `place`.
+    A surface or a cloud counts as the ball about its corner that is nearest to a point. A plane is a row: a unit outward
+    normal, and how far the plane is from a point, which is `place` for `faces`.
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
@@ -113,17 +113,15 @@ class _Piece:
         M, s = T[:3, :3], T[:3, 3]
         center, self.factor = M @ frame[1:4] + s, M @ frame[4:].reshape(3, 3)
         self.points, self.four = center[None], (0, 0, 0, 0)
+        self.own, self.T = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], T
         if self.kind <= columns.SURFACE:
-            corners = (
-                np.unique(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]] + 0.0, axis=0) @ M.T + s
-            )
+            corners = np.unique(self.own + 0.0, axis=0) @ M.T + s  # in the order of the model
             best = int(((corners - near) ** 2).sum(axis=1).argmin())
             self.kind, self.points, self.four = columns.POINT, corners[best, None], (best,) * 4
         elif self.kind == columns.SEGMENT:
             self.four = 0, 1, 0, 0
             self.points = center + np.outer([-1.0, 1.0], self.factor[:, 2])
         elif self.kind == columns.POLYTOPE:
-            self.own, self.T = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], T
             self.points = self.own @ M.T + s
             self.triangles = packed.triangles[packed.triangle_start[k] : packed.triangle_start[k + 1]]
             self.faces, self.place = _turned(packed.planes[slice(*row[3:])], np.linalg.inv(M)), s
