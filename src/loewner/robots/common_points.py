@@ -103,8 +103,8 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
-    A surface or a cloud counts as the ball about its corner that is nearest to a point. A plane is a row: a unit outward
-    normal, and how far the plane is from a point, which is `place` for `faces`.
+    A surface or a cloud counts as the ball about its corner that is nearest to a point. A plane is a row: a unit
+    outward normal, and how far the plane is from a point, which is `place` for `faces`.
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
