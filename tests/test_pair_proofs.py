@@ -1,6 +1,7 @@
 """Proofs of the verdicts of pairs are verified, near contact too, and what was changed in them is refused."""
 
 import hashlib
+import itertools
 import struct
 
 import numpy as np
@@ -22,7 +23,8 @@ from loewner import (
     collide,
     prove,
 )
-from loewner.robots import separations
+from loewner.bodies import packed_of
+from loewner.robots import common_points, proof_models, separations, written_proofs
 from loewner.verify import verify
 
 SPHERE, BOX = Body.sphere(0.5), Body.box([1.0, 1.0, 1.0])
@@ -185,3 +187,27 @@ def test_changed_proofs_are_refused():
     for data in made:
         with pytest.raises(FileError):
             Proof(data).verify()
+
+
+def test_false_claims_are_refused(rng):
+    """A nanometre from contact, no point is common to bodies that are apart, and no plane is between others."""
+    made = simple_bodies(rng)
+    for k in range(24):
+        a, b = (made[n] for n in rng.integers(len(made), size=2))
+        poses = np.stack(at_gap(rng, a, b, (-1) ** k * 1e-9))
+        found, packs = loewner.distance(a, poses[0], b, poses[1], exact=True), (packed_of(a), packed_of(b))
+        model = proof_models.model_of_pair(packs, packs, poses, 0.0).data
+        assert Proof.verify(prove(a, poses[0], b, poses[1]))
+        if found.distance > 0:
+            near = np.stack([found.witness_a, found.witness_b])
+            claims = list(itertools.islice(common_points.blocks(packs, poses, near), 6))
+        else:
+            planes = []
+            for token, T, sign in ((18, poses[0], 1.0), (19, poses[1], -1.0)):
+                normals = sign * (found.normal + rng.normal(size=(6, 3)) * [[0.0], *[[10.0**-n] for n in range(5, 10)]])
+                planes += [bytes([token]) + (n @ T[:3, :3]).tobytes() for n in normals]
+            claims = [struct.pack("<IB", 1, 1) + plane for plane in planes]
+        assert claims
+        for claim in claims:
+            with pytest.raises(FileError):
+                written_proofs.assembled(2 if found.distance > 0 else 1, model, claim).verify()
