@@ -88,7 +88,7 @@ def test_exact_contact():
     turn[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
     shifted = turn.copy()
     shifted[:3, 3] = turn[:3, 0]
-    with pytest.raises(ConvergenceError, match="inside both bodies by more than rounding"):
+    with pytest.raises(ConvergenceError, match="inside both bodies by more than rounding|gap is too small"):
         prove(BOX, turn, BOX, shifted)
 
 

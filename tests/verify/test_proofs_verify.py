@@ -86,7 +86,11 @@ def test_pairs(family, agrees):  # noqa: F811
     for k in range(PAIRS):
         proof = prove(made[ia[k]], Ta[k], made[ib[k]], Tb[k])
         report = verify(proof.data)
-        assert (report.common is not None) == (proof.verdict == Verdict.COLLIDING) == colliding[k]
+        assert (report.common is not None) == (proof.verdict == Verdict.COLLIDING)
+        if (proof.verdict == Verdict.COLLIDING) != colliding[k]:  # nearer than rounding, which counts as touching
+            assert 0.0 < distance(made[ia[k]], Ta[k], made[ib[k]], Tb[k], exact=True).distance < 1e-12
+            assert colliding[k]
+            seen["touching within rounding"] += 1
         seen[proof.verdict] += 1
         if k % 100 == 0:
             depth = -distance(made[ia[k]], Ta[k], made[ib[k]], Tb[k], exact=True).distance

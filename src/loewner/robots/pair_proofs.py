@@ -20,7 +20,10 @@ from loewner.robots.written_proofs import COMMON, FREE, Proof, assembled
 def prove(
     a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | None, *, margin: float = 0.0
 ) -> Proof:  # fmt: skip
-    """Decide whether two bodies collide, as `collide` does, and write a proof of the answer.
+    """Decide whether two bodies collide, and write a proof of the answer.
+
+    The answer agrees with `collide`, except about bodies that `collide` counts as touching although they are apart by
+    less than rounding. `prove` proves them to be FREE.
 
     Parameters
     ----------
@@ -67,7 +70,7 @@ def prove(
     if not queries.collide(a, poses[0], b, poses[1], margin=keep):
         return _apart(model, join(cut))
     found = queries.distance(a, poses[0], b, poses[1], exact=True)
-    if keep > 0.0 and found.distance > 0.0:
+    if 0.0 < found.distance <= keep:
         raise ConvergenceError(
             f"proof: expected bodies that have a common point, or are apart by more than the margin of {keep:g} m, "
             f"found a distance of {found.distance:.3g} m"
@@ -76,6 +79,8 @@ def prove(
         proof = assembled(COMMON, model.data, block)
         if _holds(proof):
             return proof
+    if found.distance > keep:  # `collide` counts bodies as touching that are apart by less than rounding
+        return _apart(model, join(cut))
     raise ConvergenceError(
         f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
         f"{-found.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
