@@ -58,7 +58,7 @@ test-torch: $(VENV)/.torch
 
 test-gpu: $(VENV)/.gpu
 	$(BUILD)
-	$(PYTEST) -s tests/test_gpu.py tests/test_gpu_threads.py
+	$(PYTEST) -s tests/test_gpu.py tests/test_gpu_threads.py tests/test_gpu_hardware.py
 
 test-models: $(VENV)/.models
 	$(BUILD)

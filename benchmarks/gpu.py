@@ -1,19 +1,22 @@
 """Pairs and configurations on a GPU: how many a second, and whether the answers are the CPU's.
 
-    python benchmarks/gpu.py [--pairs N] [--configurations N] [--device NUMBER]
+    python benchmarks/gpu.py [--pairs N] [--configurations N] [--motions N] [--device NUMBER]
 
-Experimental, as `loewner.gpu` is: nobody has run it on hardware yet. Without a GPU it says so and ends.
+Without a GPU it says so and ends. All bodies, poses and configurations are on the GPU already.
 
-    pairs            turned hulls of twenty points, bodies and poses on the GPU already: the kernel alone, G pairs/s,
-                     the bytes that it reads and writes by the second and their share of what the GPU copies by the
-                     second; then with the CPU's part; and whether all verdicts are `classify`'s
-    configurations   Panda among ten obstacles, on the GPU already: the kernels alone, with the CPU's part, and whether
-                     all answers are `CollisionChecker.collide`'s
+    pairs            turned hulls of twenty points: the kernel alone, the bytes of poses and verdicts by the second and
+                     their share of what the GPU copies by the second; with the CPU's part; the CPU alone; and whether
+                     all verdicts are `classify`'s
+    configurations   Panda among ten obstacles: the kernels alone, the whole call, the CPU alone, and whether all
+                     answers are `CollisionChecker.collide`'s
+    motions          the same, from a random configuration some share of the way to another one, for
+                     `CollisionChecker.certify_edges`; a verdict that only the GPU or only the CPU can give is no fault
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import sys
 import time
 from collections.abc import Callable
@@ -22,17 +25,21 @@ from typing import Any
 import numpy as np
 
 from loewner import Bodies, CollisionChecker, classify, gpu
-from loewner._kernels import columns
+from loewner._kernels import codes
 from loewner.gpu import arrays, driver
 from loewner.gpu.driver import Device
+from loewner.gpu.motions import certified, slots
+from loewner.robots.checker import prepared_of
 from robot_samples import obstacles, panda
 from samples import Array, poses, rotations
 
 KINDS, POINTS, SPREAD, SEED = 1000, 20, 1.0, 1
 ROUNDS = 20
 
-# What a pair moves: two rows of a piece, two poses of twelve numbers each that matter, of sixteen, and a verdict.
-BYTES = 2 * 4 * columns.HOT + 2 * 4 * 16 + 1
+# What a pair moves: two poses and a verdict. The rows of the pieces stay in the cache.
+BYTES = 2 * 4 * 16 + 1
+
+SHARES = 1.0, 0.3, 0.05
 
 
 class OnGpu:
@@ -48,7 +55,8 @@ class OnGpu:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pairs", type=int, default=10_000_000)
-    parser.add_argument("--configurations", type=int, default=1_000_000)
+    parser.add_argument("--configurations", type=int, default=10_000_000)
+    parser.add_argument("--motions", type=int, default=1_000_000)
     parser.add_argument("--device", type=int, default=0)
     asked = parser.parse_args(arguments)
     missing = gpu.why_not(asked.device)
@@ -61,6 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(f"copies {copied(device) / 1e9:.0f} GB/s, read and written")
     agree = measure_pairs(device, asked.pairs) & measure_configurations(device, asked.configurations)
+    for share in SHARES:
+        agree &= measure_motions(device, asked.motions, share)
     return 0 if agree else 1
 
 
@@ -87,23 +97,42 @@ def in_kernels(device: Device, run: Callable[[], Any]) -> float:
     return float(np.median(times))
 
 
-def copied(device: Device, size: int = 2**28) -> float:
-    """Bytes a second that a kernel of ours reads and writes when it only copies rows in order."""
-    rows = device.upload(np.arange(size // 64, dtype=np.int32))
-    table, to = device.memory(size), device.memory(size)
-    seconds = in_kernels(
-        device, lambda: device.launch("gather_rows", size // 4, 16, rows.address, table.address, to.address)
-    )
-    return 2 * size / seconds
+def copied(device: Device, size: int = 2**30) -> float:
+    """Bytes a second that the GPU reads and writes when it only copies."""
+    source, to = device.memory(size), device.memory(size)
+
+    def copy() -> float:
+        start = device.time()
+        with device._current():
+            device._ask(
+                "cuMemcpyDtoDAsync_v2", ctypes.c_uint64(to.address), ctypes.c_uint64(source.address),
+                ctypes.c_size_t(size), device._stream,
+            )  # fmt: skip
+        return device.seconds(start, device.time())
+
+    return 2 * size / float(np.median([copy() for _ in range(ROUNDS)]))
+
+
+def timed(run: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of the best of three calls, and what it returns."""
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        found = run()
+        times.append(time.perf_counter() - start)
+    return min(times), found
 
 
 def measure_pairs(device: Device, count: int) -> bool:
     """Pairs a second; whether the verdicts are the CPU's."""
     rng = np.random.default_rng(SEED)
-    bodies = Bodies.from_points(list(rng.normal(size=(KINDS, POINTS, 3)) * 0.3))
-    chosen = rng.integers(0, KINDS, size=(2, count))
-    a, b = bodies[chosen[0]], bodies[chosen[1]]
-    Ta, Tb = (poses(rotations(rng, count), rng.uniform(-SPREAD, SPREAD, (count, 3))) for _ in range(2))
+    a = Bodies.from_points(list(rng.normal(size=(KINDS, POINTS, 3)) * 0.3))
+    b = a[rng.permutation(KINDS)]
+    shape = -(-count // KINDS), KINDS
+    count = shape[0] * KINDS
+    Ta, Tb = (
+        poses(rotations(rng, count), rng.uniform(-SPREAD, SPREAD, (count, 3))).reshape(*shape, 4, 4) for _ in range(2)
+    )
     here = [T.astype(np.float32).astype(np.float64) for T in (Ta, Tb)]
     there = [OnGpu(device, T) for T in (Ta, Tb)]
 
@@ -111,17 +140,19 @@ def measure_pairs(device: Device, count: int) -> bool:
         return gpu.classify(a, there[0], b, there[1], refine=refine, device=device.number)
 
     seconds = in_kernels(device, lambda: ask(False))
-    start = time.perf_counter()
-    verdicts = np.asarray(ask(True))
-    whole = time.perf_counter() - start
     share = BYTES * count / seconds / copied(device)
-    agree = bool((verdicts == classify(a, here[0], b, here[1])).all())
-    told = f"{'all' if agree else 'NOT ALL'} verdicts as on the CPU"
+    whole, verdicts = timed(lambda: np.asarray(ask(True)))
+    alone, expected = timed(lambda: classify(a, here[0], b, here[1]))
+    agree = bool((verdicts == expected).all())
     print(
-        f"pairs: {count / seconds / 1e9:.2f} G/s, {BYTES * count / seconds / 1e9:.0f} GB/s, {share:.0%} of what it "
-        f"copies; with the CPU's part {count / whole / 1e6:.0f} M/s; {told}"
+        f"{count} pairs: {count / seconds / 1e9:.2f} G/s, {share:.0%} of what it copies; with the CPU's part "
+        f"{count / whole / 1e6:.0f} M/s, the CPU alone {count / alone / 1e6:.0f} M/s; {told(agree)}"
     )
     return agree
+
+
+def told(agree: bool) -> str:
+    return "all as on the CPU" if agree else "NOT ALL as on the CPU"
 
 
 def measure_configurations(device: Device, count: int) -> bool:
@@ -129,17 +160,38 @@ def measure_configurations(device: Device, count: int) -> bool:
     checker = CollisionChecker(panda().robot, obstacles(SEED))
     Q = checker.robot.random_configurations(count, SEED).astype(np.float32)
     there, on_gpu = OnGpu(device, Q), gpu.Checker(checker, device=device.number)
-    ready = checker._ready()
-    address = there._memory.address
+    ready, address = prepared_of(checker), there._memory.address
     seconds = in_kernels(device, lambda: on_gpu._asked(device, ready, address, count))
     left = len(on_gpu._asked(device, ready, address, count)[1])
-    start = time.perf_counter()
-    answers = np.asarray(on_gpu.collide(there))
-    whole = time.perf_counter() - start
-    agree = bool((answers == checker.collide(Q.astype(np.float64))).all())
+    whole, answers = timed(lambda: np.asarray(on_gpu.collide(there)))
+    alone, expected = timed(lambda: checker.collide(Q.astype(np.float64)))
+    agree = bool((answers == expected).all())
     print(
-        f"configurations: {count / seconds / 1e6:.0f} M/s, {left / count:.1%} left to the CPU; with its part "
-        f"{count / whole / 1e6:.2f} M/s; {'all' if agree else 'NOT ALL'} answers as on the CPU"
+        f"{count} configurations: {count / seconds / 1e6:.0f} M/s, {left / count:.2%} left to the CPU; with its part "
+        f"{count / whole / 1e6:.0f} M/s, the CPU alone {count / alone / 1e6:.1f} M/s; {told(agree)}"
+    )
+    return agree
+
+
+def measure_motions(device: Device, count: int, share: float) -> bool:
+    """Proven motions a second; whether any verdict contradicts the checker's."""
+    checker = CollisionChecker(panda().robot, obstacles(SEED))
+    Q0 = checker.robot.random_configurations(count, SEED)
+    Q1 = Q0 + share * (checker.robot.random_configurations(count, SEED + 1) - Q0)
+    ends = [Q.astype(np.float32) for Q in (Q0, Q1)]
+    there, on_gpu = [OnGpu(device, Q) for Q in ends], gpu.Checker(checker, device=device.number)
+    addresses = there[0]._memory.address, there[1]._memory.address
+    tables = on_gpu._tables_of(device, prepared_of(checker))
+    asked = device, tables, on_gpu._tile_of(device, tables, slots(count)), checker.robot.dof, addresses, count
+    seconds = in_kernels(device, lambda: certified(*asked))
+    left = len(certified(*asked)[1])
+    whole, verdicts = timed(lambda: np.asarray(on_gpu.certify_edges(*there)))
+    alone, expected = timed(lambda: checker.certify_edges(*(Q.astype(np.float64) for Q in ends)).verdict)
+    agree = not ((verdicts != expected) & (verdicts != codes.AMBIGUOUS) & (expected != codes.AMBIGUOUS)).any()
+    print(
+        f"{count} motions over {share:g} of the way ({(expected == codes.FREE).mean():.0%} free): "
+        f"{count / seconds / 1e6:.2f} M/s, {left / count:.2%} left to the CPU; with its part "
+        f"{count / whole / 1e6:.2f} M/s, the CPU alone {count / alone / 1e6:.2f} M/s; {told(agree)}"
     )
     return agree
 

@@ -423,17 +423,3 @@ def test_times_are_measured_on_the_stream(card):
     device = driver.opened(0)
     assert device.seconds(device.time(), device.time()) == pytest.approx(2e-3)
     device.wait()
-
-
-# -- on hardware -----------------------------------------------------------------------------------
-
-
-@pytest.mark.skipif(bool(gpu.why_not()), reason=f"no GPU here: {gpu.why_not()}")
-def test_on_hardware(rng):
-    """With a GPU: the same verdicts and answers as the CPU's, for 100,000 pairs."""
-    n = 100_000
-    bodies = Bodies.from_points(pieces("ball 20", 200))
-    chosen = rng.integers(0, 200, size=(n, 2))
-    a, b = bodies[chosen[:, 0]], bodies[chosen[:, 1]]
-    Ta, Tb = random_poses(rng, n, 1.0), random_poses(rng, n, 1.0)
-    np.testing.assert_array_equal(gpu.classify(a, Ta, b, Tb), loewner.classify(a, Ta, b, Tb))

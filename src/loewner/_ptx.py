@@ -28,7 +28,18 @@ TRIPLE = "nvptx64-nvidia-cuda"
 # Kernels, by the modules of `loewner._kernels.threads` whose functions they call.
 KERNELS = {
     "pairs": ("classify_pieces", "classify_bodies", "gather_rows", "scatter_bytes"),
-    "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "conclude"),
+    "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "search_survivor", "conclude"),
+    "motions": (
+        "bound_motion",
+        "list_probe",
+        "strike_motion",
+        "begin_motion",
+        "place_end",
+        "cull_interval",
+        "certify_interval",
+        "search_interval",
+        "halve_interval",
+    ),  # fmt: skip
 }
 
 

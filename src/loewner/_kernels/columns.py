@@ -59,6 +59,17 @@ BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 # Numbers of a placed link: rotation by rows, translation, and bounds on the error of each, in roundings.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
+# A piece's int32 row for searches: kind, first and last + 1 vertex; and its float32 row: center and factor of
+# a curved core, radius of the ball that is added, and reach.
+CORE_KIND, CORE_START, CORE_STOP, CORE_INTEGERS = 0, 1, 2, 4
+CORE_CENTER, CORE_FACTOR, CORE_RADIUS, CORE_REACH, CORE_NUMBERS = 0, 3, 12, 13, 16
+
+# A pair of bodies in a motion: the moving one, the one to whose frame planes are fixed, and the row of its chain; and a
+# joint of a chain: its column, and whether it turns; its multiplier, offset and lever.
+UPPER, LOWER, CHAIN, ROLES = 0, 1, 2, 4
+TURNING_JOINT, CHAIN_INTEGERS = 1, 2
+LEVER, CHAIN_NUMBERS = 2, 4
+
 # -- planners: state of the search for a path ------------------------------------------------------
 
 ITERATION = 0

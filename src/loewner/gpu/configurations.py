@@ -3,61 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels import codes, columns, tolerances
+from loewner._kernels import codes, columns
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
-from loewner.gpu import driver
-from loewner.gpu.arrays import DeviceArray, is_on_gpu, taken
+from loewner.gpu import driver, motions
+from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
-from loewner.gpu.pairs import single_rows
+from loewner.gpu.tables import Tables, tables_of
+from loewner.gpu.tiles import Tile, check, most_of, place, tile_of
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
-from loewner.robots import CollisionChecker
+from loewner.robots import CollisionChecker, edges
 from loewner.robots.checker import prepared_of
 from loewner.robots.problem import Problem
+from loewner.robots.proofs import prove_by_rules
 from loewner.robots.verdicts import classified, expect_settled
 
-# Number of configurations in a tile, a power of two: tens of megabytes, which fit into the caches of large GPUs.
-LOG_TILE = 14
-TILE = 1 << LOG_TILE
-
-# Average number of pairs of bodies that bounds may leave open per configuration of a tile; the CPU gets the rest.
-SURVIVORS = 64
-
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
-
-
-class _Tables(NamedTuple):
-    """Kernel input for a robot and its scene; `loewner._kernels.threads.configurations` describes the fields."""
-
-    version: int
-    moving: int
-    pair_count: int
-    links: int
-    joints: Memory
-    constants: Memory
-    bodies: Memory
-    balls: Memory
-    rows: Memory
-    pairs: Memory
-    margins: Memory
-    standing: Memory
-
-
-class _Tile(NamedTuple):
-    """Kernel output for one tile of configurations."""
-
-    placed: Memory
-    bounds: Memory
-    state: Memory
-    survivors: Memory
-    capacity: int
 
 
 class Checker:
@@ -100,7 +68,8 @@ class Checker:
         if not np.isin(checker.robot.tree.kind, KINDS).all():
             raise InputError("checker: expected joints that turn or slide, found planar, floating or ball joints")
         self._checker = checker
-        self._tables: dict[Device, _Tables] = {}
+        self._tables: dict[Device, Tables] = {}
+        self._tiles: dict[Device, Tile] = {}
 
     def __repr__(self) -> str:
         return f"<loewner.gpu.Checker of {self._checker.robot.dof} joints on GPU {self._number}>"
@@ -144,7 +113,117 @@ class Checker:
 
         return attempted(on_gpu, on_cpu if self._instead and not there else None)
 
+    @guarded
+    def certify_edges(self, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
+        """Prove which straight motions are free, with the verdicts of `CollisionChecker.certify_edges`.
+
+        Parameters
+        ----------
+        Q0, Q1 : array_like or array on the GPU, shape (..., dof)
+            Ends, broadcast together. If one is on the GPU, both must be there, in float32, C order and of the same
+            shape; the verdicts then refer to exactly these float32 numbers.
+        tolerance : float
+            In metres, for the motions that are left to the CPU: one that comes within this distance of colliding may
+            be AMBIGUOUS.
+
+        Returns
+        -------
+        ndarray of int8, shape (...), or DeviceArray of int8
+            FREE, COLLIDING or AMBIGUOUS for each motion; a `DeviceArray` if the ends are on the GPU.
+
+        Raises
+        ------
+        GpuError
+            If the GPU cannot do the work.
+        InputError
+            As for `collide` and for `CollisionChecker.certify_edges`; or if pairs may be in contact at the ends of
+            motions (`Scene.leave`, `Scene.reach`).
+
+        Notes
+        -----
+        A motion is cut into intervals, and a plane that separates two bodies at both ends of an interval proves it free
+        if it leaves room for the bend of the paths in between, as on the CPU. All of this is in single precision, with
+        bounds on its errors (docs/certified.md). The CPU decides the motions that are left: those that come within some
+        hundredths of a millimetre of contact.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker, Robot, Scene, gpu
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> on_gpu = gpu.Checker(CollisionChecker(Robot.from_urdf("arm.urdf"), scene), fallback="cpu")
+        >>> on_gpu.certify_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]])  # the post is in the way
+        array([0, 1], dtype=int8)
+        """
+        tolerance = _validate.positive_scalar(tolerance, "tolerance")
+        there = is_on_gpu(Q0), is_on_gpu(Q1)
+        if there[0] != there[1]:
+            raise InputError("Q0, Q1: expected both on the GPU or both not, found one there")
+        ends = None if there[0] else edges.ends(self._checker.robot, Q0, Q1)
+
+        def on_gpu() -> Any:
+            gpu, ready = driver.opened(self._number), prepared_of(self._checker)
+            if len(ready.ruled):
+                raise InputError("expected no pairs that may be in contact at the ends of motions, found some")
+            if ends is None:
+                return self._certified_there(gpu, ready, Q0, Q1, tolerance)
+            out = self._certified_here(gpu, ready, ends[0], ends[1], tolerance)
+            return out.reshape(ends[2])
+
+        def on_cpu() -> Any:
+            return self._checker.certify_edges(Q0, Q1, tolerance=tolerance).verdict
+
+        return attempted(on_gpu, on_cpu if self._instead and not there[0] else None)
+
     # -- inside -------------------------------------------------------------------------------
+
+    def _certified_here(self, gpu: Device, ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[np.int8]:
+        """Verdicts of motions between rows of configurations in CPU memory."""
+        expect_few(len(a), "motions")
+        with np.errstate(over="ignore"):  # infinite, and then left to the CPU
+            there = [gpu.upload(Q.astype(np.float32)) for Q in (a, b)]
+        tables, dof = self._tables_of(gpu, ready), self._checker.robot.dof
+        verdicts, left = motions.certified(
+            gpu,
+            tables,
+            self._tile_of(gpu, tables, motions.slots(len(a))),
+            dof,
+            (there[0].address, there[1].address),
+            len(a),
+        )
+        out = np.empty(len(a), dtype=np.int8)
+        gpu.download(verdicts.address, out)
+        out[left] = _proven(ready, a[left], b[left], tolerance)
+        return out
+
+    def _certified_there(self, gpu: Device, ready: Problem, Q0: Any, Q1: Any, tolerance: float) -> DeviceArray:
+        """Verdicts of motions between configurations in GPU memory."""
+        robot, views = self._checker.robot, [self._taken(gpu, Q, name) for Q, name in ((Q0, "Q0"), (Q1, "Q1"))]
+        if views[0].shape != views[1].shape:
+            raise InputError(f"expected Q0 and Q1 of the same shape, found {views[0].shape} and {views[1].shape}")
+        total = math.prod(views[0].shape[:-1])
+        expect_few(total, "motions")
+        tables = self._tables_of(gpu, ready)
+        verdicts, left = motions.certified(
+            gpu,
+            tables,
+            self._tile_of(gpu, tables, motions.slots(total)),
+            robot.dof,
+            (views[0].address, views[1].address),
+            total,
+        )
+        a, b = (robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views)
+        scattered(gpu, left, _proven(ready, a, b, tolerance), verdicts)
+        return DeviceArray(verdicts, views[0].shape[:-1], np.int8)
+
+    def _taken(self, gpu: Device, Q: Any, name: str) -> View:
+        """Take configurations in GPU memory."""
+        view = taken(Q, name, gpu)
+        if len(view.shape) == 0 or view.shape[-1] != self._checker.robot.dof:
+            raise InputError(
+                f"{name}: expected shape (..., {self._checker.robot.dof}), found {_validate.shape_text(view.shape)}"
+            )
+        return view
 
     def _of_host(self, gpu: Device, Q: Floats) -> NDArray[np.bool_]:
         """Decide configurations in CPU memory, shape (N, dof)."""
@@ -159,9 +238,7 @@ class Checker:
 
     def _of_array(self, gpu: Device, Q: Any) -> DeviceArray:
         """Decide configurations in GPU memory."""
-        view, robot, ready = taken(Q, "Q", gpu), self._checker.robot, prepared_of(self._checker)
-        if len(view.shape) == 0 or view.shape[-1] != robot.dof:
-            raise InputError(f"Q: expected shape (..., {robot.dof}), found {_validate.shape_text(view.shape)}")
+        view, robot, ready = self._taken(gpu, Q, "Q"), self._checker.robot, prepared_of(self._checker)
         verdicts, left = self._asked(gpu, ready, view.address, math.prod(view.shape[:-1]))
         settled = self._settled(ready, robot.checked(gathered(gpu, view.address, robot.dof, left)))
         scattered(gpu, left, settled, verdicts)
@@ -180,92 +257,42 @@ class Checker:
         """Return the verdicts of configurations at an address, and the indices of those that are left to the CPU."""
         expect_few(total, "configurations")
         tables = self._tables_of(gpu, ready)
-        expect_few(tables.pair_count * TILE, "pairs of bodies, times 16384,")
         verdicts, left = gpu.memory(total), Left(gpu, total)
-        tile = _tile(gpu, tables)
-        for first in range(0, total, TILE):
-            self._run(gpu, tables, tile, Q, first, min(TILE, total - first), verdicts, left)
+        tile = self._tile_of(gpu, tables, total)
+        for first in range(0, total, tile.most):
+            self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
         return verdicts, left.numbers()
 
     def _run(
-        self, gpu: Device, tables: _Tables, tile: _Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
+        self, gpu: Device, tables: Tables, tile: Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
     ) -> None:
         """Run the kernels on one tile, one after the other."""
-        dof, t = self._checker.robot.dof, tables
-        gpu.clear(tile.state.address, 4 * TILE)
-        gpu.clear(tile.survivors.address, 4)
-        gpu.launch(
-            "place_links", count, TILE, Q + 4 * dof * first, dof, t.links, t.joints.address, t.constants.address,
-            tile.placed.address,
-        )  # fmt: skip
-        gpu.launch(
-            "place_body", t.moving * TILE, TILE, LOG_TILE, tile.placed.address, t.bodies.address, t.balls.address,
-            t.rows.address, tile.bounds.address,
-        )  # fmt: skip
-        gpu.launch(
-            "cull_pair", t.pair_count * TILE, TILE, LOG_TILE, count, t.moving, t.pairs.address, t.margins.address,
-            tile.bounds.address, t.standing.address, tile.state.address, tile.survivors.address, tile.capacity,
-        )  # fmt: skip
-        gpu.launch(
-            "certify_survivor", tile.capacity, TILE, LOG_TILE, t.moving, t.bodies.address, t.pairs.address,
-            t.margins.address, tile.placed.address, tile.bounds.address, t.rows.address, tile.state.address,
-            tile.survivors.address, tile.capacity,
-        )  # fmt: skip
+        dof = self._checker.robot.dof
+        place(gpu, tables, tile, Q + 4 * dof * first, 0, dof, count)
+        check(gpu, tables, tile, count)
         gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
 
-    def _tables_of(self, gpu: Device, ready: Problem) -> _Tables:
+    def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
+        """Return memory for a tile of `count` configurations if there can be so many, from the last call if it fits."""
+        most, shape, tile = most_of(tables, count), (tables.links, tables.moving), self._tiles.get(gpu)
+        if tile is None or tile.shape != shape or tile.most < most:
+            tile = None
+            self._tiles.pop(gpu, None)  # its memory is free before more is needed
+            tile = self._tiles[gpu] = tile_of(gpu, tables, most)
+        return tile._replace(most=most)
+
+    def _tables_of(self, gpu: Device, ready: Problem) -> Tables:
         """Return the kernels' input, copied to the GPU again if the scene has changed."""
         tables = self._tables.get(gpu)
         if tables is None or tables.version != ready.version:
-            tables = self._tables[gpu] = _tables(gpu, ready)
+            tables = self._tables[gpu] = tables_of(gpu, ready)
         return tables
 
 
-def _tile(gpu: Device, tables: _Tables) -> _Tile:
-    """Allocate the kernel output for a tile."""
-    capacity = TILE * max(1, min(SURVIVORS, tables.pair_count))
-    return _Tile(
-        gpu.memory(4 * columns.LINK_NUMBERS * tables.links * TILE),
-        gpu.memory(4 * columns.BOUNDS * tables.moving * TILE),
-        gpu.memory(4 * TILE),
-        gpu.memory(4 * (1 + capacity)),
-        capacity,
-    )
-
-
-def _tables(gpu: Device, ready: Problem) -> _Tables:
-    """Copy the kernels' input about a robot and its scene to the GPU."""
-    tree, packed, moving = ready.robot.tree, ready.packed, len(ready.link)
-    start = packed.piece_start
-    rows = single_rows(packed).copy()
-    rows[start[moving] :] = ready.standing.rows
-
-    joints = np.zeros((len(tree.parent), columns.LINK_INTEGERS), dtype=np.int32)
-    joints[:, columns.PARENT_OF_LINK], joints[:, columns.KIND_OF_LINK] = tree.parent, tree.kind
-    joints[:, columns.COLUMN_OF_LINK] = tree.column
-    constants = np.zeros((len(tree.parent), columns.LINK_CONSTANTS))
-    constants[:, : columns.CONSTANTS] = tree.constants
-    constants[:, columns.MULTIPLIER], constants[:, columns.OFFSET] = tree.multiplier, tree.offset
-
-    bodies = np.zeros((len(start) - 1, columns.BODY_INTEGERS), dtype=np.int32)
-    bodies[:moving, columns.LINK_OF_BODY] = ready.link
-    bodies[:, columns.FIRST_PIECE], bodies[:, columns.LAST_PIECE] = start[:-1], start[1:]
-    balls = np.zeros((moving, columns.BALL_NUMBERS))
-    balls[:, :5] = ready.balls
-    balls[:, [columns.BALL_RADIUS, columns.BALL_REACH]] *= tolerances.UP
-    with np.errstate(over="ignore"):  # infinite, and then left to the CPU
-        floats = [x.astype(np.float32) for x in (constants, balls, ready.margins * tolerances.UP)]
-    return _Tables(
-        version=ready.version,
-        moving=moving,
-        pair_count=len(ready.pairs),
-        links=len(tree.parent),
-        joints=gpu.upload(joints),
-        constants=gpu.upload(floats[0]),
-        bodies=gpu.upload(bodies),
-        balls=gpu.upload(floats[1]),
-        rows=gpu.upload(rows),
-        pairs=gpu.upload(ready.pairs.astype(np.int32)),
-        margins=gpu.upload(floats[2]),
-        standing=gpu.upload(ready.standing.bounds),
-    )
+def _proven(ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[np.int8]:
+    """Let the CPU prove the given motions, in the state of the scene that the GPU used."""
+    if len(a) == 0:
+        return np.empty(0, dtype=np.int8)
+    found = prove_by_rules(ready, np.ascontiguousarray(a), np.ascontiguousarray(b), tolerance)
+    found.expect_short(a, b)
+    return np.asarray(found.verdicts, dtype=np.int8)

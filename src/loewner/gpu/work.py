@@ -97,11 +97,16 @@ class Left:
 
     def numbers(self) -> Ints:
         """Wait until all work is done, and return the list in ascending order."""
-        count = np.empty(1, dtype=np.int32)
-        self._device.download(self.list.address, count)
-        found = np.empty(int(count[0]), dtype=np.int32)
-        self._device.download(self.list.address + count.nbytes, found)
+        found = np.empty(length_of(self._device, self.list), dtype=np.int32)
+        self._device.download(self.list.address + 4, found)
         return np.sort(found).astype(np.int64)
+
+
+def length_of(device: Device, listed: Memory) -> int:
+    """Wait until all work is done, and read how many entries a list has, or would have with enough room."""
+    count = np.empty(1, dtype=np.int32)
+    device.download(listed.address, count)
+    return int(count[0])
 
 
 def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:

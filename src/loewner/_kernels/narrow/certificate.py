@@ -172,7 +172,7 @@ def _clear(r, radii, size, margin, unit):
 
 
 @inline
-def _guess(P, Q, r, tiny):
+def guess(P, Q, r, tiny):
     """s of two spheres with the widths of the ellipsoids along r."""
     wide_p, wide_q = dot(apply_symmetric(P, r), r), dot(apply_symmetric(Q, r), r)
     return share_of_roots(maximum(wide_p, tiny), maximum(wide_q, tiny))
@@ -344,7 +344,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
     @njit()
     def better(P, Q, r, n):
         """Another s and its normal, from spheres with the widths of the ellipsoids along n."""
-        s = _guess(P, Q, n, tiny)
+        s = guess(P, Q, n, tiny)
         _, m = normal_at(P, Q, r, s)
         return s, m
 
@@ -398,7 +398,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
             if movemask(free) != everything:
                 p = shape_of(fetch(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, rotated_a)
                 q = shape_of(fetch(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, rotated_b)
-                s = _guess(p.Q, q.Q, r, tiny)
+                s = guess(p.Q, q.Q, r, tiny)
                 _, n = normal_at(p.Q, q.Q, r, s)
                 separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
                 free = free | separated
@@ -418,7 +418,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
                 p = shape_of(fetch(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, rotated_a)
                 q = shape_of(fetch(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, rotated_b)
                 r = offset_between(a, rotated_a, near_a.inner_center, b, rotated_b, near_b.inner_center)
-                s = _guess(p.Q, q.Q, r, tiny)
+                s = guess(p.Q, q.Q, r, tiny)
                 _, n = normal_at(p.Q, q.Q, r, s)
                 overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
                 settled = overlap | distinct
@@ -486,11 +486,11 @@ def tier_of_one(a, row_a, b, row_b, more):
 
     p = shape_of(eight_at(row_a, OUTER_SHAPE), a.R, True)
     q = shape_of(eight_at(row_b, OUTER_SHAPE), b.R, True)
-    s = _guess(p.Q, q.Q, r, tiny)
+    s = guess(p.Q, q.Q, r, tiny)
     _, n = normal_at(p.Q, q.Q, r, s)
     separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
     if not holds(separated | inseparable):
-        s = _guess(p.Q, q.Q, n, tiny)
+        s = guess(p.Q, q.Q, n, tiny)
         _, n = normal_at(p.Q, q.Q, r, s)
         separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
     if holds(separated):
@@ -499,11 +499,11 @@ def tier_of_one(a, row_a, b, row_b, more):
     p = shape_of(eight_at(row_a, INNER_SHAPE), a.R, True)
     q = shape_of(eight_at(row_b, INNER_SHAPE), b.R, True)
     r = offset_between(a, True, near_a.inner_center, b, True, near_b.inner_center)
-    s = _guess(p.Q, q.Q, r, tiny)
+    s = guess(p.Q, q.Q, r, tiny)
     _, n = normal_at(p.Q, q.Q, r, s)
     overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
     if not holds(overlap | distinct):
-        s = _guess(p.Q, q.Q, n, tiny)
+        s = guess(p.Q, q.Q, n, tiny)
         _, n = normal_at(p.Q, q.Q, r, s)
         overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
     if holds(overlap):

@@ -234,6 +234,70 @@ def _directions(N):
     return selected(dot(n, n) > SHORT, n, (1.0, 0.0, 0.0))
 
 
+@inline
+def faces(A, B, C, E):
+    """Heights of the origin over the faces of a tetrahedron, times twice their areas; negative on the inner side.
+
+    Parameters
+    ----------
+    A, B, C, E : tuple of 3
+        The newest point; and the others, which run counter-clockwise seen from there.
+
+    Returns
+    -------
+    f, g, h, base : float
+        For the faces A B C, A C E, A E B and B E C.
+    normals : tuple of 3 tuples of 3
+        Of the first three faces, as long as twice their areas.
+    """
+    AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
+    normals = cross(AB, AC), cross(AC, AE), cross(AE, AB)
+    f, g, h = -dot(normals[0], A), -dot(normals[1], A), -dot(normals[2], A)
+    # The four volumes add up to minus that of the tetrahedron.
+    return f, g, h, dot(normals[0], AE) - (f + g + h), normals
+
+
+@inline
+def advance(A, B, C, E, two, three, f, g, h):
+    """The part of a simplex with the newest point A that the walk keeps, and the direction from the origin to it.
+
+    Parameters
+    ----------
+    A, B, C, E, f, g, h
+        As for `faces`; C and E matter only where there are so many points.
+    two, three : mask
+        Whether the simplex has two, or three, points besides A.
+
+    Returns
+    -------
+    n, B, C, E : tuple of 3
+    two, three : mask
+    """
+    # The face with which to continue, as the triangle A, B, C.
+    second = three & (g > f) & (g >= h)
+    third = three & (h > f) & (h > g)
+    B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
+    plane = two | three
+
+    # Triangle: the origin is over the inside, or beyond the edge A B or A C.
+    AB, AC = minus(B, A), minus(C, A)
+    normal = cross(AB, AC)
+    beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
+    beyond_b = dot(cross(AB, normal), A) < 0.0
+    line = beyond_b | beyond_c | ~plane
+    swap = beyond_c & (dot(AC, A) < 0.0)
+    B = selected(swap, C, B)
+
+    # Line: the origin is beside the inside, or beyond A.
+    AB = minus(B, A)
+    beside = dot(AB, A) < 0.0
+    across = cross(cross(AB, A), AB)
+    # Turned so that A, B, C runs counter-clockwise seen from the origin.
+    other = dot(normal, A) <= 0.0
+    n = selected(line, selected(beside, across, A), selected(other, negated(normal), normal))
+    return n, A, selected(line | other, B, C), selected(other, C, B), line & beside, ~line
+
+
 @njit()
 def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     """Walk the simplex of each of the listed pairs, margin 0.
@@ -304,49 +368,16 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             B = A
             continue
 
-        # Tetrahedron: the origin is inside, or beyond some face at the new point; B, C, E run counter-clockwise seen
-        # from there.
-        AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
-        face_bc = cross(AB, AC)
-        f = -dot(face_bc, A)
-        g = -dot(cross(AC, AE), A)
-        h = -dot(cross(AE, AB), A)
-        # The origin is inside if the three and the base, volume - f - g - h, are all negative, clear of rounding.
+        f, g, h, base, _ = faces(A, B, C, E)
+        # The origin is inside if all four are negative, clear of rounding.
         reach = sqrt(largest)
         slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
-        base = dot(face_bc, AE) - (f + g + h)
         inside = (f < -slack) & (g < -slack) & (h < -slack)
         inside = inside & (base < -SINGLE_ROUNDOFF * largest * (SUM_ERROR * reach + POINT_ERROR * size))
         touching = touching | (three & inside)
         if movemask(apart | touching) == SINGLE_ALL:
             break
-        # The face with which to continue, as the triangle A, B, C.
-        second = three & (g > f) & (g >= h)
-        third = three & (h > f) & (h > g)
-        B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
-        plane = two | three
-
-        # Triangle: the origin is over the inside, or beyond the edge A B or A C.
-        AB, AC = minus(B, A), minus(C, A)
-        normal = cross(AB, AC)
-        beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
-        beyond_b = dot(cross(AB, normal), A) < 0.0
-        line = beyond_b | beyond_c | ~plane
-        swap = beyond_c & (dot(AC, A) < 0.0)
-        B = selected(swap, C, B)
-
-        # Line: the origin is beside the inside, or beyond A.
-        AB = minus(B, A)
-        beside = dot(AB, A) < 0.0
-        across = cross(cross(AB, A), AB)
-        two = line & beside
-        three = ~line
-        # Turned so that A, B, C runs counter-clockwise seen from the origin.
-        other = dot(normal, A) <= 0.0
-        n = selected(three, selected(other, negated(normal), normal), selected(beside, across, A))
-        E = selected(other, C, B)
-        C = selected(line | other, B, C)
-        B = A
+        n, B, C, E, two, three = advance(A, B, C, E, two, three, f, g, h)
     masked_store(found, 0, apart | ~apart, UNSETTLED)
     masked_store(found, 0, touching, TOUCHING)
     masked_store(found, 0, apart, APART)

@@ -36,6 +36,7 @@ def _reader(entry, result, widened, what):
 
 number_at = _reader(ir.FloatType(), scalar, False, "float32")
 integer_at = _reader(_HALF, types.int64, True, "int32")
+word_at = _reader(_WORD, types.int64, False, "int64")
 
 
 @intrinsic

@@ -9,7 +9,9 @@ place_body
 cull_pair
     lists the pairs of bodies whose bounds are not apart.
 certify_survivor
-    the ellipsoids of the pieces of a listed pair.
+    the ellipsoids of the pieces of a listed pair; lists the pieces that they leave open.
+search_survivor
+    the exact search on two such pieces.
 conclude
     verdicts; open configurations go to a list for the CPU.
 
@@ -17,10 +19,12 @@ Numbers of a tile of S configurations, with S a power of two, lie side by side: 
 at ``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S + s``.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, FREE
+from loewner._kernels.codes import AMBIGUOUS, APART, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, FREE, OPEN, TOUCHING
 from loewner._kernels.columns import (
     ACROSS,
     BALL_NUMBERS,
@@ -66,14 +70,19 @@ from loewner._kernels.simd.scalars import (
     put_integer,
     put_number,
     raise_to,
+    word_at,
 )
 from loewner._kernels.simd.trig import SINGLE_LARGEST, sine_cosine_single
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, select, sqrt
 from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS, append
+from loewner._kernels.threads.searches import core_at, relative, search
 from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 
 # Column of a placed body beside its bounds: the largest error of any of its points, in metres.
 ASTRAY = 7
+
+# Error of a pose in the frame of another link, times the lengths, in roundings.
+COMPOSED = 24.0  # derived 17, certified.md B60
 
 # Error that a joint adds to a rotation (spectral norm), and that its value adds, both in roundings; and error that a
 # joint adds to a translation, times the lengths from which it is computed.
@@ -134,7 +143,7 @@ def _put_link(placed, link, S, s, R, t, turn_off, shift_off):
 
 
 @njit()
-def place_links(thread, S, Q, dof, links, joints, constants, placed):
+def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
     """Place the links at one configuration, and bound the rounding of this (docs/certified.md, B45 to B47).
 
     Parameters
@@ -145,6 +154,8 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
         Number of configurations per tile.
     Q : float32, shape (n, dof)
         The configurations, rounded to single precision if they came in double.
+    spans : float32, shape (n, dof), or the address 0
+        Twice the largest magnitudes from which values were interpolated (B59).
     joints : int32, shape (links, LINK_INTEGERS)
         Parent, kind and column of each link, see `robots.kinematics`. The only kinds are FIXED, REVOLUTE and PRISMATIC.
     constants : float32, shape (links, LINK_CONSTANTS)
@@ -159,9 +170,11 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
         turn_off, shift_off = lane_of(0.0), lane_of(0.0)
         kind = integer_at(joint, KIND_OF_LINK)
         if kind in (REVOLUTE, PRISMATIC):
-            moved = number_at(Q, thread * dof + integer_at(joint, COLUMN_OF_LINK)) * number_at(c, MULTIPLIER)
-            offset = number_at(c, OFFSET)
+            at, by = thread * dof + integer_at(joint, COLUMN_OF_LINK), number_at(c, MULTIPLIER)
+            moved, offset = number_at(Q, at) * by, number_at(c, OFFSET)
             value, values = moved + offset, absolute(moved) + absolute(offset)
+            if spans != 0:
+                values = values + number_at(spans, at) * absolute(by)
             if kind == REVOLUTE:
                 sine, cosine = sine_cosine_single(value)
                 R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
@@ -233,7 +246,7 @@ def place_body(thread, S, log_S, placed, bodies, balls, rows, bounds):
     center = plus(apply(R, _three(balls, BALL_NUMBERS * body)), t)
     wide = number_at(balls, BALL_NUMBERS * body + BALL_RADIUS) + off
     half = lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    piece, last = _pieces_of(bodies, body)
+    piece, last = pieces_of(bodies, body)
     while piece < last:
         r = minus(_placed_center(rows, piece, OUTER_CENTER, R, t), center)
         shape = eight_at(rows, HOT * piece + OUTER_SHAPE)
@@ -262,7 +275,7 @@ def _narrower(x, y):
 
 
 @inline
-def _bounds_of(bounds, row, step):
+def bounds_of(bounds, row, step):
     """Bounds whose numbers begin at `row` and are `step` apart."""
     return Bounds(
         (
@@ -304,11 +317,11 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
     if s >= total:
         return
     one, other = integer_at(pairs, 2 * p), integer_at(pairs, 2 * p + 1)
-    here = _bounds_of(bounds, one * BOUNDS * S + s, S)
+    here = bounds_of(bounds, one * BOUNDS * S + s, S)
     if other < moving:
-        there = _bounds_of(bounds, other * BOUNDS * S + s, S)
+        there = bounds_of(bounds, other * BOUNDS * S + s, S)
     else:
-        there = _bounds_of(standing, (other - moving) * BOUNDS, 1)
+        there = bounds_of(standing, (other - moving) * BOUNDS, 1)
     if near(here, there, number_at(margins, p), 1) == 0:
         return
     at = add_to(survivors, 0, 1)
@@ -319,7 +332,7 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
 
 
 @inline
-def _pieces_of(bodies, body):
+def pieces_of(bodies, body):
     """First piece of a body, and the one after its last."""
     row = BODY_INTEGERS * body
     return integer_at(bodies, row + FIRST_PIECE), integer_at(bodies, row + LAST_PIECE)
@@ -333,17 +346,28 @@ def _pose_of_body(placed, link, S, s):
 
 
 @inline
-def _pose_of_standing():
-    """Pose of a static body, whose rows are in world coordinates: the identity."""
+def _identity():
+    """Rotation and translation of a static body, whose numbers are in world coordinates."""
     on, off = lane_of(1.0), lane_of(0.0)
-    return Pose((on, off, off, off, on, off, off, off, on), (off, off, off), True)
+    return (on, off, off, off, on, off, off, off, on), (off, off, off)
+
+
+@inline
+def list_piece_pair(code, i, j, searches, capacity):
+    """Append two pieces of a listed pair of bodies to the searches; return whether there was room."""
+    at = add_to(searches, 0, 1)
+    if at < capacity:
+        put_integer(searches, 1 + 3 * at, code)
+        put_integer(searches, 2 + 3 * at, i)
+        put_integer(searches, 3 + 3 * at, j)
+    return at < capacity
 
 
 @njit()
 def certify_survivor(
-    thread, S, log_S, moving, bodies, pairs, margins, placed, bounds, rows, state, survivors, capacity
+    thread, S, log_S, moving, bodies, pairs, margins, placed, bounds, rows, state, survivors, searches, capacity
 ):  # fmt: skip
-    """Certify the ellipsoids of a listed pair of bodies, and raise the state of its configuration accordingly.
+    """Certify the ellipsoids of a listed pair of bodies, and list the pieces that they leave open.
 
     Parameters
     ----------
@@ -355,6 +379,9 @@ def certify_survivor(
         As for `place_body`; static bodies follow.
     rows : float32, shape (pieces, HOT)
         Rows in the frames of their links, or in the world for static bodies.
+    searches : int32, shape (1 + 3 capacity,)
+        Receives the survivor and two pieces for each search, after how many there are. A configuration for which the
+        list is too short is left to the CPU.
     """
     if thread >= min(integer_at(survivors, 0), capacity):
         return
@@ -365,29 +392,139 @@ def certify_survivor(
     one, other = integer_at(pairs, 2 * p), integer_at(pairs, 2 * p + 1)
     a = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * one + LINK_OF_BODY), S, s)
     astray = number_at(bounds, (one * BOUNDS + ASTRAY) * S + s)
-    b = _pose_of_standing()
+    R, t = _identity()
+    b = Pose(R, t, True)
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
     more = astray * (UP / OFF)  # a length for which positions have this slack
-    i, last_a = _pieces_of(bodies, one)
-    first_b, last_b = _pieces_of(bodies, other)
+    i, last_a = pieces_of(bodies, one)
+    first_b, last_b = pieces_of(bodies, other)
     found = SO_FAR_FREE
-    # With a margin the near points need the best s, in double precision.
-    if holds(number_at(margins, p) > 0.0) or (last_a - i) * (last_b - first_b) > MOST_PIECE_PAIRS:
+    with_margin = holds(number_at(margins, p) > 0.0)
+    if (last_a - i) * (last_b - first_b) > MOST_PIECE_PAIRS:
         found, i = LEFT_OPEN, last_a
     while i < last_a:
         j = first_b
         while j < last_b and found != HIT:
-            tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
+            tier = OPEN
+            if not with_margin:  # with one the near points need the best s, in double precision
+                tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
             if tier == BY_INNER:
                 found = HIT
-            elif tier not in (BY_SPHERE, BY_OUTER):
+            elif tier not in (BY_SPHERE, BY_OUTER) and not list_piece_pair(code, i, j, searches, capacity):
                 found = LEFT_OPEN
             j += 1
         i += 1
     if found != SO_FAR_FREE:
         raise_to(state, s, found)
+
+
+class Cell(NamedTuple):
+    """What searches and motions take of a robot and its scene: the number of moving bodies, and addresses.
+
+    Attributes
+    ----------
+    moving, bodies, balls, pairs, margins, rows
+        As for the functions above.
+    cores, numbers, vertices
+        As for `searches.core_at`.
+    roles : int32, shape (pairs, ROLES)
+        For each pair the moving body, the one to whose frame planes are fixed, and its row of `chain_start`.
+    chain_start : int32, shape (chains + 1,)
+        The joints between the bodies of a chain are rows chain_start[k] .. chain_start[k + 1] of the next two. The
+        first chains are those between each moving body and the world.
+    joints : int32, shape (n, CHAIN_INTEGERS)
+    levers : float32, shape (n, CHAIN_NUMBERS)
+        Multiplier, offset, and lever, rounded up.
+    """
+
+    moving: Any
+    bodies: Any
+    balls: Any
+    pairs: Any
+    margins: Any
+    rows: Any
+    cores: Any
+    numbers: Any
+    vertices: Any
+    roles: Any
+    chain_start: Any
+    joints: Any
+    levers: Any
+
+
+@inline
+def cell_at(table):
+    """The record of a table of int64."""
+    return Cell(
+        word_at(table, 0), word_at(table, 1), word_at(table, 2), word_at(table, 3), word_at(table, 4),
+        word_at(table, 5), word_at(table, 6), word_at(table, 7), word_at(table, 8), word_at(table, 9),
+        word_at(table, 10), word_at(table, 11), word_at(table, 12),
+    )  # fmt: skip
+
+
+@inline
+def pose_in(cell, placed, upper, lower, S, s):
+    """Pose of a moving body in the frame of another one, or in the world.
+
+    Returns
+    -------
+    R, t : tuple
+    off : float
+        The largest error of the body's points by those of the kinematics, in metres (docs/certified.md, B60).
+    """
+    link = integer_at(cell.bodies, BODY_INTEGERS * upper + LINK_OF_BODY) * LINK_NUMBERS
+    R, t = _rotation_at(placed, link, S, s), _vector_at(placed, link + LINK_AT, S, s)
+    reach = number_at(cell.balls, BALL_NUMBERS * upper + BALL_REACH)
+    off = number_at(placed, (link + TURN_OFF) * S + s) * reach + number_at(placed, (link + SHIFT_OFF) * S + s)
+    if lower < cell.moving:
+        link = integer_at(cell.bodies, BODY_INTEGERS * lower + LINK_OF_BODY) * LINK_NUMBERS
+        P, d = _rotation_at(placed, link, S, s), _vector_at(placed, link + LINK_AT, S, s)
+        turn_off, shift_off = (
+            number_at(placed, (link + TURN_OFF) * S + s),
+            number_at(placed, (link + SHIFT_OFF) * S + s),
+        )
+        off = off + (turn_off + COMPOSED) * (one_norm(minus(t, d)) + reach) + shift_off
+        R, t = relative(R, t, P, d)
+    return R, t, SINGLE_ROUNDOFF * UP * off
+
+
+@inline
+def from_lower(cell, i, j, R, t):
+    """Vector from the center of piece j to that of piece i at a pose in its frame."""
+    return minus(_placed_center(cell.rows, i, OUTER_CENTER, R, t), _three(cell.rows, HOT * j + OUTER_CENTER))
+
+
+@njit()
+def search_survivor(thread, S, log_S, table, placed, state, searches, capacity):
+    """Search two listed pieces at one configuration, and raise its state accordingly.
+
+    Parameters
+    ----------
+    thread : int
+        Place in the list.
+    table : int64
+        See `cell_at`.
+    placed, state, searches, capacity
+        As for `certify_survivor`.
+    """
+    if thread >= min(integer_at(searches, 0), capacity):
+        return
+    code, i, j = (
+        integer_at(searches, 3 * thread + 1), integer_at(searches, 3 * thread + 2), integer_at(searches, 3 * thread + 3)
+    )  # fmt: skip
+    p, s = code >> log_S, code & (S - 1)
+    if integer_at(state, s) == HIT:
+        return
+    cell = cell_at(table)
+    upper, lower = integer_at(cell.pairs, 2 * p), integer_at(cell.pairs, 2 * p + 1)
+    R, t, off = pose_in(cell, placed, upper, lower, S, s)
+    a, b = core_at(cell.cores, cell.numbers, cell.vertices, i), core_at(cell.cores, cell.numbers, cell.vertices, j)
+    n = from_lower(cell, i, j, R, t)
+    found = search(a, (R, t), (R, t), False, b, n, number_at(cell.margins, p), off)
+    if found != APART:
+        raise_to(state, s, HIT if found == TOUCHING else LEFT_OPEN)
 
 
 @njit()

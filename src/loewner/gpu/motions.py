@@ -1,0 +1,106 @@
+"""Prove straight motions of a robot on a GPU."""
+
+from __future__ import annotations
+
+from loewner._validate import Ints
+from loewner.gpu.driver import Device, Memory
+from loewner.gpu.tables import Tables
+from loewner.gpu.tiles import Tile, check, place, room_for
+from loewner.gpu.work import Left, length_of
+
+# Number of motions whose intervals are listed together, and of their bounds on curvature; with many chains of joints
+# there are fewer motions.
+MOTIONS, BENDS = 1 << 18, 1 << 26
+
+INTERVALS = 64  # room in a list, for each motion; at least two, for its probes
+
+
+def slots(count: int) -> int:
+    """Number of configurations that are placed together for `count` motions, at first."""
+    return 4 * count
+
+
+def certified(
+    gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, int], total: int
+) -> tuple[Memory, Ints]:
+    """Return the verdicts of motions whose ends are at two addresses, and the indices of those left to the CPU."""
+    verdicts, left = gpu.memory(total), Left(gpu, total)
+    run = _Run(gpu, tables, dof, tile, min(total, MOTIONS, max(1, BENDS // max(1, tables.chains))))
+    for first in range(0, total, run.most):
+        count = min(run.most, total - first)
+        run.prove(ends[0] + 4 * dof * first, ends[1] + 4 * dof * first, count)
+        gpu.launch("conclude", count, first, run.state.address, verdicts.address, left.list.address)
+    return verdicts, left.numbers()
+
+
+class _Run:
+    """Memory for the proofs of some motions; intervals without a proof are halved until none is left."""
+
+    def __init__(self, gpu: Device, tables: Tables, dof: int, tile: Tile, most: int) -> None:
+        self._gpu, self._tables, self._dof, self._tile, self.most = gpu, tables, dof, tile, most
+        self._room = INTERVALS * most
+        self.state = gpu.memory(4 * most)
+        self._bends, self._flags = gpu.memory(4 * tables.chains * most), gpu.memory(2 * tile.most)
+        self._items, self._halves = (gpu.memory(4 * (1 + 2 * self._room)) for _ in range(2))
+        self._Q, self._spans = (gpu.memory(4 * dof * tile.most) for _ in range(2))
+
+    def prove(self, Q0: int, Q1: int, count: int) -> None:
+        """Find the states of `count` motions."""
+        gpu, cell, bends = self._gpu, self._tables.cell.address, self._bends.address
+        gpu.clear(self.state.address, 4 * count)
+        gpu.launch(
+            "bound_motion", self._tables.chains * self.most, self.most, count, self._dof, Q0, Q1, cell, bends
+        )  # fmt: skip
+        self._probe(Q0, Q1, count)
+        gpu.clear(self._items.address, 4)
+        gpu.launch(
+            "begin_motion", count, self.most, self._tables.moving, bends, self.state.address, self._items.address,
+            self._room,
+        )  # fmt: skip
+        listed = min(length_of(gpu, self._items), self._room)
+        while listed > 0:
+            gpu.clear(self._halves.address, 4)
+            for first in range(0, listed, self._tile.most // 2):
+                self._halve(Q0, Q1, self._items.address + 4 + 8 * first, min(self._tile.most // 2, listed - first))
+            self._items, self._halves = self._halves, self._items
+            listed = min(length_of(gpu, self._items), self._room)
+
+    def _probe(self, Q0: int, Q1: int, count: int) -> None:
+        """Check motions at four configurations, to find most of those that collide."""
+        gpu, tile = self._gpu, self._tile
+        gpu.launch("list_probe", 2 * count, self._items.address + 4)
+        for first in range(0, 2 * count, tile.most // 2):
+            listed, items = min(tile.most // 2, 2 * count - first), self._items.address + 4 + 8 * first
+            self._place(Q0, Q1, items, listed)
+            check(gpu, self._tables, tile, 2 * listed)
+            gpu.launch("strike_motion", 2 * listed, items, tile.state.address, self.state.address)
+
+    def _place(self, Q0: int, Q1: int, items: int, count: int) -> None:
+        """Place the robot at both ends of intervals."""
+        self._gpu.launch(
+            "place_end", 2 * count * self._dof, self._dof, Q0, Q1, items, self._Q.address, self._spans.address
+        )
+        place(self._gpu, self._tables, self._tile, self._Q.address, self._spans.address, self._dof, 2 * count)
+
+    def _halve(self, Q0: int, Q1: int, items: int, count: int) -> None:
+        """Prove intervals of a tile, and list the halves of the others."""
+        gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state.address, self._flags.address
+        S, log_S = room_for(2 * count)
+        cell, bends, searches = t.cell.address, self._bends.address, tile.searches.address
+        gpu.clear(flags, 4 * count)
+        gpu.clear(tile.survivors.address, 4)
+        gpu.clear(searches, 4)
+        self._place(Q0, Q1, items, count)
+        gpu.launch(
+            "cull_interval", t.pair_count * (S // 2), S, log_S, self.most, count, cell, items,
+            tile.bounds.address, t.standing.address, bends, state, tile.survivors.address, tile.capacity, flags,
+        )  # fmt: skip
+        gpu.launch(
+            "certify_interval", min(tile.capacity, t.pair_count * count), S, log_S, self.most, cell, items,
+            tile.placed.address, bends, state, tile.survivors.address, searches, tile.capacity, flags,
+        )  # fmt: skip
+        gpu.launch(
+            "search_interval", min(tile.capacity, t.piece_pairs * count), S, log_S, self.most, cell, items,
+            tile.placed.address, bends, state, searches, tile.capacity, flags,
+        )  # fmt: skip
+        gpu.launch("halve_interval", count, items, state, flags, self._halves.address, self._room)

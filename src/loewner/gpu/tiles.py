@@ -1,0 +1,97 @@
+"""Memory of a GPU for a tile of configurations, and their placement."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from loewner._kernels import columns
+from loewner.gpu.driver import Device, Memory
+from loewner.gpu.tables import Tables
+from loewner.gpu.work import MOST, expect_few
+
+# Logarithm of the number of configurations in a tile: as many as a large GPU has threads, since each launch waits for
+# its slowest one; and for few configurations.
+LOG_TILE, LEAST = 18, 10
+
+BYTES = 1 << 30  # a tile of a robot with very many links has fewer configurations
+
+# Average number of pairs of bodies that bounds may leave open per configuration of a tile, and of pairs of pieces that
+# ellipsoids may; the CPU gets the rest.
+SURVIVORS = 32
+
+
+class Tile(NamedTuple):
+    """Kernel output for one tile: of `most` configurations, for the numbers of links and bodies in `shape`."""
+
+    most: int
+    shape: tuple[int, int]
+    placed: Memory
+    bounds: Memory
+    state: Memory
+    survivors: Memory
+    searches: Memory
+    capacity: int
+
+
+def room_for(count: int) -> tuple[int, int]:
+    """Smallest power of two that is used for `count` configurations, and its logarithm."""
+    log = max(LEAST, (count - 1).bit_length())
+    return 1 << log, log
+
+
+def place(gpu: Device, tables: Tables, tile: Tile, Q: int, spans: int, dof: int, count: int) -> None:
+    """Place links and bodies at the configurations at an address."""
+    t, (S, log_S) = tables, room_for(count)
+    gpu.launch(
+        "place_links", count, S, Q, spans, dof, t.links, t.joints.address, t.constants.address, tile.placed.address
+    )
+    gpu.launch(
+        "place_body", t.moving * S, S, log_S, tile.placed.address, t.bodies.address, t.balls.address,
+        t.rows.address, tile.bounds.address,
+    )  # fmt: skip
+
+
+def most_of(tables: Tables, count: int) -> int:
+    """Number of configurations in a tile for `count` of them: fewer if there are very many pairs or links."""
+    each = 4 * (columns.LINK_NUMBERS * tables.links + columns.BOUNDS * tables.moving + 4 * SURVIVORS)
+    log = min(LOG_TILE, room_for(count)[1])
+    while log > LEAST and (tables.pair_count << log > MOST or each << log > BYTES):
+        log -= 1
+    expect_few(tables.pair_count << log, f"pairs of bodies, times {1 << log},")
+    return 1 << log
+
+
+def tile_of(gpu: Device, tables: Tables, most: int) -> Tile:
+    """Allocate the kernel output for a tile."""
+    capacity = most * SURVIVORS
+    return Tile(
+        most,
+        (tables.links, tables.moving),
+        gpu.memory(4 * columns.LINK_NUMBERS * tables.links * most),
+        gpu.memory(4 * columns.BOUNDS * tables.moving * most),
+        gpu.memory(4 * most),
+        gpu.memory(4 * (1 + capacity)),
+        gpu.memory(4 * (1 + 3 * capacity)),
+        capacity,
+    )
+
+
+def check(gpu: Device, tables: Tables, tile: Tile, count: int) -> None:
+    """Find the states of the first configurations of a tile, which have been placed."""
+    t, (S, log_S) = tables, room_for(count)
+    gpu.clear(tile.state.address, 4 * count)
+    gpu.clear(tile.survivors.address, 4)
+    gpu.clear(tile.searches.address, 4)
+    gpu.launch(
+        "cull_pair", t.pair_count * S, S, log_S, count, t.moving, t.pairs.address, t.margins.address,
+        tile.bounds.address, t.standing.address, tile.state.address, tile.survivors.address, tile.capacity,
+    )  # fmt: skip
+    gpu.launch(
+        "certify_survivor", min(tile.capacity, t.pair_count * count), S, log_S, t.moving, t.bodies.address,
+        t.pairs.address, t.margins.address, tile.placed.address, tile.bounds.address, t.rows.address,
+        tile.state.address, tile.survivors.address, tile.searches.address, tile.capacity,
+    )  # fmt: skip
+    gpu.launch(
+        "search_survivor", min(tile.capacity, t.piece_pairs * count), S, log_S, t.cell.address,
+        tile.placed.address, tile.state.address, tile.searches.address, tile.capacity,
+    )  # fmt: skip
