@@ -538,7 +538,7 @@ def test_common_points_are_exact():
     # A point is the exact sum of two vectors: of a box that begins 2^-80 m before the other ends, and of no other.
     near = [body(-1, box((0, 0, 0), (1, 1, 1)), matrix=EYE, shift=(2.0**-80, 0, 0)), TOUCHING[1]]
     for off, good in ((2.0**-81, True), (2.0**-80, True), (2.0**-79, False), (-(2.0**-90), False)):
-        data = common(near, first, second, (1, 0.25, 0.5), more=(off, 0.0, 0.0))
+        data = common(near, (0, 0, 0, 4, 5, 7), (1, 0, 0, 1, 3, 7), (1, 0.25, 0.5), more=(off, 0.0, 0.0))
         if good:
             verify(data)
         else:
