@@ -143,8 +143,8 @@ class Checker:
         -----
         A motion is cut into intervals, and a plane that separates two bodies at both ends of an interval proves it free
         if it leaves room for the bend of the paths in between, as on the CPU. All of this is in single precision, with
-        bounds on its errors (docs/certified.md). The CPU decides the motions that are left: those that come within some
-        hundredths of a millimetre of contact.
+        bounds on its errors (docs/certified.md). The CPU decides what is left: one motion in a thousand, which comes
+        within some hundredths of a millimetre of contact.
 
         Examples
         --------
@@ -254,7 +254,7 @@ class Checker:
         return found
 
     def _asked(self, gpu: Device, ready: Problem, Q: int, total: int) -> tuple[Memory, Ints]:
-        """Return the verdicts of configurations at an address, and the indices of those that are left to the CPU."""
+        """Return the verdicts of configurations at an address, and the indices that are left to the CPU."""
         expect_few(total, "configurations")
         tables = self._tables_of(gpu, ready)
         verdicts, left = gpu.memory(total), Left(gpu, total)
@@ -273,7 +273,7 @@ class Checker:
         gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
 
     def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
-        """Return memory for a tile of `count` configurations if there can be so many, from the last call if it fits."""
+        """Return memory for a tile of up to `count` configurations, from the last call if it fits."""
         most, shape, tile = most_of(tables, count), (tables.links, tables.moving), self._tiles.get(gpu)
         if tile is None or tile.shape != shape or tile.most < most:
             tile = None

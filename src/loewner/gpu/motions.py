@@ -23,7 +23,7 @@ def slots(count: int) -> int:
 def certified(
     gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, int], total: int
 ) -> tuple[Memory, Ints]:
-    """Return the verdicts of motions whose ends are at two addresses, and the indices of those left to the CPU."""
+    """Return the verdicts of motions whose ends are at two addresses, and the indices that are left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile, min(total, MOTIONS, max(1, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):
@@ -66,7 +66,7 @@ class _Run:
             listed = min(length_of(gpu, self._items), self._room)
 
     def _probe(self, Q0: int, Q1: int, count: int) -> None:
-        """Check motions at four configurations, to find most of those that collide."""
+        """Check motions at four configurations, which most collisions show."""
         gpu, tile = self._gpu, self._tile
         gpu.launch("list_probe", 2 * count, self._items.address + 4)
         for first in range(0, 2 * count, tile.most // 2):

@@ -117,7 +117,7 @@ def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDAr
 
 
 class _Chains:
-    """The joints between bodies: first between each moving body and the world, then between those of pairs."""
+    """The joints between bodies: first between each moving body and the world, then between two of a pair."""
 
     def __init__(self, ready: Problem) -> None:
         self._ready, self.joints = ready, [_joints_between(ready, body, -1) for body in range(len(ready.link))]

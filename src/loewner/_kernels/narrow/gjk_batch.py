@@ -248,12 +248,12 @@ def faces(A, B, C, E):
     f, g, h, base : float
         For the faces A B C, A C E, A E B and B E C.
     normals : tuple of 3 tuples of 3
-        Of the first three faces, as long as twice their areas.
+        The first three faces' normals, as long as twice their areas.
     """
     AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
     normals = cross(AB, AC), cross(AC, AE), cross(AE, AB)
     f, g, h = -dot(normals[0], A), -dot(normals[1], A), -dot(normals[2], A)
-    # The four volumes add up to minus that of the tetrahedron.
+    # The four add up to minus the tetrahedron's volume.
     return f, g, h, dot(normals[0], AE) - (f + g + h), normals
 
 
@@ -264,7 +264,7 @@ def advance(A, B, C, E, two, three, f, g, h):
     Parameters
     ----------
     A, B, C, E, f, g, h
-        As for `faces`; C and E matter only where there are so many points.
+        As for `faces`; C and E are ignored if there are fewer points.
     two, three : mask
         Whether the simplex has two, or three, points besides A.
 

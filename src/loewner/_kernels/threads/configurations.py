@@ -82,7 +82,7 @@ from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 ASTRAY = 7
 
 # Error of a pose in the frame of another link, times the lengths, in roundings.
-COMPOSED = 24.0  # derived 17, certified.md B60
+COMPOSED = 24.0  # derived 17, certified.md B63
 
 # Error that a joint adds to a rotation (spectral norm), and that its value adds, both in roundings; and error that a
 # joint adds to a translation, times the lengths from which it is computed.
@@ -155,7 +155,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
     Q : float32, shape (n, dof)
         The configurations, rounded to single precision if they came in double.
     spans : float32, shape (n, dof), or the address 0
-        Twice the largest magnitudes from which values were interpolated (B59).
+        `motions.SPAN` times the largest magnitudes from which values were interpolated (B64).
     joints : int32, shape (links, LINK_INTEGERS)
         Parent, kind and column of each link, see `robots.kinematics`. The only kinds are FIXED, REVOLUTE and PRISMATIC.
     constants : float32, shape (links, LINK_CONSTANTS)
@@ -472,7 +472,7 @@ def pose_in(cell, placed, upper, lower, S, s):
     -------
     R, t : tuple
     off : float
-        The largest error of the body's points by those of the kinematics, in metres (docs/certified.md, B60).
+        Error of the body's points that comes from the kinematics, in metres (docs/certified.md, B63).
     """
     link = integer_at(cell.bodies, BODY_INTEGERS * upper + LINK_OF_BODY) * LINK_NUMBERS
     R, t = _rotation_at(placed, link, S, s), _vector_at(placed, link + LINK_AT, S, s)
@@ -492,7 +492,7 @@ def pose_in(cell, placed, upper, lower, S, s):
 
 @inline
 def from_lower(cell, i, j, R, t):
-    """Vector from the center of piece j to that of piece i at a pose in its frame."""
+    """Vector between the centers of two pieces, from piece j to piece i at a pose in its frame."""
     return minus(_placed_center(cell.rows, i, OUTER_CENTER, R, t), _three(cell.rows, HOT * j + OUTER_CENTER))
 
 

@@ -76,8 +76,16 @@ from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 # MOST_HALVINGS; an interval that was halved DEEPEST times is left to the CPU.
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
-# Allowance for the roundings of a bound on curvature.
-UPWARD = 1.0 + 1e-4  # derived 1e-5, certified.md B61
+# Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` and of the largest magnitude.
+SPAN = 2.0  # derived 1.1, certified.md B64
+
+# Allowance for the roundings of a bound on curvature, for up to a thousand joints; and error of a difference of sums of
+# rates, in roundings of the sum for each joint.
+STRETCH = 1e-3  # derived 2e-4, certified.md B65
+REST_ERROR = 4.0  # derived 2, certified.md B66
+
+# Error of the middle and of half the length of a chord together, in roundings of both.
+CHORD_ERROR = 8.0  # derived 4, certified.md B67
 
 
 @inline
@@ -115,8 +123,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     cell = cell_at(table)
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    # The joints from the upper body to the lower one, as in `motion_bounds.ways_between`; the turns between a joint and
-    # the lower body are those that follow, so the sum runs backwards first.
+    # The joints from the upper body to the lower one, as in `motion_bounds.ways_between`. The turns between a joint and
+    # the lower body follow it, so the sum runs backwards first.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
@@ -133,8 +141,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
         speed = speed + moved
         travel = travel + far
         k += 1
-    # `rest` is a difference: a few roundings of the whole for each joint.
-    put_number(bends, thread, (bend + 1e-5 * every * speed) * UPWARD)
+    off = REST_ERROR * SINGLE_ROUNDOFF * lane_of_integer(last - first) * every * speed
+    put_number(bends, thread, (bend + off) * (1.0 + STRETCH))
 
 
 @inline
@@ -199,7 +207,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     at = add_to(items, 0, parts)
     if at + parts > capacity:
         raise_to(state, thread, LEFT_OPEN)
-        # What was counted must be there: intervals of no motion.
+        # As many are written as fit, since every listed interval is read.
         parts = max(0, min(parts, capacity - at))
     k = 0
     while k < parts:
@@ -210,7 +218,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
 
 @njit()
 def place_end(thread, dof, Q0, Q1, items, Q, spans):
-    """Write one value at an end of an interval, and the largest magnitude from which it is computed, twice.
+    """Write one value at an end of an interval, and SPAN times the largest magnitude from which it is computed.
 
     Parameters
     ----------
@@ -225,7 +233,7 @@ def place_end(thread, dof, Q0, Q1, items, Q, spans):
     first, last = number_at(Q0, at), number_at(Q1, at)
     where = begin + lane_of_integer(slot & 1) * width
     put_number(Q, thread, first + where * (last - first))
-    put_number(spans, thread, 2.0 * maximum(absolute(first), absolute(last)))
+    put_number(spans, thread, SPAN * maximum(absolute(first), absolute(last)))
 
 
 @inline
@@ -248,7 +256,7 @@ def cull_interval(
         Number of motions in a row of `bends`.
     total : int
         Number of intervals in the tile.
-    bounds, standing, survivors, capacity
+    bounds, `standing`, survivors, capacity
         As for `configurations.cull_pair`.
     state, flags : int32
         States of motions; and whether an interval is open. An interval for which the list is too short is open.
@@ -297,7 +305,7 @@ def _apart_between(a0, b0, a1, b1, keep):
     middle, way = scaled(0.5, plus(r0, r1)), scaled(0.5, minus(r1, r0))
     wide = maximum(a0.radius, a1.radius) + maximum(b0.radius, b1.radius)
     lengths = one_norm(middle) + one_norm(way)
-    far = (wide + keep + sqrt(dot(way, way))) * (1.0 + 16.0 * SINGLE_ROUNDOFF) + 8.0 * SINGLE_ROUNDOFF * lengths
+    far = (wide + keep + sqrt(dot(way, way))) * (1.0 + 16.0 * SINGLE_ROUNDOFF) + CHORD_ERROR * SINGLE_ROUNDOFF * lengths
     return holds(apart | (dot(middle, middle) * (1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far))
 
 
@@ -351,7 +359,7 @@ def _reach(cell, piece):
 
 @inline
 def _ellipsoids_apart(cell, j, k, first, last, keep):
-    """Whether a plane separates the outer ellipsoid of piece k from that of piece j at both poses."""
+    """Whether a plane separates the outer ellipsoids of piece k and of piece j at both poses."""
     shape, still = eight_at(cell.rows, HOT * j + OUTER_SHAPE), eight_at(cell.rows, HOT * k + OUTER_SHAPE)
     P = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
     Q = still[0], still[1], still[2], still[3], still[4], still[5]

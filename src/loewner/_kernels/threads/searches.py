@@ -1,6 +1,6 @@
-"""The walk of GJK by one thread: a piece at one or two poses, and another one that stands still.
+"""The walk of GJK by one thread: a piece at one or two poses, and another one at rest.
 
-The formulas and the proofs are those of `narrow.gjk_batch`, with more kinds of pieces: besides vertices, curved cores,
+`narrow.gjk_batch` has the formulas of the walk. Here there are more kinds of pieces: besides vertices, curved cores,
 and balls about cores, which are added to the points of the difference. Pairs that the walk does not settle stay
 UNSETTLED, which claims nothing.
 """
@@ -50,12 +50,12 @@ from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 ROUNDS = 12  # nine in ten pairs take six, and all except one in a hundred take ten
 
 # Error of the height of a support plane, and of a point of the difference, in roundings, times the lengths.
-PLANE_ERROR = 128.0  # derived 79, certified.md B56
-POINT_ERROR = 32.0  # derived 30, certified.md B57
+PLANE_ERROR = 128.0  # derived 79, certified.md B61
+POINT_ERROR = 32.0  # derived 30, certified.md B62
 
 
 class Core(NamedTuple):
-    """A piece in its frame: where its vertices or numbers are, and what they mean."""
+    """A piece in its frame: its kind, and where its vertices or numbers are."""
 
     kind: Any
     start: Any
@@ -169,7 +169,7 @@ def search(upper, first, last, swept, lower, n, keep, off):
     keep : float
         The distance within which pieces count as touching, rounded up.
     off : float
-        Bound on the errors of the points of the upper piece by those of its poses, in metres.
+        Bound on the errors of the upper piece's points that come from its poses, in metres.
 
     Returns
     -------
