@@ -1471,6 +1471,10 @@ CALLS: dict[str, Call] = {
     "gpu.Checker.collide": Call(
         quietly(lambda Q: on_gpus.Checker(checker(), fallback="cpu").collide(Q)), {"Q": CONFIGURATIONS}
     ),
+    "gpu.Checker.certify_edges": Call(
+        quietly(lambda **of: on_gpus.Checker(checker(), fallback="cpu").certify_edges(**of)),
+        {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "tolerance": positive(1e-3)},
+    ),
     # -- the command line
     "cli.main": Call(command, {"arguments": arg(lambda: ["check", "part.npz", "part.npz"], NONE)}),
 }

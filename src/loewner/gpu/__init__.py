@@ -1,7 +1,7 @@
-"""Check thousands of pairs or configurations on an NVIDIA GPU. Experimental: not yet run on hardware.
+"""Check millions of pairs, configurations or motions on an NVIDIA GPU.
 
-The certificate's formulas run there in single precision and give proofs, as on the CPU. The CPU decides pairs that
-single precision leaves undecided, so the answers are the same as on the CPU alone. Only the driver of the GPU is
+The formulas of the proofs run there in single precision, with bounds on its errors. The CPU decides what single
+precision leaves undecided, so the answers are the same as on the CPU alone. Only the driver of the GPU is
 needed; it is loaded when a function here is first called.
 """
 

