@@ -191,7 +191,7 @@ static void compose(const Pose *a, const Pose *b, Pose *out) {
 typedef struct { long up, value, group; int kind; double len; Num m, f, n[3]; Pose fixed; } Link;
 typedef struct { int kind; double radius, far, big; size_t k; Num *x; } Piece;
 typedef struct { long link, group; Num M[9], s[3], c[3]; double r; size_t first, count; } Body;
-typedef struct { uint64_t key; double margin; int16_t N[3], lower; } Pair;
+typedef struct { uint64_t key; double margin, N[3]; int lower; } Pair;
 static Link *links;
 static Body *bodies;
 static Piece *pieces;
@@ -443,7 +443,7 @@ static void check_plane(const Part *p) {
     char text[200];
     Num N[3] = {num(pair->N[0]), num(pair->N[1]), num(pair->N[2])}, n[3], m[3], x[3], d[3];
     if (bounds[low].r < 0) bounds[low] = carried(lower, upper);
-    apply(lower->M, N, 0, n), scale(n, 3);
+    scale(N, 3), apply(lower->M, N, 0, n), scale(n, 3);
     FOR(a, 3) n[a].e = 0; /* any normal will do, so we take a multiple of the rounded one */
     double len = length(n, 3), s = support(lower, p->first[low], p->count[low], n);
     double need = more(pair->margin + ldexp(bounds[low].A, -2 * p->h) / 8 + bounds[low].V), right = more(len * need);
@@ -466,7 +466,7 @@ static void check_plane(const Part *p) {
 static void tree(Block *b, Part p, int depth) {
     Part q = p;
     unsigned token = u8(b), w = token == 2;
-    if (depth > MAX_DEPTH || token > 17) refuse("a tree is too deep, or has an unknown token");
+    if (depth > MAX_DEPTH || token > 19) refuse("a tree is too deep, or has an unknown token");
     if (token == 0) {
         q.k *= 2, q.h++, tree(b, q, depth + 1), q.k++, tree(b, q, depth + 1);
     } else if (token <= 2) {
@@ -475,11 +475,11 @@ static void tree(Block *b, Part p, int depth) {
         tree(b, q, depth + 1), q.first[w] += q.count[w], q.count[w] = p.count[w] - q.count[w];
         tree(b, q, depth + 1);
     } else {
-        int16_t *N = pair->N;
         int way = ((int)token + 2) % 6; /* x, y, z, -x, -y, -z */
-        if (token > 3) pair->lower = token <= 9 || token == 16 ? 1 : 2;
-        if (token > 3) FOR(i, 3) N[i] = (int16_t)(token >= 16 ? i16(b) : way % 3 != i ? 0 : way < 3 ? 1 : -1);
-        if (!N[0] && !N[1] && !N[2]) refuse("a plane's normal is zero, or no plane has been named before");
+        if (token > 3) pair->lower = token <= 9 || token == 16 || token == 18 ? 1 : 2;
+        if (token > 3) FOR(i, 3)
+            pair->N[i] = token >= 18 ? real(b, -INFINITY) : token >= 16 ? i16(b) : way % 3 != i ? 0 : way < 3 ? 1 : -1;
+        if (pair->lower == 0) refuse("no plane has been named before");
         check_plane(&p);
     }
 }
@@ -563,14 +563,14 @@ static int belongs(const Body *b, const Piece *p, const uint32_t at[4], const Nu
 }
 static void check_point(Block *b) {
     uint32_t at[2][6];
-    Num point[3];
+    Num point[6];
     EACH(i, link_count) if (links[i].kind) refuse("a link moves, in a proof of a common point");
     FOR(i, 2) {
         FOR(k, 6) at[i][k] = u32(b);
         if (at[i][0] >= body_count || at[i][1] >= bodies[at[i][0]].count) refuse("a body or a piece does not exist");
     }
     if (at[0][0] == at[1][0]) refuse("a common point of a body with itself");
-    nums(b, point, 3);
+    nums(b, point, 6), combine(point, point + 3, 1, point);
     if (b->left) refuse("the proof has more bytes than it uses");
     FOR(i, 2) if (!belongs(bodies + at[i][0], pieces + bodies[at[i][0]].first + at[i][1], at[i] + 2, point))
         refuse("the common point is not shown to belong to both pieces");

@@ -278,12 +278,13 @@ def test_ratios_are_drawn_from_the_readme(tmp_path):
     assert (tmp_path / "ratios.svg").read_text() == source.with_suffix(".svg").read_text()
 
 
-def test_picture_is_what_its_script_draws(tmp_path, monkeypatch):
-    """docs/images/verdicts.svg is made of ellipses that the library fits now, to the drawing's rounding."""
-    source = ROOT / "docs/images/verdicts.py"
-    (tmp_path / "verdicts.py").write_text(source.read_text())
-    subprocess.run([sys.executable, str(tmp_path / "verdicts.py")], check=True, cwd=tmp_path)
+@pytest.mark.parametrize("name", ["verdicts", "planes"])
+def test_picture_is_what_its_script_draws(tmp_path, name):
+    """Each picture is made of ellipses, or planes, that the library finds now, to the drawing's rounding."""
+    source = ROOT / f"docs/images/{name}.py"
+    (tmp_path / source.name).write_text(source.read_text())
+    subprocess.run([sys.executable, str(tmp_path / source.name)], check=True, cwd=tmp_path)
     number = re.compile(r"-?\d+\.?\d*")
-    old, new = ((folder / "verdicts.svg").read_text() for folder in (source.parent, tmp_path))
+    old, new = ((folder / f"{name}.svg").read_text() for folder in (source.parent, tmp_path))
     assert number.sub("#", old) == number.sub("#", new)
     np.testing.assert_allclose(*([float(x) for x in number.findall(text)] for text in (old, new)), atol=0.25)

@@ -128,6 +128,25 @@ def test_true_proofs_are_verified():
     assert elsewhere.motions == ((1, True, True, 2), (1, False, False, 2))
 
 
+def test_normals_of_doubles():
+    """Tokens 18 and 19 name a plane by three doubles, of any size and in either frame; then it can be repeated."""
+    for scale in (1.0, 2.0**31, 2.0**-1074):
+        for token, sign in ((b"\x13", scale), (b"\x12", -scale)):
+            verify(turning(tree=token + doubles(0.0, sign, -0.0)))
+            with pytest.raises(Refused, match="fails by"):
+                verify(turning(tree=token + doubles(0.0, -sign, 0.0)))
+    verify(turning(tree=b"\0\x13" + doubles(1e-300, 1.0, 1e-17) + b"\3"))
+    # Two boxes, turned by 0.3 rad, with a gap of 1e-9 m: 16 bits are too coarse for its normal.
+    turn = np.array([[math.cos(0.3), -math.sin(0.3), 0], [math.sin(0.3), math.cos(0.3), 0], [0, 0, 1]])
+    corners = np.array([(x, y, z) for x in (-1, 0) for y in (-1, 1) for z in (-1, 1)])
+    placed = [hull(points @ turn.T) for points in (corners, -corners + (1e-9, 0, 0))]
+    given = model([link()], [], [body(0, placed[0]), body(-1, placed[1])])
+    verify(sealed(given, proof([[(), ()]], b"\x12" + doubles(*turn[:, 0]))))
+    for normal in (turn[:, 0] + 1e-9 * turn[:, 1], np.rint(2.0**15 * turn[:, 0])):
+        with pytest.raises(Refused, match="fails by"):
+            verify(sealed(given, proof([[(), ()]], b"\x12" + doubles(*normal))))
+
+
 def test_a_gap_must_exceed_what_is_required():
     """A gap equal to the margin, in exact numbers, is refused; 1e-15 m more is verified. So is the interval's term."""
     still = [[(0.0,), (0.0,)]]
@@ -157,7 +176,10 @@ def test_a_gap_must_exceed_what_is_required():
         (turning(tree=b"\0" + ALONG_Y), "ends too early"),
         (turning(tree=b""), "too short|ends too early"),
         (turning(tree=b"\3"), "does not name a plane"),
-        (turning(tree=b"\x12"), "does not name a plane"),
+        (turning(tree=b"\x14"), "does not name a plane"),
+        (turning(tree=b"\x12" + doubles(0.0, -0.0, 0.0)), "does not name a plane"),
+        (turning(tree=b"\x12" + doubles(0.0, math.nan, 0.0)), "not finite"),
+        (turning(tree=b"\x12" + doubles(0.0, 1.0, 2.0**32)), "too large"),
         (turning(tree=plane((0, 0, 0))), "does not name a plane"),
         (turning(tree=b"\1" + ALONG_Y * 2), "divides one piece"),
         (turning(tree=b"\0" * 70 + ALONG_Y * 80), "nested"),
@@ -501,8 +523,8 @@ def test_no_plane_proves_more_than_the_closest_approach(chains):
 TOUCHING = [body(-1, box((0, 0, 0), (1, 1, 1))), body(-1, box((1, 0, 0), (2, 1, 1)))]
 
 
-def common(bodies, first, second, point, links=(), values=()):
-    content = struct.pack("<6I", *first) + struct.pack("<6I", *second) + doubles(*point)
+def common(bodies, first, second, point, links=(), values=(), more=(0.0, 0.0, 0.0)):
+    content = struct.pack("<6I", *first) + struct.pack("<6I", *second) + doubles(*point, *more)
     return sealed(model(list(links), values, bodies), content, claim=2)
 
 
@@ -513,6 +535,15 @@ def test_common_points_are_exact():
     for wrong in ((1 + 2.0**-52, 0.25, 0.5), (1 - 2.0**-53, 0.25, 0.5), (1, -(2.0**-60), 0.5), (1, 0.25, 1.5)):
         with pytest.raises(Refused, match="not shown"):
             verify(common(TOUCHING, first, second, wrong))
+    # A point is the exact sum of two vectors: of a box that begins 2^-80 m before the other ends, and of no other.
+    near = [body(-1, box((0, 0, 0), (1, 1, 1)), matrix=EYE, shift=(2.0**-80, 0, 0)), TOUCHING[1]]
+    for off, good in ((2.0**-81, True), (2.0**-80, True), (2.0**-79, False), (-(2.0**-90), False)):
+        data = common(near, (0, 0, 0, 4, 5, 7), (1, 0, 0, 1, 3, 7), (1, 0.25, 0.5), more=(off, 0.0, 0.0))
+        if good:
+            verify(data)
+        else:
+            with pytest.raises(Refused, match="not shown"):
+                verify(data)
     for places in ((first, (1, 0, 0, 1, 2, 8)), (first, (1, 1, 0, 1, 2, 3)), ((0, 0, 0, 0, 0, 0), second)):
         with pytest.raises(Refused):
             verify(common(TOUCHING, *places, (1, 0.25, 0.5)))

@@ -41,6 +41,7 @@ from loewner.robots import (
     StateDistance,
     TrajectoryContact,
     pairs_by_sampling,
+    prove,
 )
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes import Attachment, Contact, Scene
@@ -104,6 +105,7 @@ __all__ = [
     "overlap",
     "overlapping_pairs",
     "pairs_by_sampling",
+    "prove",
     "read_motion_bench_maker",
     "save_scene",
     "set_num_threads",

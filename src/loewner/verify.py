@@ -84,18 +84,18 @@ class Report:
 
     def __str__(self) -> str:
         lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
-        for number, (degree, joined, inside, places) in enumerate(self.motions):
+        for number, (degree, joined, inside, places) in enumerate(self.motions if self.deviations else ()):
             start = ("starts anew", "starts where the last one ends", "the first")[joined + (number == 0)]
             text = f"degree {degree}, {start}, {'' if inside else 'NOT '}within limits, {places} configurations"
             lines.append((f"motion {number}", text))
-        for what, row in (("begins at", self.points[0][0]), ("ends at", self.points[-1][-1])) if self.points else ():
-            values = zip(self.deviations, row, strict=True)
-            lines.append((what, ", ".join(f"{_shown(name)} {x!r}" for (name, _), x in values)))
+        ends = (self.points[0][0], self.points[-1][-1]) if self.points and self.deviations else ()
+        for what, q in zip(("begins at", "ends at"), ends, strict=False):
+            lines.append((what, ", ".join(f"{_shown(x)} {v!r}" for (x, _), v in zip(self.deviations, q, strict=True))))
         if self.tightest:
             *pair, number, since, until, margin, spare = self.tightest
-            least = f"with the margin of {1000 * margin:.12g} mm, holds by {int(10**6 * spare) / 1000:.3f} mm"
-            where = f"{_shown(*pair)}, motion {number}, t in [{since}, {until}]"
-            lines.append(("tightest", f"plane: its condition, {least} ({where})"))
+            least = f"with the margin of {1000 * margin:.12g} mm, holds by {int(10**12 * spare) / 10**9:.6g} mm"
+            where = f"motion {number}, t in [{since}, {until}]" if self.deviations else "which do not move"
+            lines.append(("tightest", f"plane: its condition, {least} ({_shown(*pair)}, {where})"))
         lines.append(("margin", f"{1000 * self.margins[0]:.12g} mm; {self.margins[1]} pairs have another one"))
         off = [(f"{_shown(name)}: ", x) for name, x in self.deviations if x] or [("", 0)]
         lines += [("joint error", f"{name}{x!r}") for name, x in off]
@@ -120,12 +120,17 @@ def _vector(numbers: Iterable[float | Fraction]) -> Whole:
     return tuple(map(_down, numbers))
 
 
+def _whole(numbers: Sequence[float]) -> Whole:  # times a power of two that makes all of them whole
+    ratios = [x.as_integer_ratio() for x in numbers]
+    return tuple(n * (max(d for _, d in ratios) // d) for n, d in ratios)
+
+
 def _norm_up(entries: Whole) -> int:
     return isqrt(sum(x * x for x in entries)) + 1
 
 
-def _sum(v: Whole, w: Whole, sign: int = 1) -> Whole:
-    return v[0] + sign * w[0], v[1] + sign * w[1], v[2] + sign * w[2]
+def _sum(v: Sequence[Any], w: Sequence[Any], by: int | Fraction = 1) -> tuple[Any, ...]:
+    return tuple([a + by * b for a, b in zip(v, w, strict=True)])
 
 
 def _apply(m: Whole, v: Whole) -> Whole:
@@ -206,7 +211,7 @@ class _Link:
         if wrong or not -1 <= self.above < len(links) or size == 0 or (self.kind == 1 and square == 0):
             raise Refused(f"Link {name} has an impossible link above it, kind, value, quaternion or axis.")
         base = links[self.above] if self.above >= 0 else None
-        self.depth: int = base.depth + 1 if base else 1
+        self.chain: tuple[_Link, ...] = (*base.chain, self) if base else (self,)
         self.group: int = base.group if base and not self.kind else len(links)
         cross, rest = (0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0), 2 * w * w - size
         self.rotation = [(2 * v[i] * v[k] + 2 * w * cross[3 * i + k] + rest * (i == k)) / size for i, k in EVERY]
@@ -250,7 +255,7 @@ class _Body:
         self.group = links[self.link].group if self.link >= 0 else -1
         self.turn, self.place = reader.doubles(9), reader.doubles(3)
         self.matrix, self.shift, self.largest = _vector(self.turn), _vector(self.place), ONE
-        self.whole = [int(Fraction(x) * max(y.as_integer_ratio()[1] for y in self.turn)) for x in self.turn]
+        self.whole = _whole(self.turn)
         self.kinds, self.pieces, self.counts = list[tuple[int, float, list[float]]](), list[list[Part]](), [0]
         for _ in range(reader.count(37, "pieces", 1)):
             (kind,), (radius,) = reader.take("B"), reader.doubles(1, "radius")
@@ -298,7 +303,7 @@ class _Body:
         (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
         if kind in (1, 2, 3):
             columns = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
-            rest = _less(point, _moved(self.turn, numbers[:3], self.place))
+            rest = _sum(point, _moved(self.turn, numbers[:3], self.place), -1)
             u = _solved([list(row) for row in zip(*columns, rest, strict=True)]) or [2 * one] * 3
             allowed = (one - u[2] ** 2, one, ((1 - u[2]) / 2) ** 2)[kind - 1]
             return not radius and not any(four) and abs(u[2]) <= 1 and u[0] ** 2 + u[1] ** 2 <= allowed
@@ -306,13 +311,13 @@ class _Body:
         if max(four) >= len(numbers) // width:
             return False
         corners = [_moved(self.turn, numbers[width * k : width * k + 3], self.place) for k in four]
-        for some in (some for count in range(1, 5) for some in combinations(corners, count) if kind == 0):
+        for some in (some for count in range(4, 0, -1) for some in combinations(corners, count) if kind == 0):
             weights = _solved([list(row) for row in zip(*some, point, strict=True)] + [[one] * (len(some) + 1)])
             if weights and min(weights) >= 0:
                 return True
-        away, along = _less(point, corners[0]), _less(corners[1], corners[0])
+        away, along = _sum(point, corners[0], -1), _sum(corners[1], corners[0], -1)
         share = _dot(away, along) / (_dot(along, along) or 1) if kind == 0 else Fraction(0)
-        away = _less(away, [min(max(share, Fraction(0)), one) * x for x in along])
+        away = _sum(away, along, -min(max(share, Fraction(0)), one))
         reach = Fraction(radius) + (Fraction(numbers[4 * four[0] + 3]) if kind == 4 else 0)
         return _dot(away, away) <= reach**2
 
@@ -321,20 +326,16 @@ def _moved(m: Sequence[Any], v: Sequence[Any], shift: Sequence[Any]) -> list[Fra
     return [sum((Fraction(m[3 * i + k]) * Fraction(v[k]) for k in range(3)), Fraction(shift[i])) for i in range(3)]
 
 
-def _less(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
-def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+def _dot(a: Sequence[Fraction], b: Sequence[Fraction]) -> Fraction:
     return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
 
 
-def _solved(rows: list[list[Fraction]]) -> list[Fraction] | None:
+def _solved(rows: Sequence[Sequence[Fraction]]) -> list[Fraction] | None:
     """Solve equations, whose last entries are on the right, if there is exactly one solution."""
     if not rows or len(rows[0]) == 1:
         return None if any(row[0] for row in rows) else []
     pivot = next((row for row in rows if row[0]), rows[0])
-    rest = [_less(row, [row[0] / pivot[0] * x for x in pivot])[1:] for row in rows if row is not pivot and pivot[0]]
+    rest = [_sum(row, pivot, -row[0] / pivot[0])[1:] for row in rows if row is not pivot and pivot[0]]
     found = _solved(rest) if pivot[0] else None
     return None if found is None else [(pivot[-1] - _dot(pivot[1:-1], found)) / pivot[0], *found]
 
@@ -404,17 +405,16 @@ class _Checker:
 
     def common_point(self) -> None:
         places = [self.reader.take("6I") for _ in range(2)]
-        world, pair = list(map(Fraction, self.reader.doubles(3))), (places[0][0], places[1][0])
+        terms = list(map(Fraction, self.reader.doubles(6)))
+        world, pair = list(_sum(terms[:3], terms[3:])), (places[0][0], places[1][0])
         still = len(self.links) <= MOST_STILL and not any(link.kind for link in self.links)
         if pair[0] == pair[1] or max(pair) >= len(self.bodies) or not still:
             raise Refused("A common point needs two different bodies and a model of up to 100 links without joints.")
         for k, piece, *four in places:
-            point, chain = world, [self.bodies[k].link]
-            while chain[-1] >= 0:
-                chain.append(self.links[chain[-1]].above)
-            for link in (self.links[m] for m in chain[-2::-1]):
+            point, own = world, self.bodies[k].link
+            for link in self.links[own].chain if own >= 0 else ():
                 back = [link.rotation[3 * i + m] for m, i in EVERY]
-                point = _moved(back, _less(point, link.place), (0, 0, 0))
+                point = _moved(back, _sum(point, link.place, -1), (0, 0, 0))
             if piece >= len(self.bodies[k].pieces) or not self.bodies[k].contains(piece, tuple(four), point):
                 raise Refused(f"The point is not shown to belong to {_shown(self.bodies[k].name)}.")
         self.common = self.named(pair)
@@ -449,11 +449,11 @@ class _Checker:
                     raise Refused(f"{_shown(*self.named(pair))}: a tree divides one piece, or is nested too deep.")
                 rest += [([*spans[:token], x, *spans[token + 1 :]], depth + 1) for x in ((half, high), (low, half))]
                 continue
-            if 3 < token < 18:
+            if 3 < token < 20:
                 self.sizes["planes"] += 1
-                normal = self.reader.take("3h") if token > 15 else AXES[(token - 4) % 6]
-                self.last[pair] = token < 10 or token == 16, normal
-            if token > 17 or pair not in self.last or not any(self.last[pair][1]):
+                given = AXES[(token - 4) % 6] if token < 16 else self.reader.take("3h") if token < 18 else None
+                self.last[pair] = token < 10 or token in (16, 18), _whole(given or self.reader.doubles(3))
+            if token > 19 or pair not in self.last or not any(self.last[pair][1]):
                 raise Refused(f"{_shown(*self.named(pair))}: token {token} does not name a plane.")
             self.leaf(motion, pair, spans)
 
@@ -474,7 +474,7 @@ class _Checker:
             x, y, z = _sum(there, place, -1)
             gaps.append(a * x + b * y + c * z - above.support(others, away, norm))
         bend, stray = self.bound(motion, below.link, high)
-        depth = 1 + max((self.links[k].depth for k in (below.link, above.link) if k >= 0), default=0)
+        depth = 1 + max((len(self.links[k].chain) for k in (below.link, above.link) if k >= 0), default=0)
         length = max(motion.lengths[below.link], motion.lengths[above.link])
         size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
         slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz

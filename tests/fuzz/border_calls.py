@@ -852,6 +852,16 @@ CALLS: dict[str, Call] = {
             "margin": margin(),
         },
     ),
+    "prove": Call(
+        loewner.prove,
+        {
+            "a": arg(cube, "Body"),
+            "T_world_a": pose(0.0),
+            "b": arg(ball, "Body"),
+            "T_world_b": pose(0.5),
+            "margin": margin(),
+        },
+    ),
     "overlapping_pairs": Call(
         loewner.overlapping_pairs,
         {

@@ -9,13 +9,30 @@ import pytest
 
 import checker_oracle
 from checker_oracle import composed_bodies, random_robot, random_scene, simple_bodies
-from loewner import CollisionChecker, ConvergenceError, PlanningError, Verdict, planners, read_motion_bench_maker
+from families import FAMILIES, near_contact, pieces, stretch
+from loewner import (
+    Body,
+    CollisionChecker,
+    ConvergenceError,
+    PlanningError,
+    Verdict,
+    collide,
+    distance,
+    planners,
+    prove,
+    read_motion_bench_maker,
+)
 from loewner.verify import verify
 from motion_oracle import example, free_configurations, ring, steps
+from oracles import hull, pack
+from test_second_checker import agrees  # noqa: F401
 
 pytestmark = [pytest.mark.verify, pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")]
 
 ROBOTS, PLANS = 200, 100
+
+# Pairs of each of the fifteen families; a hundredth of the proofs are also given to the program in C.
+PAIRS = 1_600
 
 ARMS = {
     "panda": ("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf"),
@@ -54,6 +71,32 @@ def test_motions_of_robots_at_random(tmp_path, monkeypatch):
     print("proofs of motions at random:", dict(seen))
     assert seen["verified"] > ROBOTS
     assert seen["coarse"] < seen["verified"] / 20
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_pairs(family, agrees):  # noqa: F811
+    """Every verdict of pairs has a proof that is verified, a third of them within 1e-12 to 1e-2 of contact."""
+    hulls = [hull(points) for points in pieces(family, 100, 36)]
+    pool, made = pack(hulls), [Body.from_points(each.vertices) for each in hulls]
+    rng = np.random.default_rng([36, *family.encode()])
+    ia, ib = rng.integers(len(made), size=(2, PAIRS))
+    Ta, Tb = near_contact(rng, pool, ia, pool, ib, grazing=0.3, stretch=stretch(family))
+    colliding = [collide(made[ia[k]], Ta[k], made[ib[k]], Tb[k]) for k in range(PAIRS)]
+    seen = Counter()
+    for k in range(PAIRS):
+        proof = prove(made[ia[k]], Ta[k], made[ib[k]], Tb[k])
+        report = verify(proof.data)
+        assert (report.common is not None) == (proof.verdict == Verdict.COLLIDING)
+        if (proof.verdict == Verdict.COLLIDING) != colliding[k]:  # nearer than rounding, which counts as touching
+            assert 0.0 < distance(made[ia[k]], Ta[k], made[ib[k]], Tb[k], exact=True).distance < 1e-12
+            assert colliding[k]
+            seen["touching within rounding"] += 1
+        seen[proof.verdict] += 1
+        if k % 100 == 0:
+            depth = -distance(made[ia[k]], Ta[k], made[ib[k]], Tb[k], exact=True).distance
+            seen["refused in C"] += not agrees(proof.data, exactly=not 0.0 < depth < 1e-7)
+    print(f"pairs of {family}:", dict(seen))
+    assert min(seen[Verdict.FREE], seen[Verdict.COLLIDING]) > PAIRS / 10
 
 
 @pytest.mark.parametrize("name", ["ur5", "talos", "panda on a base"])

@@ -11,6 +11,7 @@ from loewner.robots.contact_times import TrajectoryContact
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
+from loewner.robots.pair_proofs import prove
 from loewner.robots.reaching import Reached
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
@@ -30,4 +31,5 @@ __all__ = [
     "StateDistance",
     "TrajectoryContact",
     "pairs_by_sampling",
+    "prove",
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +17,9 @@ from loewner import _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._rotations import quaternions_of
-from loewner._validate import Floats, Ints
+from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Packed
+from loewner.bodies.pack import join
 from loewner.errors import InputError
 from loewner.robots.problem import Problem
 
@@ -31,6 +33,9 @@ LARGEST, MOST_LINKS = 2.0**32, 1000
 
 # Names are preceded by their length in 16 bits.
 LONGEST_NAME = 2**16 - 1
+
+# Names of the bodies of a pair.
+PAIR = "a", "b"
 
 
 class Links(NamedTuple):
@@ -80,6 +85,26 @@ class Pieces(NamedTuple):
     points: list[Floats]
 
 
+class Placed(NamedTuple):
+    """Bodies at their places.
+
+    Attributes
+    ----------
+    names : tuple of str
+    link : ndarray of int64, shape (bodies,)
+        Numbers of links; -1 for the world.
+    turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
+        From the frame of each body to the frame of its link.
+    pieces : Pieces
+    """
+
+    names: tuple[str, ...]
+    link: Ints
+    turn: Floats
+    shift: Floats
+    pieces: Pieces
+
+
 class Model(NamedTuple):
     """A model.
 
@@ -127,26 +152,59 @@ def model_of(ready: Problem) -> Model:
     link = np.append(at[moving], np.full(len(standing), -1))
     turn = np.concatenate([turns[moving], standing[:, :3, :3]])
     shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
-    pieces = pieces_of(cut.packed)
-    lengths = shift, links.translation, links.axis, pieces.radius, ready.margins, *pieces.points
+    placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed))
+    limits = list(zip(robot.configuration_names, robot.lower, robot.upper, strict=True))
+    return _model(links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins)
+
+
+def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats, margin: float) -> Model:
+    """Make the model of two bodies that do not move, which it calls a and b.
+
+    Parameters
+    ----------
+    packs, cut : sequences of Packed
+        The two bodies, and the same with their surfaces in parts.
+    poses : ndarray, shape (2, 4, 4)
+    margin : float
+
+    Raises
+    ------
+    InputError
+        If lengths are longer than checkers take.
+    """
+    none, nothing = np.array([-1]), np.zeros((1, 3))
+    identity = quaternions_of(np.eye(3)[None])
+    # A link of its own: bodies of the world are not checked among themselves.
+    links = Links(
+        ["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none
+    )  # fmt: skip
+    placed = Placed(PAIR, np.array([0, -1]), poses[:, :3, :3], poses[:, :3, 3], pieces_of(join(cut)))
+    return _model(links, [], placed, _hollow(packs, cut), np.array([[0, 1]]), np.array([margin]))
+
+
+def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
+    """Whether bodies have an interior that their parts do not cover."""
+    solid = [(pack.layout[:, columns.KIND] == columns.SOLID).any() for pack in packs]
+    return np.logical_and(solid, [one is not other for one, other in zip(packs, cut, strict=True)])
+
+
+def _model(
+    links: Links, limits: list[tuple[str, float, float]], bodies: Placed, hollow: Bools, pairs: Ints, margins: Floats
+) -> Model:
+    """Make a model of its parts, if checkers take its numbers."""
+    pieces = bodies.pieces
+    lengths = bodies.shift, links.translation, links.axis, pieces.radius, margins, *pieces.points
     if len(links.names) > MOST_LINKS or not all((np.abs(array) < LARGEST).all() for array in lengths):
         raise InputError(
             f"proof: expected at most {MOST_LINKS} links and lengths below {LARGEST:g} m, which checkers take, found "
             f"{len(links.names)} links, or longer lengths"
         )
-    solid = np.logical_or.reduceat(ready.packed.layout[:, columns.KIND] == columns.SOLID, ready.packed.piece_start[:-1])
-    hollow = solid & np.array([one is not other for one, other in zip(ready.packs, cut.packs, strict=True)])
     data = [
         struct.pack("<I", len(links.names)), *_of_links(links),
-        struct.pack("<I", robot.dof),
-        *(
-            _name(name) + struct.pack("<dd", low, high)
-            for name, low, high in zip(robot.configuration_names, robot.lower, robot.upper, strict=True)
-        ),
-        of_bodies(ready.names, link, hollow, turn, shift, pieces),
-        of_pairs(_groups(links, link), ready.pairs, ready.margins),
+        struct.pack("<I", len(limits)), *(_name(name) + struct.pack("<dd", *ends) for name, *ends in limits),
+        of_bodies(bodies, hollow), of_pairs(_groups(links, bodies.link), pairs, margins),
     ]  # fmt: skip
-    return Model(b"".join(data), links, link, turn, shift, pieces, ready.pairs, ready.margins)
+    return Model(b"".join(data), links, bodies.link, bodies.turn, bodies.shift, pieces, pairs, margins)
 
 
 def _refuse(ready: Problem) -> None:
@@ -260,8 +318,9 @@ def _of_links(links: Links) -> list[bytes]:
     ]
 
 
-def of_bodies(names: tuple[str, ...], link: Ints, hollow: Ints, turn: Floats, shift: Floats, pieces: Pieces) -> bytes:
+def of_bodies(bodies: Placed, hollow: Bools) -> bytes:
     """Write the bodies and their pieces."""
+    names, link, turn, shift, pieces = bodies
     data, first = [struct.pack("<I", len(names))], pieces.start.tolist()
     for k, name in enumerate(names):
         count = first[k + 1] - first[k]

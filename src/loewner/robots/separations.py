@@ -21,11 +21,11 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Packed
 from loewner.errors import ConvergenceError
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import BALL, CYLINDER, HULL, SLIDES, STAYS, TURNS, Model
-from loewner.robots.robot import link_poses
+from loewner.robots.proof_models import BALL, CYLINDER, HULL, PAIR, SLIDES, STAYS, TURNS, Model
+from loewner.robots.robot import Robot, link_poses
 
 # Tokens of the trees.
-HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL = 0, 1, 2, 3, 4, 16
+HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
 
 # Trees get no deeper, so that intervals have few digits; checkers allow 64.
 DEEPEST = 40
@@ -33,11 +33,9 @@ DEEPEST = 40
 # Room for checkers that compute with enclosures: as a share of the lengths on the right, and of the model's size.
 SHARE, ROOM = 1.0 + 2e-9, 2e-11
 
-# Normals are whole numbers up to this one. Some scales are tried, on deep levels many, since rounding turns a normal.
-LARGEST, SCALES, DEEP, DEEP_SCALES, MOST_SCALED = 32767, 3, 10, 4096, 2**21
-
-# Normals that are rounded at a time.
-PRODUCTS = 2**14
+# Normals are whole numbers up to this one, at one of some scales, since rounding turns a normal. On deep levels, and
+# between bodies that do not move, they are also tried as they are, in doubles.
+LARGEST, SCALES, DEEP = 32767, 3, 10
 
 # Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
 BOX_ROOM = 4e-6
@@ -124,10 +122,10 @@ class Placed(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """Candidates, or planes that were found: the side whose body is the lower one, and normals in whole numbers."""
+    """Candidates, or planes that were found: the side whose body is the lower one, and normals."""
 
     side: Ints
-    normal: Ints
+    normal: Floats
 
 
 def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> bytes:
@@ -138,24 +136,41 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
     ConvergenceError
         If planes that the format can express do not prove a pair to be apart.
     """
-    search = _Search(ready.in_parts, model, deviations)
+    cut = ready.in_parts
+    search = _Search(cut.names, cut.packed, model, deviations, ready.robot)
     step = min(max(1, AT_ONCE // max(1, len(model.pairs))), MOTIONS_AT_ONCE)
     return b"".join(search.of(courses[k : k + step], k) for k in range(0, len(courses), step))
+
+
+def still(packed: Packed, model: Model, room: float) -> bytes:
+    """Make the tree of two bodies that do not move, with a gap that exceeds the margin by `room` of all lengths.
+
+    Raises
+    ------
+    ConvergenceError
+        As for `trees`.
+    """
+    none = np.empty((1, 2, 0))
+    return written(none[0, 0], none) + _Search(PAIR, packed, model, none[0, 0], room=room).of(none, 0)
 
 
 class _Search:
     """The search for the trees of some motions; `named` is the plane that was named last for each pair."""
 
-    def __init__(self, ready: Problem, model: Model, deviations: Floats) -> None:
-        self.ready, self.model, self.deviations = ready, model, deviations
+    def __init__(
+        self, names: tuple[str, ...], packed: Packed, model: Model, deviations: Floats, robot: Robot | None = None,
+        room: float = ROOM,
+    ) -> None:  # fmt: skip
+        self.names, self.robot, self.model, self.deviations, self.room = names, robot, model, deviations, room
         self.clusters = clusters_of(model)
         self.chains = _Chains(model, self.clusters.balls, deviations)
-        self.named = np.full((len(model.pairs), 4), -1, dtype=np.int64)
-        self.recent = np.zeros((len(model.pairs), 4), dtype=np.int64)
+        self.named = np.full((len(model.pairs), 4), -1.0)
+        self.recent = np.zeros((len(model.pairs), 4))
         links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
         self.turn = np.ascontiguousarray(model.turn.transpose(1, 2, 0))
-        self.kernel = _kernel(self.ready.packed, model)
-        self.link = np.where(links < 0, len(ready.robot.link_names), links)
+        self.kernel, self.cut = _kernel(packed, model), bool(packed.trees)
+        self.count = 0 if robot is None else len(robot.link_names)
+        self.link = np.where(links < 0, self.count, links)
 
     def of(self, courses: Floats, first: int) -> bytes:
         """Make the trees of some motions, from number `first` on."""
@@ -165,7 +180,7 @@ class _Search:
         m, p = (array.ravel() for array in np.indices((motions, pairs)))
         a, b = self.clusters.of_body[self.model.pairs[p]].T
         open_ = Tasks(m, p, a, b, np.arange(len(m)), np.zeros(len(m)), np.ones(len(m)))
-        token, normal = np.zeros(len(m), dtype=np.int64), np.zeros((len(m), 3), dtype=np.int64)
+        token, normal = np.zeros(len(m), dtype=np.int64), np.zeros((len(m), 3))
         child = np.full(len(m), -1, dtype=np.int64)
         owner, count, begins = p, len(m), [0]
         for depth in range(DEEPEST + 1):
@@ -183,7 +198,7 @@ class _Search:
             begins.append(count)
             count += len(open_.node)
             token, child = (np.append(array, np.full(len(open_.node), -1)) for array in (token, child))
-            normal = np.append(normal, np.zeros((len(open_.node), 3), dtype=np.int64), axis=0)
+            normal = np.append(normal, np.zeros((len(open_.node), 3)), axis=0)
             owner = np.append(owner, open_.pair)
         return self._written(token, normal, child, owner, motions * pairs, [*begins, count])
 
@@ -205,7 +220,7 @@ class _Search:
         need = self.bends.deviation[tasks.motion, tasks.pair]
         need = need + self.bends.curvature[tasks.motion, tasks.pair] * ((tasks.high - tasks.low) ** 2 / 8)[:, None]
         need = SHARE * (self.model.margins[tasks.pair][:, None] + need)
-        token, normal = np.full(total, -1), np.zeros((total, 3), dtype=np.int64)
+        token, normal = np.full(total, -1), np.zeros((total, 3))
         scores = self._boxes(tasks, placed, need)
         best = scores.argmax(axis=0)
         sure = scores[best, np.arange(total)] > BOX_ROOM * self.size
@@ -221,28 +236,28 @@ class _Search:
 
     def _search(
         self, tasks: Tasks, placed: Placed, need: Floats, scores: Floats, depth: int
-    ) -> tuple[Ints, Ints, Ints]:  # fmt: skip
+    ) -> tuple[Ints, Floats, Ints]:  # fmt: skip
         """Look for planes of tasks that boxes do not settle.
 
         Returns
         -------
         token : ndarray of int64
             -1 for those without a plane.
-        normal : ndarray of int64, shape (T, 3)
+        normal : ndarray, shape (T, 3)
         divide : ndarray of int64
             How those without a plane are divided.
         """
         # The best axes, and the plane that was found last for this pair.
         order = np.argsort(-scores, axis=0)[:BEST_AXES]
         recent = self.recent[tasks.pair]
-        tried = Planes(
-            np.append(order // 6, recent[None, :, 0], axis=0), np.append(_AXES[order], recent[None, :, 1:], axis=0)
-        )
+        sides = np.append(order // 6, recent[None, :, 0].astype(np.int64), axis=0)
+        tried = Planes(sides, np.append(_AXES[order], recent[None, :, 1:], axis=0))
         token, normal, spare = self._tried(tasks, placed, need, tried)
         axis = token >= 0
         axis[axis] = token[axis] < BEST_AXES
         token = np.where(axis, AXES + order[np.minimum(token, BEST_AXES - 1), np.arange(len(token))], token)
-        token[(token >= 0) & ~axis] = NORMAL + recent[(token >= 0) & ~axis, 0]
+        again = (token >= 0) & ~axis
+        token[again] = _tokens(recent[again, 0], normal[again])
         divide = np.zeros(len(token), dtype=np.int64)
         open_ = np.flatnonzero(token < 0)
         if len(open_) == 0:
@@ -251,7 +266,7 @@ class _Search:
         distance, normals = self._distances(some, placed)
         least = self.model.margins[some.pair] + self.bends.deviation[some.motion, some.pair].min(axis=1)
         counts = np.stack([(self.clusters.last - self.clusters.first)[c] for c in (some.a, some.b)])
-        near = np.flatnonzero((distance > need.min(axis=1) + ROOM * self.size).all(axis=0))
+        near = np.flatnonzero((distance > need.min(axis=1) + self.room * self.size).all(axis=0))
         if len(near):
             chosen, placed = some.at(near), placed.at(near)
             tried = self._normals(chosen, placed, normals[..., near], depth)
@@ -260,28 +275,29 @@ class _Search:
             good = which >= 0
             at = open_[near[good]]
             side = tried.side[which[good], good]
-            token[at], normal[at] = NORMAL + side, own[good]
+            token[at], normal[at] = _tokens(side, own[good]), own[good]
             self.recent[chosen.pair[good]] = np.column_stack([side, own[good]])
         # Halving does not help where the bodies are too near at one end, by their distance or by precise normals.
         sunk = (distance < least - BOX_ROOM * self.size).any(axis=0)
-        if depth >= DEEP:
-            sunk |= (distance < least + ROOM * self.size).any(axis=0)
-            sunk[near] |= ((spare <= ROOM * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
+        deep = depth >= DEEP or self.robot is None
+        if deep:
+            sunk |= (distance < least + self.room * self.size).any(axis=0)
+            sunk[near] |= ((spare <= self.room * self.size).any(axis=0) & (counts == 1).all(axis=0))[near]
         for k in np.flatnonzero(sunk & (token[open_] < 0))[:1]:
             self._fail(some, k)
         # Pieces that no plane separates, although they are apart, are divided.
-        stuck = ((spare <= ROOM * self.size).any(axis=0) | (depth >= DEEP)) & (counts.max(axis=0) > 1)
+        stuck = ((spare <= self.room * self.size).any(axis=0) | deep) & (counts.max(axis=0) > 1)
         divide[open_] = np.where(stuck, np.where(counts[0] >= counts[1], FIRST_DIVIDED, SECOND_DIVIDED), HALVED)
         return token, normal, divide
 
-    def _tried(self, tasks: Tasks, placed: Placed, need: Floats, tried: Planes) -> tuple[Ints, Ints, Floats]:
+    def _tried(self, tasks: Tasks, placed: Placed, need: Floats, tried: Planes) -> tuple[Ints, Floats, Floats]:
         """Return for each task the number of the first candidate that proves it, or -1; its normal; and by how much the
         gaps of all candidates exceed margin and deviations at either end, at most, shape (2, T)."""
         length = np.linalg.norm(tried.normal, axis=2)
         gaps = self._gaps(tasks, placed, tried) / np.maximum(length, 1e-300)
         gaps[:, length == 0] = -np.inf
         each = np.arange(len(need))
-        held = gaps.min(axis=0) > need[each, tried.side] + ROOM * self.size
+        held = gaps.min(axis=0) > need[each, tried.side] + self.room * self.size
         which = np.where(held.any(axis=0), held.argmax(axis=0), -1)
         gaps -= self.model.margins[tasks.pair] + self.bends.deviation[tasks.motion, tasks.pair][each, tried.side]
         return which, tried.normal[which, each], gaps.max(axis=1)
@@ -300,8 +316,11 @@ class _Search:
         return Tasks(twice.motion, twice.pair, a, b, count + np.arange(len(a)), low, high)
 
     def _fail(self, tasks: Tasks, k: int) -> None:
-        a, b = (self.ready.names[n] for n in self.model.pairs[tasks.pair[k]])
-        why = "normals of 16 bits are too coarse for how near they come; keep a margin of some micrometres"
+        if self.robot is None:
+            why = "the hulls of parts of a surface or a cloud are nearer" if self.cut else "their gap is too small"
+            raise ConvergenceError(f"proof: expected planes between the bodies, which are apart, found none: {why}")
+        a, b = (self.names[n] for n in self.model.pairs[tasks.pair[k]])
+        why = "they come nearer than the room for rounding that proofs leave"
         if self.deviations.any():
             why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
         raise ConvergenceError(
@@ -320,8 +339,9 @@ class _Search:
         t = (2 * (known - number))[:, None]
         degree = self.courses.shape[1] - 1
         Q = sum(comb(degree, k) * t**k * (1 - t) ** (degree - k) * self.courses[number, k] for k in range(degree + 1))
-        world = np.empty((4, 4, len(known), len(self.ready.robot.link_names) + 1))
-        world[..., :-1] = link_poses(self.ready.robot, np.ascontiguousarray(Q)).transpose(2, 3, 0, 1)
+        world = np.empty((4, 4, len(known), self.count + 1))
+        if self.robot is not None:
+            world[..., :-1] = link_poses(self.robot, np.ascontiguousarray(Q)).transpose(2, 3, 0, 1)
         world[..., -1] = np.eye(4)[..., None]
         bodies = self.model.pairs[tasks.pair].T
         flat = (
@@ -352,7 +372,7 @@ class _Search:
         """Compute the gaps of candidates at both ends, shape (2, K, T), undivided by the lengths of their normals."""
         side = tried.side.astype(bool)
         bodies = self.model.pairs[tasks.pair].T
-        normal = np.ascontiguousarray(np.moveaxis(tried.normal, 2, 0), dtype=np.float64)
+        normal = np.ascontiguousarray(np.moveaxis(tried.normal, 2, 0))
         n = np.einsum("ijkt,jkt->ikt", self.turn[:, :, np.where(side, bodies[1], bodies[0])], normal)
         R, t = placed.turn[:, :, :, :, None], placed.shift[:, :, :, None]
         world = np.einsum("ijekt,jkt->iekt", np.where(side, R[:, :, 1], R[:, :, 0]), n)
@@ -410,20 +430,22 @@ class _Search:
             turn = self.turn[:, :, self.model.pairs[tasks.pair, side]]
             local = sign * np.einsum("kjt,lket,let->etj", turn, placed.turn[:, :, side], normals, optimize=True)
             tried += [local.sum(axis=0), *local]
-        scales = SCALES if depth < DEEP else min(DEEP_SCALES, max(SCALES, MOST_SCALED // (6 * len(tasks.node))))
-        whole = rounded(np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)]), scales)
-        return Planes(np.broadcast_to(np.array([[0], [1], [0], [0], [1], [1]]), whole.shape[:2]), whole)
+        exact = np.stack([tried[k] for k in (0, 3, 1, 2, 4, 5)])
+        made, sides = rounded(exact), np.array([[0], [1], [0], [0], [1], [1]])
+        if depth >= DEEP or self.robot is None:
+            made, sides = np.append(made, exact, axis=0), np.append(sides, sides, axis=0)
+        return Planes(np.broadcast_to(sides, made.shape[:2]), made)
 
     # -- bytes --------------------------------------------------------------------------------
 
-    def _written(self, token: Ints, normal: Ints, child: Ints, pair: Ints, roots: int, begins: list[int]) -> bytes:
+    def _written(self, token: Ints, normal: Floats, child: Ints, pair: Ints, roots: int, begins: list[int]) -> bytes:
         """Write trees by depth, first children first."""
         inner = child >= 0
         size, place = np.ones(len(token), dtype=np.int64), np.zeros(len(token), dtype=np.int64)
 
         def laid_out() -> None:
             """Find where each node begins, in units that keep the order."""
-            size[:] = 1 + 6 * (token >= NORMAL)
+            size[:] = 1 + 6 * (token >= NORMAL) + 18 * (token >= DOUBLES)
             for first, last in reversed(list(pairwise(begins))):
                 at = first + np.flatnonzero(inner[first:last])
                 size[at] += size[child[at]] + size[child[at] + 1]
@@ -447,31 +469,31 @@ class _Search:
         laid_out()
         data = np.zeros(int(size[:roots].sum()), dtype=np.uint8)
         data[place] = token
-        at = np.flatnonzero(token >= NORMAL)
-        data[place[at][:, None] + np.arange(1, 7)] = normal[at].astype("<i2").view(np.uint8).reshape(-1, 6)
+        for at, form in ((token >= NORMAL) & (token < DOUBLES), "<i2"), (token >= DOUBLES, "<f8"):
+            own = normal[at].astype(form).view(np.uint8)
+            data[place[at][:, None] + np.arange(1, own.shape[1] + 1)] = own
         return data.tobytes()
 
 
 # -- directions and shapes --------------------------------------------------------------------
 
-_AXES = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (2, 1)).astype(np.int64)
+_AXES = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (2, 1))
 
 
-def rounded(n: Floats, scales: int) -> Ints:
+def rounded(n: Floats) -> Floats:
     """Round directions, shape (..., 3), to whole numbers: of some multiples, the one that is turned least."""
-    flat = n.reshape(-1, 3)
-    flat = flat / np.maximum(np.abs(flat).max(axis=1), 1e-300)[:, None]
-    unit = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
-    found, least, each = np.zeros(flat.shape), np.full(len(flat), np.inf), np.arange(len(flat))
-    multiples = np.linspace(LARGEST, LARGEST / 2, scales)
-    for scale in np.array_split(multiples, min(scales, 1 + scales * len(flat) // PRODUCTS)):
-        whole = np.rint(scale[:, None, None] * flat)
-        along = (whole * unit).sum(axis=2)
-        off = ((whole - along[..., None] * unit) ** 2).sum(axis=2) / np.maximum(along, 1e-150) ** 2
-        best = off.argmin(axis=0)
-        better = off[best, each] < least
-        found[better], least[better] = whole[best, each][better], off[best, each][better]
-    return found.astype(np.int64).reshape(n.shape)
+    flat = n / np.maximum(np.abs(n).max(axis=-1, keepdims=True), 1e-300)
+    unit = flat / np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), 1e-300)
+    whole = np.rint(np.multiply.outer(np.linspace(LARGEST, LARGEST / 2, SCALES), flat))
+    along = (whole * unit).sum(axis=-1, keepdims=True)
+    off = ((whole - along * unit) ** 2).sum(axis=-1, keepdims=True) / np.maximum(along, 1e-150) ** 2
+    return np.asarray(np.take_along_axis(whole, off.argmin(axis=0)[None], axis=0)[0])
+
+
+def _tokens(side: Ints | Floats, normal: Floats) -> Ints:
+    """Return the tokens of planes with these normals: doubles, unless they are whole numbers of 16 bits."""
+    short = ((normal == np.rint(normal)) & (np.abs(normal) <= LARGEST)).all(axis=-1)
+    return np.where(short, NORMAL, DOUBLES) + side.astype(np.int64)
 
 
 def _kernel(packed: Packed, model: Model) -> Any:
@@ -647,11 +669,12 @@ class _Chains:
     def bends(self, courses: Floats) -> tuple[Bends, float]:
         """Compute the bounds for motions, and the size of the model on them."""
         links, degree = self.links, courses.shape[1] - 1
-        value, m = np.maximum(links.value, 0), np.where(links.value < 0, 0.0, np.abs(links.multiplier))
-        P = courses[:, :, value]
+        m = np.where(links.value < 0, 0.0, np.abs(links.multiplier))
+        P = np.pad(courses, ((0, 0), (0, 0), (0, 1)))[:, :, links.value]  # links that do not move follow the last one
         rates = m * degree * np.abs(np.diff(P, axis=1)).max(axis=1)
         bend = m * degree * (degree - 1) * np.abs(np.diff(P, n=2, axis=1)).max(axis=1, initial=0.0)
-        off, length, slides = m * self.deviations[value], np.linalg.norm(links.axis, axis=1), links.moves == SLIDES
+        off = m * np.append(self.deviations, 0.0)[links.value]
+        length, slides = np.linalg.norm(links.axis, axis=1), links.moves == SLIDES
         far = np.abs(links.multiplier * P + links.offset).max(axis=1)
         far = np.where(slides, length * (far + off), 0.0)
         there = self.joint >= 0

@@ -13,6 +13,7 @@ import numpy as np
 from loewner import _files, _validate
 from loewner._validate import Floats
 from loewner.errors import FileError, InputError
+from loewner.queries import Verdict
 from loewner.robots import separations
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import LARGEST, TURNS, Model, contents, differences, model_of
@@ -29,7 +30,7 @@ MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 @dataclass(frozen=True, repr=False)
 class Proof:
-    """A proof that motions are free of collisions, in the format of docs/proof-format.md.
+    """A proof that motions are free of collisions, or of the verdict of two bodies, as in docs/proof-format.md.
 
     `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
 
@@ -86,19 +87,26 @@ class Proof:
         return hashlib.sha256(self.model).hexdigest()
 
     @property
+    def verdict(self) -> Verdict:
+        """FREE for a proof of motions, or of two bodies that are apart, and COLLIDING for one of a common point."""
+        return Verdict.FREE if _HEAD.unpack_from(self.data)[2] == FREE else Verdict.COLLIDING
+
+    @property
     def motions(self) -> list[Floats]:
         """Control points of each motion, shape (degree + 1, dof); a straight motion has its two ends.
 
         An InputError is raised if the file has none that can be read. `verify` does more: it proves the motions free.
         """
+        if self.verdict == Verdict.COLLIDING:
+            raise InputError("data: expected motions, found a common point")
         block, found = self.data[-32 - self.size : -32], list[Floats]()
         try:
             dof = len(contents(self.model)[0])
             at = 8 * dof + 4
             for _ in range(*struct.unpack_from("<I", block, at - 4)):
-                count = (block[at] + 1) * dof
-                found.append(np.frombuffer(block, "<f8", count, at + 1).reshape(-1, dof).astype(np.float64))
-                at += 1 + 8 * count
+                shape = block[at] + 1, dof
+                found.append(np.array(struct.unpack_from(f"<{shape[0] * dof}d", block, at + 1)).reshape(shape))
+                at += 1 + 8 * shape[0] * dof
         except (struct.error, IndexError, ValueError):
             raise InputError("data: expected motions, found something else") from None
         return found
