@@ -6,6 +6,7 @@ import subprocess
 import sys
 import zlib
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -238,6 +239,18 @@ def test_a_list_that_is_too_short_leaves_work_to_the_cpu(monkeypatch, tmp_path):
     monkeypatch.setattr(motions, "INTERVALS", 2)
     expected = checker.certify_edges(Q[:100], Q[100:]).verdict
     np.testing.assert_array_equal(gpu.Checker(checker).certify_edges(Q[:100], Q[100:]), expected)
+
+
+def test_threads_may_share_a_checker():
+    """Calls from several threads at once do not disturb each other."""
+    robot = robot_samples.panda().robot
+    checker = CollisionChecker(robot, robot_samples.obstacles(3))
+    on_gpu = gpu.Checker(checker)
+    given = [robot.random_configurations(300, seed=k) for k in range(8)]
+    expected = [checker.collide(Q) for Q in given]
+    with ThreadPoolExecutor(4) as threads:
+        for found, wanted in zip(threads.map(on_gpu.collide, given * 4), expected * 4, strict=True):
+            np.testing.assert_array_equal(found, wanted)
 
 
 # -- motions ---------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,7 @@ class Checker:
         self._checker = checker
         self._tables: dict[Device, Tables] = {}
         self._tiles: dict[Device, Tile] = {}
+        self._lock = threading.Lock()  # of the tiles
 
     def __repr__(self) -> str:
         return f"<loewner.gpu.Checker of {self._checker.robot.dof} joints on GPU {self._number}>"
@@ -179,18 +181,9 @@ class Checker:
 
     def _certified_here(self, gpu: Device, ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[np.int8]:
         """Verdicts of motions between rows of configurations in CPU memory."""
-        expect_few(len(a), "motions")
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
             there = [gpu.upload(Q.astype(np.float32)) for Q in (a, b)]
-        tables, dof = self._tables_of(gpu, ready), self._checker.robot.dof
-        verdicts, left = motions.certified(
-            gpu,
-            tables,
-            self._tile_of(gpu, tables, motions.slots(len(a))),
-            dof,
-            (there[0].address, there[1].address),
-            len(a),
-        )
+        verdicts, left = self._asked_motions(gpu, ready, (there[0].address, there[1].address), len(a))
         out = np.empty(len(a), dtype=np.int8)
         gpu.download(verdicts.address, out)
         out[left] = _proven(ready, a[left], b[left], tolerance)
@@ -202,16 +195,7 @@ class Checker:
         if views[0].shape != views[1].shape:
             raise InputError(f"expected Q0 and Q1 of the same shape, found {views[0].shape} and {views[1].shape}")
         total = math.prod(views[0].shape[:-1])
-        expect_few(total, "motions")
-        tables = self._tables_of(gpu, ready)
-        verdicts, left = motions.certified(
-            gpu,
-            tables,
-            self._tile_of(gpu, tables, motions.slots(total)),
-            robot.dof,
-            (views[0].address, views[1].address),
-            total,
-        )
+        verdicts, left = self._asked_motions(gpu, ready, (views[0].address, views[1].address), total)
         a, b = (robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views)
         scattered(gpu, left, _proven(ready, a, b, tolerance), verdicts)
         return DeviceArray(verdicts, views[0].shape[:-1], np.int8)
@@ -256,12 +240,21 @@ class Checker:
     def _asked(self, gpu: Device, ready: Problem, Q: int, total: int) -> tuple[Memory, Ints]:
         """Return the verdicts of configurations at an address, and the indices that are left to the CPU."""
         expect_few(total, "configurations")
-        tables = self._tables_of(gpu, ready)
         verdicts, left = gpu.memory(total), Left(gpu, total)
-        tile = self._tile_of(gpu, tables, total)
-        for first in range(0, total, tile.most):
-            self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
-        return verdicts, left.numbers()
+        with self._lock:
+            tables = self._tables_of(gpu, ready)
+            tile = self._tile_of(gpu, tables, total)
+            for first in range(0, total, tile.most):
+                self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
+            return verdicts, left.numbers()
+
+    def _asked_motions(self, gpu: Device, ready: Problem, ends: tuple[int, int], total: int) -> tuple[Memory, Ints]:
+        """Return the verdicts of motions between two addresses, and the indices that are left to the CPU."""
+        expect_few(total, "motions")
+        with self._lock:
+            tables = self._tables_of(gpu, ready)
+            tile = self._tile_of(gpu, tables, motions.slots(total))
+            return motions.certified(gpu, tables, tile, self._checker.robot.dof, ends, total)
 
     def _run(
         self, gpu: Device, tables: Tables, tile: Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
