@@ -311,6 +311,45 @@ def test_configurations_that_are_none(card, checker):
     assert on_gpu.collide(np.zeros((0, dof))).shape == (0,)
 
 
+def test_motions_on_the_gpu(card, checker):
+    """Verdicts for arrays on the GPU stay there; they are the checker's for the same float32 numbers."""
+    Q0, Q1 = (checker.robot.random_configurations(60, k).astype(np.float32).reshape(6, 10, -1) for k in (1, 2))
+    on_gpu = gpu.Checker(checker)
+    found = on_gpu.certify_edges(OnGpu(card, Q0), OnGpu(card, Q1))
+    assert (found.shape, found.dtype) == ((6, 10), np.int8)
+    expected = checker.certify_edges(Q0.astype(np.float64), Q1.astype(np.float64)).verdict
+    np.testing.assert_array_equal(np.asarray(found), expected)
+    np.testing.assert_array_equal(on_gpu.certify_edges(Q0[0, 0], Q1), checker.certify_edges(Q0[0, 0], Q1).verdict)
+    assert on_gpu.certify_edges(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
+    assert on_gpu.certify_edges(OnGpu(card, Q0[:0]), OnGpu(card, Q1[:0])).shape == (0, 10)
+
+
+def test_motions_that_are_none(card, checker):
+    """Ends of different places, shapes or widths, or that are not finite, are refused."""
+    on_gpu, Q = gpu.Checker(checker), np.zeros((3, checker.robot.dof), np.float32)
+    with pytest.raises(InputError, match="expected both on the GPU or both not"):
+        on_gpu.certify_edges(OnGpu(card, Q), Q)
+    with pytest.raises(InputError, match="of the same shape"):
+        on_gpu.certify_edges(OnGpu(card, Q), OnGpu(card, Q[:2]))
+    with pytest.raises(InputError, match="tolerance: expected"):
+        on_gpu.certify_edges(Q, Q, tolerance=0.0)
+    for joint in range(checker.robot.dof):  # whether it matters to a pair or not
+        bad = Q.copy()
+        bad[1, joint] = np.nan
+        for ends in ((bad, Q), (Q, bad)):
+            with pytest.raises(InputError, match="finite"):
+                on_gpu.certify_edges(*(OnGpu(card, end) for end in ends))
+        with pytest.raises(InputError, match="finite"):
+            on_gpu.collide(OnGpu(card, bad))
+
+
+def test_pairs_in_contact_at_the_ends_are_refused(card, checker):
+    """The rules of `leave` and `reach` are not those of the GPU."""
+    checker.scene.leave(checker.robot.link_names[-1], "post")
+    with pytest.raises(InputError, match="in contact at the ends of motions"):
+        gpu.Checker(checker).certify_edges(*np.zeros((2, checker.robot.dof)))
+
+
 def test_joints_that_the_gpu_does_not_know(tmp_path):
     """A robot with a joint that neither turns nor slides is refused when the checker is made."""
     robot = robot_of(

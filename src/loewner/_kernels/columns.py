@@ -50,7 +50,7 @@ BOUNDS = 8  # columns of a row of bounds
 
 # Columns of a link's int32 row; then the extra columns of its float32 row after CONSTANTS, and its length.
 PARENT_OF_LINK, KIND_OF_LINK, COLUMN_OF_LINK, LINK_INTEGERS = 0, 1, 2, 4
-MULTIPLIER, OFFSET, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, 40
+MULTIPLIER, OFFSET, BENT, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, CONSTANTS + 2, 40
 
 # Columns of a body's int32 row; and of the ball about a moving body: center, radius, largest distance from the origin.
 LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4

@@ -261,9 +261,10 @@ class Checker:
     ) -> None:
         """Run the kernels on one tile, one after the other."""
         dof = self._checker.robot.dof
-        place(gpu, tables, tile, Q + 4 * dof * first, 0, dof, count)
+        Q += 4 * dof * first
+        place(gpu, tables, tile, Q, 0, dof, count)
         check(gpu, tables, tile, count)
-        gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
+        gpu.launch("conclude", count, first, tile.state.address, dof, Q, Q, verdicts.address, left.list.address)
 
     def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
         """Return memory for a tile of up to `count` configurations, from the last call if it fits."""

@@ -25,11 +25,12 @@ def certified(
 ) -> tuple[Memory, Ints]:
     """Return the verdicts of motions whose ends are at two addresses, and the indices that are left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
-    run = _Run(gpu, tables, dof, tile, min(total, MOTIONS, max(1, BENDS // max(1, tables.chains))))
+    run = _Run(gpu, tables, dof, tile, max(1, min(total, MOTIONS, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):
         count = min(run.most, total - first)
-        run.prove(ends[0] + 4 * dof * first, ends[1] + 4 * dof * first, count)
-        gpu.launch("conclude", count, first, run.state.address, verdicts.address, left.list.address)
+        Q0, Q1 = (end + 4 * dof * first for end in ends)
+        run.prove(Q0, Q1, count)
+        gpu.launch("conclude", count, first, run.state.address, dof, Q0, Q1, verdicts.address, left.list.address)
     return verdicts, left.numbers()
 
 

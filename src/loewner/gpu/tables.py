@@ -54,6 +54,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
     constants = np.zeros((len(tree.parent), columns.LINK_CONSTANTS))
     constants[:, : columns.CONSTANTS] = tree.constants
     constants[:, columns.MULTIPLIER], constants[:, columns.OFFSET] = tree.multiplier, tree.offset
+    constants[tree.parent < 0, columns.BENT] = chains_of(ready.robot).bend / tolerances.SINGLE_ROUNDOFF * tolerances.UP
 
     bodies = np.zeros((len(start) - 1, columns.BODY_INTEGERS), dtype=np.int32)
     bodies[:moving, columns.LINK_OF_BODY] = ready.link

@@ -30,6 +30,7 @@ from loewner._kernels.columns import (
     BALL_NUMBERS,
     BALL_RADIUS,
     BALL_REACH,
+    BENT,
     BODY_INTEGERS,
     BOUNDS,
     COLUMN_OF_LINK,
@@ -159,6 +160,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
     joints : int32, shape (links, LINK_INTEGERS)
         Parent, kind and column of each link, see `robots.kinematics`. The only kinds are FIXED, REVOLUTE and PRISMATIC.
     constants : float32, shape (links, LINK_CONSTANTS)
+        In column BENT of the first links, in roundings, how far the rotations of the robot are from orthonormal ones.
     placed : float32
         Receives the links of the tile.
     """
@@ -167,7 +169,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
         joint, c = joints + 4 * LINK_INTEGERS * link, constants + 4 * LINK_CONSTANTS * link
         R, t = _nine(c, ROTATION), _three(c, TRANSLATION)
         lengths = one_norm(t)
-        turn_off, shift_off = lane_of(0.0), lane_of(0.0)
+        turn_off, shift_off = number_at(c, BENT), lane_of(0.0)
         kind = integer_at(joint, KIND_OF_LINK)
         if kind in (REVOLUTE, PRISMATIC):
             at, by = thread * dof + integer_at(joint, COLUMN_OF_LINK), number_at(c, MULTIPLIER)
@@ -179,7 +181,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
                 sine, cosine = sine_cosine_single(value)
                 R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
                 # Of an angle that is too large, or no number, nothing is known: infinitely far off.
-                turn_off = select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
+                turn_off = turn_off + select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
             else:
                 t = along(t, value, _three(c, ACROSS))
                 lengths = lengths + values
@@ -188,7 +190,8 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             A = _rotation_at(placed, above * LINK_NUMBERS, S, thread)
             b = _vector_at(placed, above * LINK_NUMBERS + LINK_AT, S, thread)
             off = number_at(placed, (above * LINK_NUMBERS + TURN_OFF) * S + thread)
-            shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * lengths
+            # An infinite error stays infinite, whatever the length.
+            shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * (lengths + LEAST)
             lengths = lengths + one_norm(b)
             turn_off = turn_off + off
             t = image(A, b, t)
@@ -465,8 +468,8 @@ def cell_at(table):
 
 
 @inline
-def pose_in(cell, placed, upper, lower, S, s):
-    """Pose of a moving body in the frame of another one, or in the world.
+def pose_in(cell, placed, upper, lower, margin, S, s):
+    """Pose of a moving body in the frame of another one, or in the world, to compare distances with a margin.
 
     Returns
     -------
@@ -485,7 +488,7 @@ def pose_in(cell, placed, upper, lower, S, s):
             number_at(placed, (link + TURN_OFF) * S + s),
             number_at(placed, (link + SHIFT_OFF) * S + s),
         )
-        off = off + (turn_off + COMPOSED) * (one_norm(minus(t, d)) + reach) + shift_off
+        off = off + (turn_off + COMPOSED) * (one_norm(minus(t, d)) + reach + margin) + shift_off
         R, t = relative(R, t, P, d)
     return R, t, SINGLE_ROUNDOFF * UP * off
 
@@ -519,18 +522,32 @@ def search_survivor(thread, S, log_S, table, placed, state, searches, capacity):
         return
     cell = cell_at(table)
     upper, lower = integer_at(cell.pairs, 2 * p), integer_at(cell.pairs, 2 * p + 1)
-    R, t, off = pose_in(cell, placed, upper, lower, S, s)
+    margin = number_at(cell.margins, p)
+    R, t, off = pose_in(cell, placed, upper, lower, margin, S, s)
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, i), core_at(cell.cores, cell.numbers, cell.vertices, j)
     n = from_lower(cell, i, j, R, t)
-    found = search(a, (R, t), (R, t), False, b, n, number_at(cell.margins, p), off)
+    found = search(a, (R, t), (R, t), False, b, n, margin, off)
     if found != APART:
         raise_to(state, s, HIT if found == TOUCHING else LEFT_OPEN)
 
 
 @njit()
-def conclude(thread, first, state, verdicts, left):
-    """Write the verdict of configuration `first + thread`, and append it to a list if the CPU has to settle it."""
+def conclude(thread, first, state, dof, Q0, Q1, verdicts, left):
+    """Write the verdict of configuration or motion `first + thread`, and list it if the CPU has to settle it.
+
+    Parameters
+    ----------
+    thread : int
+    Q0, Q1 : float32, shape (n, dof)
+        Its ends. If a number is not finite, the CPU refuses it, even if it does not matter.
+    """
     found = integer_at(state, thread)
+    k = 0
+    while k < dof:
+        at = thread * dof + k
+        if not holds((absolute(number_at(Q0, at)) < np.inf) & (absolute(number_at(Q1, at)) < np.inf)):
+            found = LEFT_OPEN
+        k += 1
     put_byte(verdicts, first + thread, COLLIDING if found == HIT else (AMBIGUOUS if found == LEFT_OPEN else FREE))
     if found == LEFT_OPEN:
         append(left, first + thread)

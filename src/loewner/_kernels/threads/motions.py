@@ -332,9 +332,10 @@ def certify_interval(
     cell = cell_at(table)
     upper, lower = integer_at(cell.roles, ROLES * p + UPPER), integer_at(cell.roles, ROLES * p + LOWER)
     bend = _bend_of(cell, bends, most, integer_at(cell.roles, ROLES * p + CHAIN), motion, width)
-    R0, t0, off0 = pose_in(cell, placed, upper, lower, S, 2 * i)
-    R1, t1, off1 = pose_in(cell, placed, upper, lower, S, 2 * i + 1)
-    keep = number_at(cell.margins, p) + bend + maximum(off0, off1)
+    margin = number_at(cell.margins, p)
+    R0, t0, off0 = pose_in(cell, placed, upper, lower, margin, S, 2 * i)
+    R1, t1, off1 = pose_in(cell, placed, upper, lower, margin, S, 2 * i + 1)
+    keep = margin + bend + maximum(off0, off1)
     j, last_a = pieces_of(cell.bodies, upper)
     first_b, last_b = pieces_of(cell.bodies, lower)
     if (last_a - j) * (last_b - first_b) > MOST_PIECE_PAIRS:
@@ -409,8 +410,8 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
     margin = number_at(cell.margins, p)
     bend = _bend_of(cell, bends, most, integer_at(cell.roles, ROLES * p + CHAIN), motion, width)
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
-    R0, t0, off0 = pose_in(cell, placed, upper, lower, S, 2 * i)
-    R1, t1, off1 = pose_in(cell, placed, upper, lower, S, 2 * i + 1)
+    R0, t0, off0 = pose_in(cell, placed, upper, lower, margin, S, 2 * i)
+    R1, t1, off1 = pose_in(cell, placed, upper, lower, margin, S, 2 * i + 1)
     n = scaled(0.5, plus(from_lower(cell, j, k, R0, t0), from_lower(cell, j, k, R1, t1)))
     # The hull of both ends, then the later end, then the first one of the whole motion.
     last_attempt = 2 if node & (node - 1) == 0 else 1
@@ -419,7 +420,7 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
         if attempt == 1:
             R0, t0, off0, bend = R1, t1, off1, lane_of(0.0)
         elif attempt == 2:
-            R0, t0, off0 = pose_in(cell, placed, upper, lower, S, 2 * i)
+            R0, t0, off0 = pose_in(cell, placed, upper, lower, margin, S, 2 * i)
         off = maximum(off0, off1) if attempt == 0 else off0
         found = search(a, (R0, t0), (R1, t1), attempt == 0, b, n, (margin + bend) * UP, off)
         if found == APART and attempt == 0:
