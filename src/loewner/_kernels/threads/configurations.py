@@ -190,7 +190,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             A = _rotation_at(placed, above * LINK_NUMBERS, S, thread)
             b = _vector_at(placed, above * LINK_NUMBERS + LINK_AT, S, thread)
             off = number_at(placed, (above * LINK_NUMBERS + TURN_OFF) * S + thread)
-            # An infinite error stays infinite, whatever the length.
+            # An infinite error stays infinite even if the length is 0.
             shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * (lengths + LEAST)
             lengths = lengths + one_norm(b)
             turn_off = turn_off + off
