@@ -346,8 +346,19 @@ def test_motions_that_are_none(card, checker):
 def test_pairs_in_contact_at_the_ends_are_refused(card, checker):
     """The rules of `leave` and `reach` are not those of the GPU."""
     checker.scene.leave(checker.robot.link_names[-1], "post")
-    with pytest.raises(InputError, match="in contact at the ends of motions"):
-        gpu.Checker(checker).certify_edges(*np.zeros((2, checker.robot.dof)))
+    for fallback in ("error", "cpu"):
+        with pytest.raises(InputError, match="in contact at the ends of motions"):
+            gpu.Checker(checker, fallback=fallback).certify_edges(*np.zeros((2, checker.robot.dof)))
+
+
+def test_limits_hold_without_a_gpu(monkeypatch, checker):
+    """What the GPU does not take is refused where the CPU answers instead, too."""
+    monkeypatch.setattr(driver, "LIBRARY", "libcuda-that-nobody-has.so.1")
+    with pytest.raises(InputError, match="between 1e-3 and 1e3 m"):
+        gpu.classify(Body.sphere(1e-4), None, Body.sphere(1.0), None, fallback="cpu")
+    checker.scene.add("speck", Body.sphere(1e-4))
+    with pytest.raises(InputError, match="between 1e-3 and 1e3 m"):
+        gpu.Checker(checker, fallback="cpu").collide(np.zeros(checker.robot.dof))
 
 
 def test_joints_that_the_gpu_does_not_know(tmp_path):

@@ -383,10 +383,13 @@ def test_command_line(tmp_path, capsys):
     sizes = f"{len(proof.data):,} bytes: model {len(proof.model):,}, proof {proof.size:,}"
     assert f"written   {path}, {sizes}" in capsys.readouterr().out
     assert cli.main(["verify", path]) == 0
-    assert capsys.readouterr().out.endswith("\nverified\n")
+    assert capsys.readouterr().out.endswith(
+        "\nverified: FREE, all pairs are farther apart than their margins, at every time\n"
+    )
     assert cli.main(["verify", path, "--path", csv, "--robot", *common]) == 0
     assert capsys.readouterr().out.endswith(
-        "\nthe model matches gantry.urdf and scene.yaml\nthe motions are those of path.csv\nverified\n"
+        "\nthe model matches gantry.urdf and scene.yaml\nthe motions are those of path.csv\n"
+        "verified: FREE, all pairs are farther apart than their margins, at every time\n"
     )
     assert cli.main(["verify", path, "--robot", *common[:3]]) == 1
     out = capsys.readouterr().out
@@ -395,6 +398,37 @@ def test_command_line(tmp_path, capsys):
     assert cli.main(["verify", path, "--srdf", str(srdf)]) == 2
     assert cli.main([*plan, "--sampled", "--proof", path]) == 2
     assert "--proof cannot be combined with --sampled or --start-time" in capsys.readouterr().err
+    collides = loewner.prove(Body.sphere(1.0), None, Body.sphere(1.0), None)
+    collides.save(path)
+    assert cli.main(["verify", path]) == 1
+    assert capsys.readouterr().out.endswith("\nverified: COLLIDING, a and b have a common point\n")
+
+
+def test_a_path_without_a_proof_is_written(tmp_path, capsys, monkeypatch):
+    """A path is not lost where its proof cannot be written."""
+
+    def refuse(*_):
+        raise ConvergenceError("proof: expected a plane between a and b, found none")
+
+    monkeypatch.setattr(loewner.planners.planning, "proof_of", refuse)
+    urdf, srdf = gantry(tmp_path)
+    csv, scene = tmp_path / "path.csv", tmp_path / "scene.yaml"
+    loewner.save_scene(wall(), scene)
+    plan = [
+        "plan",
+        str(urdf),
+        "--srdf",
+        str(srdf),
+        "--scene",
+        str(scene),
+        "--start",
+        "-0.5 -0.5 1.57",
+        "--goal",
+        "0.5 -0.5 1.57",
+    ]
+    assert cli.main([*plan, "--proof", str(tmp_path / "plan.proof"), "-o", str(csv)]) == 2
+    assert f"{csv} is written, and its motions are free; proof: expected" in capsys.readouterr().err
+    assert csv.exists()
 
 
 def test_paths_are_compared_exactly(tmp_path, capsys):

@@ -18,7 +18,7 @@ from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
-from loewner.errors import FileError, InputError, PlanningError
+from loewner.errors import ConvergenceError, FileError, InputError, PlanningError
 
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
@@ -139,6 +139,11 @@ def _run(options: argparse.Namespace) -> int:
     except PlanningError as error:
         print(f"loewner: no path: {error}", file=sys.stderr)
         return NO_PATH
+    except ConvergenceError as error:
+        if options.out is not None and isinstance(error.partial, planners.Plan):
+            configurations.write(options.out, robot, error.partial.path)
+            raise ConvergenceError(f"{options.out} is written, and its motions are free; {error}") from None
+        raise
     seconds = time.perf_counter() - began
     if options.out is not None:
         if isinstance(found, planners.Trajectory):

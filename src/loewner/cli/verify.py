@@ -28,7 +28,8 @@ the model and the motions in the file. With --robot, the model must be identical
 scene. With --path, the motions must be the straight ones between the configurations of the path, in order and bit for
 bit.
 
-exit status: 0 verified, and the same model and path; 1 refused, or a different model or path; 2 error
+exit status: 0 verified to be free, and the same model and path; 1 verified to collide (a proof by loewner.prove),
+refused, or a different model or path; 2 error
 """
 
 # Differences of two models that are printed.
@@ -38,7 +39,9 @@ MOST_SHOWN = 10
 def add(commands: Any) -> None:
     """Add the command."""
     command = inputs.command(commands, "verify", "check the proof of a plan", EXAMPLES)
-    command.add_argument("file", type=Path, metavar="FILE", help="a proof, as loewner plan --proof writes it")
+    command.add_argument(
+        "file", type=Path, metavar="FILE", help="a proof, as loewner plan --proof or loewner.prove writes it"
+    )
     inputs.add_robot_options(command, required=False)
     command.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     command.add_argument("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
@@ -73,10 +76,16 @@ def _run(options: argparse.Namespace) -> int:
         else:
             lines.append(f"the motions are those of {options.path.name}")
     try:
-        print("\n".join([*lines, *(faults or ["verified"])]), flush=True)
+        print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]), flush=True)
     except BrokenPipeError:
         reader_gone()
-    return COLLIDING if faults else FREE
+    return COLLIDING if faults or report.common else FREE
+
+
+def _claim(report: verify.Report) -> str:
+    if report.common:
+        return f"COLLIDING, {' and '.join(report.common)} have a common point"
+    return "FREE, all pairs are farther apart than their margins, at every time"
 
 
 def _difference(report: verify.Report, path: Path) -> str:

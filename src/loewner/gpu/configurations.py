@@ -17,6 +17,7 @@ from loewner.errors import InputError
 from loewner.gpu import driver, motions
 from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
+from loewner.gpu.pairs import single_rows
 from loewner.gpu.tables import Tables, tables_of
 from loewner.gpu.tiles import Tile, check, most_of, place, tile_of
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
@@ -100,6 +101,7 @@ class Checker:
         UnknownNameError, ConvergenceError
             As for `CollisionChecker.collide`.
         """
+        self._ready()
         there = is_on_gpu(Q)
         checked = None if there else self._checker.robot.checked(Q)
 
@@ -161,12 +163,12 @@ class Checker:
         there = is_on_gpu(Q0), is_on_gpu(Q1)
         if there[0] != there[1]:
             raise InputError("Q0, Q1: expected both on the GPU or both not, found one there")
+        if len(self._ready().ruled):
+            raise InputError("expected no pairs that may be in contact at the ends of motions, found some")
         ends = None if there[0] else edges.ends(self._checker.robot, Q0, Q1)
 
         def on_gpu() -> Any:
-            gpu, ready = driver.opened(self._number), prepared_of(self._checker)
-            if len(ready.ruled):
-                raise InputError("expected no pairs that may be in contact at the ends of motions, found some")
+            gpu, ready = driver.opened(self._number), self._ready()
             if ends is None:
                 return self._certified_there(gpu, ready, Q0, Q1, tolerance)
             out = self._certified_here(gpu, ready, ends[0], ends[1], tolerance)
@@ -178,6 +180,12 @@ class Checker:
         return attempted(on_gpu, on_cpu if self._instead and not there[0] else None)
 
     # -- inside -------------------------------------------------------------------------------
+
+    def _ready(self) -> Problem:
+        """Prepare the pairs for the present scene; refuse pieces that single precision cannot hold, on the CPU too."""
+        ready = prepared_of(self._checker)
+        single_rows(ready.packed)
+        return ready
 
     def _certified_here(self, gpu: Device, ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[np.int8]:
         """Verdicts of motions between rows of configurations in CPU memory."""
@@ -211,7 +219,7 @@ class Checker:
 
     def _of_host(self, gpu: Device, Q: Floats) -> NDArray[np.bool_]:
         """Decide configurations in CPU memory, shape (N, dof)."""
-        ready = prepared_of(self._checker)
+        ready = self._ready()
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
             there = gpu.upload(Q.astype(np.float32))
         verdicts, left = self._asked(gpu, ready, there.address, len(Q))
@@ -222,7 +230,7 @@ class Checker:
 
     def _of_array(self, gpu: Device, Q: Any) -> DeviceArray:
         """Decide configurations in GPU memory."""
-        view, robot, ready = self._taken(gpu, Q, "Q"), self._checker.robot, prepared_of(self._checker)
+        view, robot, ready = self._taken(gpu, Q, "Q"), self._checker.robot, self._ready()
         verdicts, left = self._asked(gpu, ready, view.address, math.prod(view.shape[:-1]))
         settled = self._settled(ready, robot.checked(gathered(gpu, view.address, robot.dof, left)))
         scattered(gpu, left, settled, verdicts)

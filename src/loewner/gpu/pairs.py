@@ -100,6 +100,8 @@ def classify(
     queries.expect_bodies(a, b)
     number = number_of(device)
     refined, instead = _validate.flag(refine, "refine"), _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
+    for bodies in (a, b):
+        single_rows(packed_of(bodies))  # pieces that the GPU cannot take are refused on the CPU, too
     there = [is_on_gpu(T) for T in (T_world_a, T_world_b)]
     here = [
         None if on else _validate.poses(T, name, check=False)

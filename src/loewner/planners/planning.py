@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
-from loewner.errors import InputError, PlanningError
+from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
 from loewner.planners.in_time import Times, plan_in_time
@@ -183,7 +183,7 @@ def plan(
         is a planar, floating or ball joint, which has no limits to search within; or as for `certify_edges` if a proof
         is requested.
     ConvergenceError
-        As for `certify_edges`, if a proof is requested.
+        As for `certify_edges`, if a proof is requested. The plan without it is the error's `partial`.
     UnknownNameError
         If there is no such group, joint or planner.
     MissingExtraError
@@ -275,7 +275,10 @@ def plan(
     if model is None:
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
-    return replace(made, proof=proof_of(model, judge.ready, straight(robot, path[:-1], path[1:]), off))
+    try:
+        return replace(made, proof=proof_of(model, judge.ready, straight(robot, path[:-1], path[1:]), off))
+    except ConvergenceError as error:
+        raise ConvergenceError(str(error), partial=made) from None
 
 
 def _expect_in_time(times: Times, others: bool) -> None:
