@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from families import translation
-from loewner import Body, Scene
+from loewner import Body, CollisionChecker, Robot, Scene
 
 RADIUS = 0.1
 
@@ -33,6 +33,14 @@ def gantry(folder: Path) -> tuple[Path, Path]:
     for path, text in zip(paths, (GANTRY, GROUPS), strict=True):
         path.write_text(text)
     return paths
+
+
+def beside_a_post(folder: Path) -> CollisionChecker:
+    """The robot beside a post at x = 0.5."""
+    urdf, srdf = gantry(folder)
+    scene = Scene()
+    scene.add("post", Body.box([0.2, 0.2, 2.0]), translation(0.5))
+    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
 
 
 UP = np.pi / 2  # the rod beside the ball, along y

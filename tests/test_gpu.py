@@ -15,9 +15,9 @@ import pytest
 import loewner
 from checker_oracle import robot_of
 from families import pieces, random_poses
-from gantry import gantry
+from gantry import beside_a_post
 from gpu_stand_in import OnGpu, StandIn
-from loewner import Bodies, Body, CollisionChecker, GpuError, InputError, PoseError, Robot, Scene, Verdict, gpu
+from loewner import Bodies, Body, CollisionChecker, GpuError, InputError, PoseError, Verdict, gpu
 from loewner.gpu import arrays, driver, work
 
 
@@ -282,10 +282,7 @@ def test_capsules_are_those_of_other_libraries(card, monkeypatch):
 
 @pytest.fixture
 def checker(tmp_path: Path) -> CollisionChecker:
-    urdf, srdf = gantry(tmp_path)
-    scene = Scene()
-    scene.add("post", Body.box([0.2, 0.2, 2.0]), [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
+    return beside_a_post(tmp_path)
 
 
 def test_configurations_on_the_gpu(card, checker):

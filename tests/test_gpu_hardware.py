@@ -10,8 +10,8 @@ import pytest
 
 import loewner
 from families import pieces, random_poses
-from gantry import gantry
-from loewner import Bodies, Body, CollisionChecker, GpuError, Robot, Scene, gpu
+from gantry import beside_a_post
+from loewner import Bodies, Body, CollisionChecker, GpuError, gpu
 
 pytestmark = pytest.mark.skipif(bool(gpu.why_not()), reason=f"no GPU here: {gpu.why_not()}")
 
@@ -63,10 +63,7 @@ def test_arrays_of_other_libraries(library, rng):
 
 @pytest.fixture
 def checker(tmp_path: Path) -> CollisionChecker:
-    urdf, srdf = gantry(tmp_path)
-    scene = Scene()
-    scene.add("post", Body.box([0.2, 0.2, 2.0]), [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
+    return beside_a_post(tmp_path)
 
 
 def test_configurations(checker):

@@ -20,6 +20,7 @@ from gpu_stand_in import StandIn
 from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
 from loewner._kernels import _jit, _sealed, columns
 from loewner._kernels.simd import scalars, trig
+from loewner._kernels.threads import configurations as threads_of_configurations
 from loewner._native import library
 from loewner.gpu import configurations, driver, motions, tables, tiles
 from loewner.gpu.driver import Device
@@ -239,6 +240,21 @@ def test_a_list_that_is_too_short_leaves_work_to_the_cpu(monkeypatch, tmp_path):
     monkeypatch.setattr(motions, "INTERVALS", 2)
     expected = checker.certify_edges(Q[:100], Q[100:]).verdict
     np.testing.assert_array_equal(gpu.Checker(checker).certify_edges(Q[:100], Q[100:]), expected)
+
+
+@numba.njit
+def _listed(searches, capacity):
+    return threads_of_configurations.list_piece_pair(7, 8, 9, searches.ctypes.data, capacity)
+
+
+def test_a_full_list_is_not_counted_on():
+    """Pieces of all pairs may be more than an int32 counts: a count that wrapped would write before the list."""
+    for count, room in ((0, True), (9, True), (10, False), (2**31 - 1, False)):
+        searches = np.zeros(1 + 3 * 11, dtype=np.int32)
+        searches[0] = count
+        assert _listed(searches, 10) == room
+        assert searches[0] == count + room
+        assert np.flatnonzero(searches[1:]).tolist() == ([3 * count, 3 * count + 1, 3 * count + 2] if room else [])
 
 
 def test_threads_may_share_a_checker():

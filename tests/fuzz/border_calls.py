@@ -451,17 +451,21 @@ f 2 8 6
 
 
 def clean() -> None:
-    """Take away what earlier calls wrote into the working directory."""
+    """Take away what earlier calls wrote into the working directory, which must be the one of `write_files`."""
+    if [Path.cwd()] != PLACE:
+        raise RuntimeError(f"expected the folder of write_files, found {Path.cwd()}, which would be emptied")
     for entry in os.scandir():
         if entry.name not in FILES:
             shutil.rmtree(entry.path) if entry.is_dir() else os.unlink(entry.path)
 
 
 FILES: set[str] = set()
+PLACE: list[Path] = []
 
 
 def write_files() -> None:
-    """What the calls below read, into the working directory."""
+    """What the calls below read, into the working directory, which is emptied of all else between calls."""
+    PLACE[:] = [Path.cwd()]
     gantry(Path())
     Path("part.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in CUBE) + TRIANGLES)
     cube().save("part.npz")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,12 @@ from loewner.robots.proofs import prove_by_rules
 from loewner.robots.verdicts import classified, expect_settled
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
+
+
+# A question to a GPU about rows at addresses, with verdicts and the indices left to the CPU; and the CPU's answer to
+# these.
+Ask = Callable[..., tuple[Memory, Ints]]
+Settle = Callable[..., NDArray[np.int8]]
 
 
 class Checker:
@@ -101,15 +108,21 @@ class Checker:
         UnknownNameError, ConvergenceError
             As for `CollisionChecker.collide`.
         """
-        self._ready()
-        there = is_on_gpu(Q)
+        ready, there = self._ready(), is_on_gpu(Q)
         checked = None if there else self._checker.robot.checked(Q)
+
+        def ask(gpu: Device, total: int, address: int) -> tuple[Memory, Ints]:
+            return self._asked(gpu, ready, address, total)
+
+        def settle(left: Floats) -> NDArray[np.int8]:
+            return self._settled(ready, left)
 
         def on_gpu() -> Any:
             gpu = driver.opened(self._number)
             if checked is None:
-                return self._of_array(gpu, Q)
-            out = self._of_host(gpu, checked.reshape(math.prod(checked.shape[:-1]), checked.shape[-1]))
+                return DeviceArray(*self._decided_there(gpu, {"Q": Q}, ask, settle), np.bool_)
+            rows = checked.reshape(math.prod(checked.shape[:-1]), checked.shape[-1])
+            out = self._decided_here(gpu, [rows], ask, settle) == codes.COLLIDING
             return bool(out[0]) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
         def on_cpu() -> Any:
@@ -163,16 +176,22 @@ class Checker:
         there = is_on_gpu(Q0), is_on_gpu(Q1)
         if there[0] != there[1]:
             raise InputError("Q0, Q1: expected both on the GPU or both not, found one there")
-        if len(self._ready().ruled):
+        ready = self._ready()
+        if len(ready.ruled):
             raise InputError("expected no pairs that may be in contact at the ends of motions, found some")
         ends = None if there[0] else edges.ends(self._checker.robot, Q0, Q1)
 
+        def ask(gpu: Device, total: int, *addresses: int) -> tuple[Memory, Ints]:
+            return self._asked_motions(gpu, ready, addresses, total)
+
+        def settle(a: Floats, b: Floats) -> NDArray[np.int8]:
+            return _proven(ready, a, b, tolerance)
+
         def on_gpu() -> Any:
-            gpu, ready = driver.opened(self._number), self._ready()
+            gpu = driver.opened(self._number)
             if ends is None:
-                return self._certified_there(gpu, ready, Q0, Q1, tolerance)
-            out = self._certified_here(gpu, ready, ends[0], ends[1], tolerance)
-            return out.reshape(ends[2])
+                return DeviceArray(*self._decided_there(gpu, {"Q0": Q0, "Q1": Q1}, ask, settle), np.int8)
+            return self._decided_here(gpu, ends[:2], ask, settle).reshape(ends[2])
 
         def on_cpu() -> Any:
             return self._checker.certify_edges(Q0, Q1, tolerance=tolerance).verdict
@@ -187,26 +206,28 @@ class Checker:
         single_rows(ready.packed)
         return ready
 
-    def _certified_here(self, gpu: Device, ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[np.int8]:
-        """Verdicts of motions between rows of configurations in CPU memory."""
+    def _decided_here(self, gpu: Device, given: Sequence[Floats], ask: Ask, settle: Settle) -> NDArray[np.int8]:
+        """Decide about rows of configurations in CPU memory, of one or two arrays; `settle` decides the rest."""
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
-            there = [gpu.upload(Q.astype(np.float32)) for Q in (a, b)]
-        verdicts, left = self._asked_motions(gpu, ready, (there[0].address, there[1].address), len(a))
-        out = np.empty(len(a), dtype=np.int8)
+            there = [gpu.upload(Q.astype(np.float32)) for Q in given]
+        verdicts, left = ask(gpu, len(given[0]), *(memory.address for memory in there))
+        out = np.empty(len(given[0]), dtype=np.int8)
         gpu.download(verdicts.address, out)
-        out[left] = _proven(ready, a[left], b[left], tolerance)
+        out[left] = settle(*(np.ascontiguousarray(Q[left]) for Q in given))
         return out
 
-    def _certified_there(self, gpu: Device, ready: Problem, Q0: Any, Q1: Any, tolerance: float) -> DeviceArray:
-        """Verdicts of motions between configurations in GPU memory."""
-        robot, views = self._checker.robot, [self._taken(gpu, Q, name) for Q, name in ((Q0, "Q0"), (Q1, "Q1"))]
-        if views[0].shape != views[1].shape:
-            raise InputError(f"expected Q0 and Q1 of the same shape, found {views[0].shape} and {views[1].shape}")
-        total = math.prod(views[0].shape[:-1])
-        verdicts, left = self._asked_motions(gpu, ready, (views[0].address, views[1].address), total)
-        a, b = (robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views)
-        scattered(gpu, left, _proven(ready, a, b, tolerance), verdicts)
-        return DeviceArray(verdicts, views[0].shape[:-1], np.int8)
+    def _decided_there(
+        self, gpu: Device, given: dict[str, Any], ask: Ask, settle: Settle
+    ) -> tuple[Memory, tuple[int, ...]]:
+        """Decide about configurations in GPU memory, likewise; return the verdicts there and their shape."""
+        robot, views = self._checker.robot, [self._taken(gpu, Q, name) for name, Q in given.items()]
+        shapes = [view.shape for view in views]
+        if shapes[0] != shapes[-1]:
+            raise InputError(f"expected {' and '.join(given)} of the same shape, found {shapes[0]} and {shapes[-1]}")
+        verdicts, left = ask(gpu, math.prod(shapes[0][:-1]), *(view.address for view in views))
+        rows = [robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views]
+        scattered(gpu, left, settle(*rows), verdicts)
+        return verdicts, shapes[0][:-1]
 
     def _taken(self, gpu: Device, Q: Any, name: str) -> View:
         """Take configurations in GPU memory."""
@@ -217,30 +238,10 @@ class Checker:
             )
         return view
 
-    def _of_host(self, gpu: Device, Q: Floats) -> NDArray[np.bool_]:
-        """Decide configurations in CPU memory, shape (N, dof)."""
-        ready = self._ready()
-        with np.errstate(over="ignore"):  # infinite, and then left to the CPU
-            there = gpu.upload(Q.astype(np.float32))
-        verdicts, left = self._asked(gpu, ready, there.address, len(Q))
-        out = np.empty(len(Q), dtype=np.int8)
-        gpu.download(verdicts.address, out)
-        out[left] = self._settled(ready, Q[left])
-        return np.asarray(out == codes.COLLIDING)
-
-    def _of_array(self, gpu: Device, Q: Any) -> DeviceArray:
-        """Decide configurations in GPU memory."""
-        view, robot, ready = self._taken(gpu, Q, "Q"), self._checker.robot, self._ready()
-        verdicts, left = self._asked(gpu, ready, view.address, math.prod(view.shape[:-1]))
-        settled = self._settled(ready, robot.checked(gathered(gpu, view.address, robot.dof, left)))
-        scattered(gpu, left, settled, verdicts)
-        return DeviceArray(verdicts, view.shape[:-1], np.bool_)
-
     def _settled(self, ready: Problem, Q: Floats) -> NDArray[np.int8]:
         """Let the checker decide the given configurations, in the state of the scene that the GPU used."""
         if len(Q) == 0:
             return np.empty(0, dtype=np.int8)
-        Q = np.ascontiguousarray(Q)
         found, _ = classified(ready, codes.EXACT, Q)
         expect_settled(ready, Q, found)
         return found
@@ -256,7 +257,7 @@ class Checker:
                 self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
             return verdicts, left.numbers()
 
-    def _asked_motions(self, gpu: Device, ready: Problem, ends: tuple[int, int], total: int) -> tuple[Memory, Ints]:
+    def _asked_motions(self, gpu: Device, ready: Problem, ends: tuple[int, ...], total: int) -> tuple[Memory, Ints]:
         """Return the verdicts of motions between two addresses, and the indices that are left to the CPU."""
         expect_few(total, "motions")
         with self._lock:
@@ -295,6 +296,6 @@ def _proven(ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[n
     """Let the CPU prove the given motions, in the state of the scene that the GPU used."""
     if len(a) == 0:
         return np.empty(0, dtype=np.int8)
-    found = prove_by_rules(ready, np.ascontiguousarray(a), np.ascontiguousarray(b), tolerance)
+    found = prove_by_rules(ready, a, b, tolerance)
     found.expect_short(a, b)
     return np.asarray(found.verdicts, dtype=np.int8)

@@ -21,7 +21,7 @@ def slots(count: int) -> int:
 
 
 def certified(
-    gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, int], total: int
+    gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, ...], total: int
 ) -> tuple[Memory, Ints]:
     """Return the verdicts of motions whose ends are at two addresses, and the indices that are left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)

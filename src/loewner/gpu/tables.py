@@ -70,6 +70,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
     }  # fmt: skip
     chains = _Chains(ready)
     others = tuple(gpu.upload(array) for array in (*_cores(ready), *chains.arrays()))
+    # In the order of `threads.configurations.Cell`.
     cell = np.array([moving, *(memory.address for memory in (*at.values(), *others))], dtype=np.int64)
     return Tables(
         version=ready.version, moving=moving, pair_count=len(ready.pairs), piece_pairs=ready.piece_pairs,

@@ -358,6 +358,9 @@ def _identity():
 @inline
 def list_piece_pair(code, i, j, searches, capacity):
     """Append two pieces of a listed pair of bodies to the searches; return whether there was room."""
+    # A full list is not counted on: pieces of all pairs may be more than an int32 counts.
+    if integer_at(searches, 0) >= capacity:
+        return False
     at = add_to(searches, 0, 1)
     if at < capacity:
         put_integer(searches, 1 + 3 * at, code)

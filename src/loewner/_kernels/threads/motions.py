@@ -24,6 +24,8 @@ ends are two neighbouring configurations of the tile. The proofs are derived in 
 GPU".
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
@@ -237,7 +239,7 @@ def place_end(thread, dof, Q0, Q1, items, Q, spans):
 
 
 @inline
-def _bend_of(cell, bends, most, chain, motion, width):
+def _bend_of(bends, most, chain, motion, width):
     """How far the points of a chain's body depart from their chords in an interval."""
     return 0.125 * (width * width) * number_at(bends, chain * most + motion)
 
@@ -269,11 +271,11 @@ def cull_interval(
         return
     cell = cell_at(table)
     one, other = integer_at(cell.pairs, 2 * p), integer_at(cell.pairs, 2 * p + 1)
-    keep = number_at(cell.margins, p) + _bend_of(cell, bends, most, one, motion, width)
+    keep = number_at(cell.margins, p) + _bend_of(bends, most, one, motion, width)
     a0 = bounds_of(bounds, one * BOUNDS * S + 2 * i, S)
     a1 = bounds_of(bounds, one * BOUNDS * S + 2 * i + 1, S)
     if other < cell.moving:
-        keep = keep + _bend_of(cell, bends, most, other, motion, width)
+        keep = keep + _bend_of(bends, most, other, motion, width)
         b0 = bounds_of(bounds, other * BOUNDS * S + 2 * i, S)
         b1 = bounds_of(bounds, other * BOUNDS * S + 2 * i + 1, S)
     else:
@@ -309,6 +311,38 @@ def _apart_between(a0, b0, a1, b1, keep):
     return holds(apart | (dot(middle, middle) * (1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far))
 
 
+class _Asked(NamedTuple):
+    """A pair of bodies in an interval: its number, motion and node; the bodies, their margin and their bend."""
+
+    i: Any
+    motion: Any
+    node: Any
+    upper: Any
+    lower: Any
+    margin: Any
+    bend: Any
+
+
+@inline
+def _asked(cell, code, log_S, most, items, bends):
+    """The record of a listed pair."""
+    p, i = code >> (log_S - 1), code & ((1 << (log_S - 1)) - 1)
+    motion, node, _, width = _interval_at(items, i)
+    roles = cell.roles + 4 * ROLES * p
+    bend = _bend_of(bends, most, integer_at(roles, CHAIN), motion, width)
+    return _Asked(
+        i, motion, node, integer_at(roles, UPPER), integer_at(roles, LOWER), number_at(cell.margins, p), bend
+    )  # fmt: skip
+
+
+@inline
+def _ends_of(cell, asked, placed, S):
+    """Poses of the upper body in the frame of the lower one at both ends, and the larger one of their errors."""
+    R0, t0, off0 = pose_in(cell, placed, asked.upper, asked.lower, asked.margin, S, 2 * asked.i)
+    R1, t1, off1 = pose_in(cell, placed, asked.upper, asked.lower, asked.margin, S, 2 * asked.i + 1)
+    return (R0, t0), (R1, t1), maximum(off0, off1)
+
+
 @njit()
 def certify_interval(
     thread, S, log_S, most, table, items, placed, bends, state, survivors, searches, capacity, flags
@@ -324,31 +358,24 @@ def certify_interval(
     """
     if thread >= min(integer_at(survivors, 0), capacity):
         return
-    code = integer_at(survivors, 1 + thread)
-    p, i = code >> (log_S - 1), code & ((S >> 1) - 1)
-    motion, _, _, width = _interval_at(items, i)
-    if integer_at(state, motion) == HIT:
+    cell, code = cell_at(table), integer_at(survivors, 1 + thread)
+    asked = _asked(cell, code, log_S, most, items, bends)
+    if integer_at(state, asked.motion) == HIT:
         return
-    cell = cell_at(table)
-    upper, lower = integer_at(cell.roles, ROLES * p + UPPER), integer_at(cell.roles, ROLES * p + LOWER)
-    bend = _bend_of(cell, bends, most, integer_at(cell.roles, ROLES * p + CHAIN), motion, width)
-    margin = number_at(cell.margins, p)
-    R0, t0, off0 = pose_in(cell, placed, upper, lower, margin, S, 2 * i)
-    R1, t1, off1 = pose_in(cell, placed, upper, lower, margin, S, 2 * i + 1)
-    keep = margin + bend + maximum(off0, off1)
-    j, last_a = pieces_of(cell.bodies, upper)
-    first_b, last_b = pieces_of(cell.bodies, lower)
+    first, last, off = _ends_of(cell, asked, placed, S)
+    keep = asked.margin + asked.bend + off
+    j, last_a = pieces_of(cell.bodies, asked.upper)
+    first_b, last_b = pieces_of(cell.bodies, asked.lower)
     if (last_a - j) * (last_b - first_b) > MOST_PIECE_PAIRS:
-        raise_to(state, motion, LEFT_OPEN)
+        raise_to(state, asked.motion, LEFT_OPEN)
         j = last_a
     while j < last_a:
         k = first_b
         while k < last_b:
-            c0, c1 = from_lower(cell, j, k, R0, t0), from_lower(cell, j, k, R1, t1)
-            lengths = maximum(one_norm(t0), one_norm(t1)) + _reach(cell, j) + _reach(cell, k)
-            apart = _ellipsoids_apart(cell, j, k, (R0, c0), (R1, c1), keep + OFF * lengths)
+            lengths = maximum(one_norm(first[1]), one_norm(last[1])) + _reach(cell, j) + _reach(cell, k)
+            apart = _ellipsoids_apart(cell, j, k, first, last, keep + OFF * lengths)
             if not apart and not list_piece_pair(code, j, k, searches, capacity):
-                raise_to(flags, i, 1)
+                raise_to(flags, asked.i, 1)
             k += 1
         j += 1
 
@@ -365,12 +392,13 @@ def _ellipsoids_apart(cell, j, k, first, last, keep):
     P = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
     Q = still[0], still[1], still[2], still[3], still[4], still[5]
     P0, P1 = rotated_shape(first[0], P), rotated_shape(last[0], P)
-    r = scaled(0.5, plus(first[1], last[1]))
+    c0, c1 = from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])
+    r = scaled(0.5, plus(c0, c1))
     _, n = normal_at(P0, Q, r, guess(P0, Q, r, 1e-30))
     squared = dot(n, n)
     width = _width(Q, n, squared)
-    gap0 = dot(n, first[1]) - _width(P0, n, squared) - width
-    gap1 = dot(n, last[1]) - _width(P1, n, squared) - width
+    gap0 = dot(n, c0) - _width(P0, n, squared) - width
+    gap1 = dot(n, c1) - _width(P1, n, squared) - width
     least = sqrt(squared) * keep * (1.0 + 16.0 * SINGLE_ROUNDOFF)
     # Shorter normals may lack digits where their squares are used.
     return holds((gap0 > least) & (gap1 > least) & (squared > 1e-12))
@@ -401,35 +429,26 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
     code, j, k = (
         integer_at(searches, 3 * thread + 1), integer_at(searches, 3 * thread + 2), integer_at(searches, 3 * thread + 3)
     )  # fmt: skip
-    p, i = code >> (log_S - 1), code & ((S >> 1) - 1)
-    motion, node, _, width = _interval_at(items, i)
-    if integer_at(state, motion) == HIT:
-        return
     cell = cell_at(table)
-    upper, lower = integer_at(cell.roles, ROLES * p + UPPER), integer_at(cell.roles, ROLES * p + LOWER)
-    margin = number_at(cell.margins, p)
-    bend = _bend_of(cell, bends, most, integer_at(cell.roles, ROLES * p + CHAIN), motion, width)
+    asked = _asked(cell, code, log_S, most, items, bends)
+    if integer_at(state, asked.motion) == HIT:
+        return
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
-    R0, t0, off0 = pose_in(cell, placed, upper, lower, margin, S, 2 * i)
-    R1, t1, off1 = pose_in(cell, placed, upper, lower, margin, S, 2 * i + 1)
-    n = scaled(0.5, plus(from_lower(cell, j, k, R0, t0), from_lower(cell, j, k, R1, t1)))
+    first, last, off = _ends_of(cell, asked, placed, S)
+    n = scaled(0.5, plus(from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])))
     # The hull of both ends, then the later end, then the first one of the whole motion.
-    last_attempt = 2 if node & (node - 1) == 0 else 1
-    attempt = 0
+    last_attempt = 2 if asked.node & (asked.node - 1) == 0 else 1
+    attempt, keep = 0, asked.margin + asked.bend
     while attempt <= last_attempt:
-        if attempt == 1:
-            R0, t0, off0, bend = R1, t1, off1, lane_of(0.0)
-        elif attempt == 2:
-            R0, t0, off0 = pose_in(cell, placed, upper, lower, margin, S, 2 * i)
-        off = maximum(off0, off1) if attempt == 0 else off0
-        found = search(a, (R0, t0), (R1, t1), attempt == 0, b, n, (margin + bend) * UP, off)
+        pose = last if attempt == 1 else first
+        found = search(a, pose, last, attempt == 0, b, n, keep * UP, off)
         if found == APART and attempt == 0:
             return
         if found == TOUCHING and attempt > 0:
-            raise_to(state, motion, HIT)
+            raise_to(state, asked.motion, HIT)
             return
-        attempt += 1
-    raise_to(flags, i, 1)
+        attempt, keep = attempt + 1, asked.margin
+    raise_to(flags, asked.i, 1)
 
 
 @njit()
