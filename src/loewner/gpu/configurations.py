@@ -165,11 +165,17 @@ class Checker:
 
         Examples
         --------
+        >>> import loewner
         >>> from loewner import Body, CollisionChecker, Robot, Scene, gpu
         >>> scene = Scene()
         >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-        >>> on_gpu = gpu.Checker(CollisionChecker(Robot.from_urdf("arm.urdf"), scene), fallback="cpu")
-        >>> on_gpu.certify_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]])  # the post is in the way
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> goals = [[0.5, 1.57], [2.0, 1.57]]  # the post is in the way of the second
+        >>> try:
+        ...     verdicts = gpu.Checker(checker).certify_edges([0.0, 1.57], goals)
+        ... except loewner.GpuError:
+        ...     verdicts = checker.certify_edges([0.0, 1.57], goals).verdict
+        >>> verdicts
         array([0, 1], dtype=int8)
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
