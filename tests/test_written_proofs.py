@@ -27,6 +27,7 @@ from loewner import (
     cli,
     planners,
 )
+from loewner._kernels.robots import plane_trees
 from loewner.robots import proof_models, separations, written_proofs
 from loewner.verify import Refused, verify
 from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
@@ -105,7 +106,7 @@ def test_bodies_of_many_pieces(tmp_path, rng):
         scene.add(f"b{k}", many, translation(*rng.uniform(-1, 1, 3)))
     checker, Q, ends = around(robot, rng, scene)
     proof, _ = proven(checker, Q, ends, tolerance=1e-3)
-    assert {separations.FIRST_DIVIDED, separations.SECOND_DIVIDED} & set(proof.data[-proof.size - 32 :])
+    assert {plane_trees.FIRST_DIVIDED, plane_trees.SECOND_DIVIDED} & set(proof.data[-proof.size - 32 :])
 
 
 def test_surfaces_and_clouds(tmp_path, rng):
@@ -476,34 +477,44 @@ def test_audits_write_proofs(tmp_path, capsys):
 
 def test_rounded_normals(rng):
     """Normals of whole numbers of 16 bits turn by little."""
-    n = rng.normal(size=(5, 10, 3))
-    found = separations.rounded(n)
+    n = rng.normal(size=(50, 3))
+    found = np.array([plane_trees.rounded(tuple(row)) for row in n.tolist()])
     assert (found == np.rint(found)).all()
     assert np.abs(found).max() <= 32767
-    turned = np.linalg.norm(np.cross(found, n), axis=2)
-    assert (turned < 3e-5 * np.linalg.norm(found, axis=2) * np.linalg.norm(n, axis=2)).all()
-    assert separations.rounded(np.zeros((2, 3))).tolist() == [[0, 0, 0]] * 2
+    turned = np.linalg.norm(np.cross(found, n), axis=1)
+    assert (turned < 3e-5 * np.linalg.norm(found, axis=1) * np.linalg.norm(n, axis=1)).all()
+    assert plane_trees.rounded((0.0, 0.0, 0.0)) == (0, 0, 0)
+
+
+def of_kernel(robot, scene):
+    """The input of the kernel, and the model it was made of."""
+    model = proof_models.model_of(CollisionChecker(robot, scene)._ready())
+    prepared = separations._Prepared(model, robot.tree, np.zeros(len(model.link), dtype=np.int64))
+    return model, prepared.records[0]
+
+
+def reaches(record, cluster, n):
+    """The largest products of directions with the points of a cluster."""
+    return np.array([np.dot(plane_trees.support(record, cluster, tuple(row)), row) for row in n.tolist()])
 
 
 def test_supports_of_clusters(rng, tmp_path):
-    """Largest products with pieces as `Body` reports them, and boxes that hold them."""
+    """Largest products with clusters are those of their halves, and boxes and balls hold all pieces."""
     mixed = composed_bodies(rng)[-1]
     robot = robot_of(tmp_path, CART[:1], {"l1": mixed})
     scene = Scene()
     scene.add("b", mixed, translation(x=3))
-    model = proof_models.model_of(CollisionChecker(robot, scene)._ready())
-    made = separations.clusters_of(model)
+    model, record = of_kernel(robot, scene)
     n = rng.normal(size=(100, 3))
-    search = object.__new__(separations._Search)
-    search.clusters = made
     for body in (0, 1):
-        whole = made.of_body[body]
-        reach = search.supports(np.full(100, whole), n.T)
-        turned = n @ model.turn[body]
-        assert (reach <= n @ made.center[:, whole] + np.abs(turned) @ made.half[:, whole] + 1e-12).all()
-        halves = np.maximum(*(search.supports(np.full(100, k), n.T) for k in (made.left[whole], made.right[whole])))
-        assert np.allclose(reach, halves)
-        center, radius = made.balls[body, :3], made.balls[body, 3]
+        whole = record.bodies[body, plane_trees.ROOT]
+        reach = reaches(record, whole, n)
+        box, turned = record.boxes[whole], n @ model.turn[body]
+        assert (reach <= n @ box[:3] + np.abs(turned) @ box[3:6] + 1e-12).all()
+        assert (n @ box[6:] < reach).all()
+        left, right = record.clusters[whole, [plane_trees.LEFT, plane_trees.RIGHT]]
+        assert np.allclose(reach, np.maximum(reaches(record, left, n), reaches(record, right, n)))
+        center, radius = record.balls[body, :3], record.balls[body, 3]
         assert (reach <= n @ center + radius * np.linalg.norm(n, axis=1) + 1e-12).all()
 
 
@@ -515,9 +526,9 @@ def test_gaps_are_distances(rng, tmp_path, k):
     scene = Scene()
     scene.add("b", body, translation(1.0, 0.5, 0.3))
     found = loewner.distance(body, None, body, translation(1.0, 0.5, 0.3), exact=True)
-    search = object.__new__(separations._Search)
-    search.clusters = separations.clusters_of(proof_models.model_of(CollisionChecker(robot, scene)._ready()))
-    gap = -search.supports(search.clusters.of_body, np.stack([found.normal, -found.normal], axis=1)).sum()
+    _, record = of_kernel(robot, scene)
+    roots = record.bodies[:, plane_trees.ROOT]
+    gap = -sum(reaches(record, roots[k], sign * found.normal[None]).sum() for k, sign in ((0, 1.0), (1, -1.0)))
     assert gap == pytest.approx(found.distance, abs=1e-9)
 
 

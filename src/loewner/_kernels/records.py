@@ -160,3 +160,47 @@ class MotionTables(NamedTuple):
     group_pairs: Any
     groups: Any
     chain: Any
+
+
+class PlaneModel(NamedTuple):
+    """The input of `robots.plane_trees`: bodies with their pieces, and joints, in the numbers of a proof's model.
+
+    Attributes
+    ----------
+    points : ndarray
+        Corners of hulls in the frame of the link, and the radius about each, in blocks of eight columns with four rows.
+    pieces : ndarray, shape (P, 14)
+        Kind, radius, center and factor of each piece in the frame of its link; the last two for curved ones.
+    clusters : ndarray of int64, shape (C, 7)
+        Consecutive pieces of a body: the first one and the one after the last; the two halves, or -1 for a single
+        piece; the columns of `points` where corners begin and end; and how many pieces are curved. The clusters of
+        a body follow each other.
+    boxes : ndarray, shape (C, 9)
+        About each cluster, along the axes of the body: the center in the frame of the link, and half of the edges; then
+        a point inside. The kernel writes them.
+    bodies : ndarray of int64, shape (B, 3)
+        Link, -1 for the world; the robot's link with the same pose; and the cluster of all pieces.
+    turns : ndarray, shape (B, 9)
+        From the frame of the body to the frame of its link.
+    balls : ndarray, shape (B, 4)
+        Center and radius of a ball about each body. The kernel writes them.
+    pairs : ndarray of int64, shape (N, 2)
+    margins : ndarray, shape (N,)
+    ways : ndarray of int64, shape (L, 2)
+        The link above each link, -1 for the world, and how many links are above.
+    joints : ndarray, shape (L, 17)
+        How each link moves; the length of the axis along which it slides; the rotation and translation of the joint;
+        and its unit axis.
+    """
+
+    points: Any
+    pieces: Any
+    clusters: Any
+    boxes: Any
+    bodies: Any
+    turns: Any
+    balls: Any
+    pairs: Any
+    margins: Any
+    ways: Any
+    joints: Any

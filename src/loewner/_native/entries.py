@@ -45,6 +45,8 @@ ENTRIES = {
         Entry("robots.lines", "follow_line", "I2 F2 F2 F1 F2 F1", "i F2"),
         Entry("robots.lines", "keep_axis", "i F2 F2 T1", ""),
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
+        Entry("robots.plane_trees", "measure_model", "i", ""),
+        Entry("robots.plane_trees", "plane_trees", "i i F2 F2 f F2 U1 F2", "i i i f f"),
         Entry("robots.standing", "measure_moving", "i i i", ""),
         Entry("robots.standing", "place_static", "i i F1 F2", "i"),
         # -- distances

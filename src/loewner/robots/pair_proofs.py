@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 from loewner import _validate, queries
 from loewner._guard import guarded
 from loewner.bodies import Body, packed_of
-from loewner.bodies.pack import Packed, join
 from loewner.bodies.parts import in_parts
 from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots import common_points, separations
@@ -66,9 +65,9 @@ def prove(
     poses = np.stack([_validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")])
     packs = packed_of(a), packed_of(b)
     cut = in_parts(packs, np.array([True, True]))
-    model = model_of_pair(packs, cut, poses, keep)
+    model, parts = model_of_pair(packs, cut, poses, keep), any(pack.trees for pack in cut)
     if not queries.collide(a, poses[0], b, poses[1], margin=keep):
-        return _apart(model, join(cut))
+        return _apart(model, parts)
     found = queries.distance(a, poses[0], b, poses[1], exact=True)
     if 0.0 < found.distance <= keep:
         raise ConvergenceError(
@@ -80,19 +79,19 @@ def prove(
         if _holds(proof):
             return proof
     if found.distance > keep:  # `collide` counts bodies as touching that are apart by less than rounding
-        return _apart(model, join(cut))
+        return _apart(model, parts)
     raise ConvergenceError(
         f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
         f"{-found.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
     )
 
 
-def _apart(model: Model, packed: Packed) -> Proof:
+def _apart(model: Model, parts: bool) -> Proof:
     """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes."""
     try:
-        return assembled(FREE, model.data, separations.still(packed, model, separations.ROOM))
+        return assembled(FREE, model.data, separations.still(model, parts, separations.ROOM))
     except ConvergenceError:
-        proof = assembled(FREE, model.data, separations.still(packed, model, 0.0))
+        proof = assembled(FREE, model.data, separations.still(model, parts, 0.0))
         if _holds(proof):
             return proof
         raise

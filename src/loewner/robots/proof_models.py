@@ -10,6 +10,7 @@ import hashlib
 import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -137,14 +138,20 @@ class Model(NamedTuple):
         return hashlib.sha256(self.data).hexdigest()
 
 
+_known: WeakKeyDictionary[Problem, Model] = WeakKeyDictionary()
+
+
 def model_of(ready: Problem) -> Model:
-    """Make the model of the pairs to check.
+    """Make the model of the pairs to check, once for each problem.
 
     Raises
     ------
     InputError
         If the format cannot express it.
     """
+    known = _known.get(ready)
+    if known is not None:
+        return known
     _refuse(ready)
     robot, cut = ready.robot, ready.in_parts
     links, at, turns, shifts = _links(robot.tree, robot.link_names)
@@ -154,7 +161,10 @@ def model_of(ready: Problem) -> Model:
     shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
     placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed))
     limits = list(zip(robot.configuration_names, robot.lower, robot.upper, strict=True))
-    return _model(links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins)
+    known = _known[ready] = _model(
+        links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins
+    )  # fmt: skip
+    return known
 
 
 def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats, margin: float) -> Model:

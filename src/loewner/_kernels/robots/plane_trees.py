@@ -1,0 +1,713 @@
+"""Planes that separate all pairs of bodies all along a motion: the trees of a proof, see docs/proof-format.md.
+
+A tree is searched depth first. Normals are fixed to one body of a pair, the lower one, and point to the other, the
+upper one. A plane is accepted if the gaps at both ends of its interval, computed in double precision, exceed the bound
+of the format by some room for rounding. The program that verifies the proof decides.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import apart, inline, njit
+from loewner._kernels.codes import OVERLAPPING, TOUCHING
+from loewner._kernels.ellipsoids.contact import position_error
+from loewner._kernels.linalg3 import apply, apply_transposed, dot, image, minus, negated, plus, product, scaled
+from loewner._kernels.narrow.gjk_fast import MEMORY, measuring, result_of, vertices_of
+from loewner._kernels.pieces.pack import plane_model_of, tree_of
+from loewner._kernels.robots.kinematics import POSE, place_links, workspace_size
+from loewner._kernels.simd.memory import held
+from loewner._kernels.simd.vectors import LANES, broadcast, entry_at_highest, load, numbers_from, select
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+
+# Kinds of pieces in the format.
+HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
+
+# Columns of clusters, and of pieces: kind, radius, center and the nine numbers of the factor.
+FIRST, LAST, LEFT, RIGHT, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
+RADIUS, CENTER, FACTOR = 1, 2, 5
+
+# Columns of boxes: the center, half of the edges, and a point inside the pieces.
+HALF, INSIDE = 3, 6
+
+# Columns of bodies: the link in the model, the link of the robot that has its pose, and the cluster of all its pieces.
+LINK, PLACED_BY, ROOT = 0, 1, 2
+
+# Columns of joints: how they move, the length of the axis along which they slide, rotation, translation and unit axis;
+# of their numbers: the link above, and how many links are above; and of their speeds on a motion.
+TURNS = 1.0
+MOVES, LENGTH, TURN, SHIFT, AXIS = 0, 1, 2, 11, 14
+ABOVE, DEPTH = 0, 1
+RATE, BEND, OFF, FAR = 0, 1, 2, 3
+
+# Tokens of the trees.
+HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
+
+# Trees get no deeper, so that intervals have few digits; checkers allow 64.
+DEEPEST = 40
+
+# Room for checkers that compute with enclosures, as a share of the lengths on the right.
+SHARE = 1.0 + 2e-9
+
+# Normals are whole numbers up to this one, at one of some scales, since rounding turns a normal. On deep levels, and
+# between bodies that do not move, they are also tried as they are, in doubles.
+LARGEST, SCALES, DEEP = 32767.0, 3, 10
+
+# Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
+BOX_ROOM = 4e-6
+
+# A search ends at gaps that exceed the need by this much of the model's size: rounded normals still have them.
+ROUNDED = 4e-5
+
+# Candidates among the axes that are tried after the boxes.
+BEST_AXES = 3
+
+# The poses of links are kept at multiples of 1 / KEPT; at other times, for one interval on each level.
+LEVELS = 6
+KEPT = 1 << LEVELS
+SLOTS = KEPT + 1 + DEEPEST
+
+# Columns of `state`: the last normal that a search found for each pair, behind its side, and the last plane named,
+# behind its token.
+RECENT, NAMED = 0, 4
+
+
+class _Sides(NamedTuple):
+    """The poses of one body's link in the frame of the other's, at both ends of an interval; for either as the lower.
+
+    Attributes
+    ----------
+    turns, shifts : tuples
+        By side and end: of the second body in the frame of the first one, and the other way round.
+    """
+
+    turns: Any
+    shifts: Any
+
+
+class _Pair(NamedTuple):
+    """A pair of bodies, with its margin, and with A and V of the format by side."""
+
+    pair: Any
+    bodies: Any
+    margin: Any
+    curvature: Any
+    deviation: Any
+
+
+class _Limits(NamedTuple):
+    """Lengths that depend on the size of the model: room for rounding, for boxes, for rounded normals, and errors."""
+
+    room: Any
+    of_boxes: Any
+    of_normals: Any
+    error: Any
+
+
+@inline
+def _three(array, row, at):
+    return array[row, at], array[row, at + 1], array[row, at + 2]
+
+
+@inline
+def _nine(array, row, at):
+    return _three(array, row, at) + _three(array, row, at + 3) + _three(array, row, at + 6)
+
+
+@inline
+def _transposed(M):
+    return M[0], M[3], M[6], M[1], M[4], M[7], M[2], M[5], M[8]
+
+
+# -- shapes -----------------------------------------------------------------------------------
+
+
+@inline
+def _unit_support(kind, v):
+    """The farthest point along v of the unit ball, cylinder or cone."""
+    across = np.sqrt(v[0] * v[0] + v[1] * v[1])
+    if kind == BALL:
+        scale = 1.0 / max(np.sqrt(across * across + v[2] * v[2]), 1e-300)
+        return scaled(scale, v)
+    scale = 1.0 / max(across, 1e-300)
+    if kind == CYLINDER:
+        return scale * v[0], scale * v[1], np.copysign(1.0, v[2])
+    if v[2] > across - v[2]:
+        return 0.0, 0.0, 1.0
+    return scale * v[0], scale * v[1], -1.0
+
+
+@apart
+def support(model, cluster, n):
+    """The farthest point of a cluster of pieces along n, in the frame of its link; n is not zero."""
+    points, length = model.points, np.sqrt(dot(n, n))
+    begin, end = model.clusters[cluster, BEGIN], model.clusters[cluster, END]
+    found, reached = (0.0, 0.0, 0.0), -np.inf
+    if end > begin:
+        best, at = broadcast(-np.inf), numbers_from(begin)
+        for column in range(begin, end, LANES):
+            k = 4 * column
+            x = load(points, k), load(points, k + LANES), load(points, k + 2 * LANES)
+            products = dot(x, n) + load(points, k + 3 * LANES) * length
+            more = products > best
+            best, at = select(more, products, best), select(more, numbers_from(column), at)
+        column = entry_at_highest(best, at)
+        k = 4 * (column & ~(LANES - 1)) + (column & (LANES - 1))
+        grown = points[k + 3 * LANES] / length
+        found = plus((points[k], points[k + LANES], points[k + 2 * LANES]), scaled(grown, n))
+        reached = dot(found, n)
+    if model.clusters[cluster, CURVED] > 0:
+        for piece in range(model.clusters[cluster, FIRST], model.clusters[cluster, LAST]):
+            kind = int(model.pieces[piece, 0])
+            if kind != HULL:
+                M = _nine(model.pieces, piece, FACTOR)
+                x = image(M, _three(model.pieces, piece, CENTER), _unit_support(kind, apply_transposed(M, n)))
+                x = plus(x, scaled(model.pieces[piece, RADIUS] / length, n))
+                if dot(x, n) > reached:
+                    found, reached = x, dot(x, n)
+    return found
+
+
+@inline
+def _supports(model, clusters, poses, W, ends, n):
+    """Points of the lower cluster, and of the upper one at one or two poses, whose difference is least along n."""
+    turns, shifts = poses
+    a = support(model, clusters[0], negated(n))
+    b = image(turns[0], shifts[0], support(model, clusters[1], apply_transposed(turns[0], n)))
+    c = image(turns[1], shifts[1], support(model, clusters[1], apply_transposed(turns[1], n))) if ends == 2 else b
+    if dot(minus(c, b), n) > 0.0:
+        b = c
+    return a, b
+
+
+_measure = measuring(_supports)
+_WORDS = MEMORY.size() // 8
+
+
+@apart
+def _direction(model, clusters, poses, ends, n, least, far, error, memory):
+    """A direction along which clusters are farther apart than `far`, or else as far as possible.
+
+    Parameters
+    ----------
+    ends : int
+        1, to take the upper cluster at the first of the poses only, or 2.
+
+    Returns
+    -------
+    near : bool
+        Whether they are within `least` of each other, so that there is no such plane.
+    n : tuple of 3 float
+    """
+    W, result = vertices_of(memory), result_of(memory)
+    status, _, _, n = _measure(model, clusters, poses, W, ends, n, error, least, far, result)
+    return status in (TOUCHING, OVERLAPPING), n
+
+
+# -- bounds -----------------------------------------------------------------------------------
+
+
+@njit()
+def _write_boxes(model):
+    """Write the boxes around clusters, along the axes of their bodies, and a point inside each cluster."""
+    for body in range(len(model.bodies)):
+        M, first = _nine(model.turns, body, 0), model.bodies[body, ROOT]
+        stop = model.bodies[body + 1, ROOT] if body + 1 < len(model.bodies) else len(model.clusters)
+        for cluster in range(first, stop):
+            center = inside = 0.0, 0.0, 0.0
+            for k in range(3):
+                n = M[k], M[3 + k], M[6 + k]
+                square = dot(n, n)
+                p, q = support(model, cluster, n), support(model, cluster, negated(n))
+                most, least = dot(p, n), dot(q, n)
+                center = plus(center, scaled((most + least) / (2.0 * square), n))
+                model.boxes[cluster, HALF + k] = (most - least) / (2.0 * square)
+                inside = plus(inside, scaled(1.0 / 6.0, plus(p, q)))
+            for k in range(3):
+                model.boxes[cluster, k], model.boxes[cluster, INSIDE + k] = center[k], inside[k]
+
+
+@inline
+def _ball_of(model, column, piece):
+    """The ball that stands for a corner, or for a curved piece, in the ball around a body."""
+    if column >= 0:
+        k = 4 * (column & ~(LANES - 1)) + (column & (LANES - 1))
+        return (model.points[k], model.points[k + LANES], model.points[k + 2 * LANES]), model.points[k + 3 * LANES]
+    squares = 0.0
+    for k in range(9):
+        squares += model.pieces[piece, FACTOR + k] ** 2
+    if int(model.pieces[piece, 0]) != BALL:
+        squares *= 2.0
+    return _three(model.pieces, piece, CENTER), model.pieces[piece, RADIUS] + np.sqrt(squares)
+
+
+@njit()
+def _write_balls(model):
+    """Write the balls around bodies, as the format defines them."""
+    for body in range(len(model.bodies)):
+        root = model.bodies[body, ROOT]
+        begin, corners = model.clusters[root, BEGIN], model.clusters[root, END] - model.clusters[root, BEGIN]
+        first, count = model.clusters[root, FIRST], model.clusters[root, LAST] - model.clusters[root, FIRST]
+        low, high, center, reach = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf), (0.0, 0.0, 0.0), 0.0
+        for turn in range(2):
+            for k in range(corners + count):
+                piece = first + max(k - corners, 0)
+                if k >= corners and int(model.pieces[piece, 0]) == HULL:
+                    continue
+                c, r = _ball_of(model, begin + k if k < corners else -1, piece)
+                if turn == 0:
+                    low = min(low[0], c[0] - r), min(low[1], c[1] - r), min(low[2], c[2] - r)
+                    high = max(high[0], c[0] + r), max(high[1], c[1] + r), max(high[2], c[2] + r)
+                else:
+                    away = minus(c, center)
+                    reach = max(reach, np.sqrt(dot(away, away)) + r)
+            center = scaled(0.5, plus(low, high))
+        model.balls[body, 0], model.balls[body, 1], model.balls[body, 2] = center
+        model.balls[body, 3] = reach
+
+
+@njit()
+def _size(model, speeds):
+    """The size of the model on a motion: a bound on all lengths from which positions are computed."""
+    far, longest = np.empty(len(model.ways)), 0.0
+    for link in range(len(far)):
+        t, above = _three(model.joints, link, SHIFT), model.ways[link, ABOVE]
+        far[link] = np.sqrt(dot(t, t)) + speeds[link, FAR] + (far[above] if above >= 0 else 0.0)
+        longest = max(longest, far[link])
+    reach = 0.0
+    for body in range(len(model.balls)):
+        c = _three(model.balls, body, 0)
+        reach = max(reach, np.sqrt(dot(c, c)) + model.balls[body, 3])
+    return max(1.0, 2.0 * (longest + reach))
+
+
+@njit()
+def _bends(model, speeds, lower, upper, chain, levers):
+    """A and V of the format, for the motion of the upper body as seen from the lower one.
+
+    `chain` and `levers` are scratch: the joints from the upper body to the lower one, and the distances R.
+    """
+    x, y = model.bodies[upper, LINK], model.bodies[lower, LINK]
+    while x != y:
+        if y < 0 or (x >= 0 and model.ways[x, DEPTH] >= model.ways[y, DEPTH]):
+            x = model.ways[x, ABOVE]
+        else:
+            y = model.ways[y, ABOVE]
+    common, up, x = x, 0, model.bodies[upper, LINK]
+    while x != common:
+        chain[up], x = x, model.ways[x, ABOVE]
+        up += 1
+    count, x = up, model.bodies[lower, LINK]
+    while x != common:
+        count, x = count + 1, model.ways[x, ABOVE]
+    k, x = count, model.bodies[lower, LINK]
+    while x != common:
+        k -= 1
+        chain[k], x = x, model.ways[x, ABOVE]
+    c, radius = _three(model.balls, upper, 0), model.balls[upper, 3]
+    for k in range(count):
+        j = chain[k]
+        F, t, moves = _nine(model.joints, j, TURN), _three(model.joints, j, SHIFT), model.joints[j, MOVES]
+        if k >= up:
+            c = apply_transposed(F, minus(c, t))
+        if moves == TURNS:
+            e = _three(model.joints, j, AXIS)
+            onto = scaled(dot(c, e), e)
+            off = minus(c, onto)
+            c, radius = onto, radius + np.sqrt(dot(off, off))
+            levers[k] = radius
+        else:
+            radius += speeds[j, FAR]
+            levers[k] = model.joints[j, LENGTH]
+        if k < up:
+            c = image(F, t, c)
+    curvature, deviation, turned = 0.0, 0.0, 0.0
+    for k in range(count - 1, -1, -1):  # from the lower body to the upper one
+        j = chain[k]
+        rate = speeds[j, RATE]
+        squares = 2.0 * rate * turned + speeds[j, BEND]
+        if model.joints[j, MOVES] == TURNS:
+            squares += rate * rate
+            turned += rate
+        curvature += levers[k] * squares
+        deviation += levers[k] * speeds[j, OFF]
+    return curvature, deviation
+
+
+# -- poses ------------------------------------------------------------------------------------
+
+
+@njit()
+def _place(tree, course, times, slots, count, frames, memory):
+    """Write the poses of all links at some times, at most eight, to their slots."""
+    links, dof = len(tree.parent), course.shape[1]
+    if links == 0:
+        return
+    Q, W, rows = memory
+    degree = len(course) - 1
+    for lane in range(LANES):
+        t = times[min(lane, count - 1)]
+        for k in range(dof):
+            value, share = 0.0, 1.0
+            for p in range(degree + 1):  # binomials one after the other
+                value += share * t**p * (1.0 - t) ** (degree - p) * course[p, k]
+                share = share * (degree - p) / (p + 1)
+            Q[lane, k] = value
+    place_links(tree, Q, rows, 0, W)
+    for lane in range(count):
+        for k in range(links):
+            for r in range(POSE):
+                frames[slots[lane], k, r] = W[(POSE * k + r) * LANES + lane]
+
+
+@njit()
+def _slot_between(low, high, level, tree, course, known, frames, memory):
+    """The slot of the middle of an interval, where its poses are written if they are not known."""
+    times, slots = np.empty(LANES), np.empty(LANES, dtype=np.int64)
+    width = high - low
+    if level >= LEVELS:
+        times[0], slots[0] = (low + high) / 2.0, KEPT + 1 + level
+        _place(tree, course, times, slots, 1, frames, memory)
+        return slots[0]
+    slot = int((low + high) / 2.0 * KEPT)
+    if not known[slot]:
+        first = int(low / width) // LANES * LANES
+        count = 0
+        while count < LANES and first + count < 1 << level:
+            times[count] = (first + count + 0.5) * width
+            slots[count] = int(times[count] * KEPT)
+            known[slots[count]] = True
+            count += 1
+        _place(tree, course, times, slots, count, frames, memory)
+    return slot
+
+
+@njit()
+def _between(frames, low, high, a, b):
+    """The poses of two links in each other's frames at two slots."""
+    R, t = _nine(frames[low], a, 0), _three(frames[low], a, 9)
+    S, s = _nine(frames[low], b, 0), _three(frames[low], b, 9)
+    first = product(_transposed(R), S)
+    there, back = apply_transposed(R, minus(s, t)), apply_transposed(S, minus(t, s))
+    R, t = _nine(frames[high], a, 0), _three(frames[high], a, 9)
+    S, s = _nine(frames[high], b, 0), _three(frames[high], b, 9)
+    last = product(_transposed(R), S)
+    onward, backward = apply_transposed(R, minus(s, t)), apply_transposed(S, minus(t, s))
+    return _Sides(
+        ((first, last), (_transposed(first), _transposed(last))), ((there, onward), (back, backward))
+    )  # fmt: skip
+
+
+# -- one interval -----------------------------------------------------------------------------
+
+
+@njit()
+def _compare_boxes(model, bodies, a, b, sides, need, scores):
+    """By how much the gaps of boxes along twelve axes, in the order of tokens, exceed those needed; the largest."""
+    M, N = _nine(model.turns, bodies[0], 0), _nine(model.turns, bodies[1], 0)
+    c, d = _three(model.boxes, a, 0), _three(model.boxes, b, 0)
+    for k in range(12):
+        scores[k] = np.inf
+    for end in range(2):
+        R, t = (sides.turns[0][0], sides.shifts[0][0]) if end == 0 else (sides.turns[0][1], sides.shifts[0][1])
+        axes = product(R, N)
+        apart_ = minus(image(R, t, d), c)
+        along, across = apply_transposed(M, apart_), apply_transposed(axes, apart_)
+        cosines = product(_transposed(M), axes)
+        for i in range(3):
+            wide = tall = 0.0
+            for j in range(3):
+                wide += abs(cosines[3 * i + j]) * model.boxes[b, HALF + j]
+                tall += abs(cosines[3 * j + i]) * model.boxes[a, HALF + j]
+            wide, tall = wide + model.boxes[a, HALF + i] + need[0], tall + model.boxes[b, HALF + i] + need[1]
+            scores[i], scores[3 + i] = min(scores[i], along[i] - wide), min(scores[3 + i], -along[i] - wide)
+            scores[6 + i], scores[9 + i] = min(scores[6 + i], -across[i] - tall), min(scores[9 + i], across[i] - tall)
+    return scores.argmax()
+
+
+@njit(forceinline=False)
+def _gaps(model, pair, clusters, sides, side, N):
+    """The gaps at both ends along a normal N in the frame of the lower body."""
+    n = apply(_nine(model.turns, pair.bodies[side], 0), N)
+    length = np.sqrt(dot(n, n))
+    if not length > 0.0:
+        return -np.inf, -np.inf
+    turns, shifts = sides.turns[side], sides.shifts[side]
+    below = dot(support(model, clusters[side], n), n)
+    m, k = negated(apply_transposed(turns[0], n)), negated(apply_transposed(turns[1], n))
+    first = dot(shifts[0], n) - dot(support(model, clusters[1 - side], m), m) - below
+    last = dot(shifts[1], n) - dot(support(model, clusters[1 - side], k), k) - below
+    return first / length, last / length
+
+
+@inline
+def _axis(k):
+    """The normal of token AXES + k."""
+    sign = 1.0 if k % 6 < 3 else -1.0
+    return sign * (k % 3 == 0), sign * (k % 3 == 1), sign * (k % 3 == 2)
+
+
+@njit()
+def rounded(n):
+    """A direction in whole numbers: of some multiples, the one that is turned least by rounding."""
+    most = max(abs(n[0]), abs(n[1]), abs(n[2]))
+    n = scaled(1.0 / max(most, 1e-300), n)
+    unit = scaled(1.0 / max(np.sqrt(dot(n, n)), 1e-300), n)
+    best, least = (0.0, 0.0, 0.0), np.inf
+    for k in range(SCALES):
+        scale = LARGEST * (1.0 - 0.5 * k / (SCALES - 1))
+        whole = np.rint(scale * n[0]), np.rint(scale * n[1]), np.rint(scale * n[2])
+        length = dot(whole, unit)
+        off = minus(whole, scaled(length, unit))
+        turned = dot(off, off) / max(length * length, 1e-300)
+        if turned < least:
+            best, least = whole, turned
+    return best
+
+
+@inline
+def _is_short(N):
+    """Whether a normal is written in 16 bits a coordinate."""
+    most = max(abs(N[0]), abs(N[1]), abs(N[2]))
+    return most <= LARGEST and N[0] == np.rint(N[0]) and N[1] == np.rint(N[1]) and N[2] == np.rint(N[2])
+
+
+@njit()
+def _by_axes(model, pair, clusters, sides, need, room, scores):
+    """Try the most promising axes; returns the token, or -1, and by how much gaps exceeded margins and deviations."""
+    spare = -np.inf, -np.inf
+    for _ in range(BEST_AXES):
+        k = scores.argmax()
+        scores[k] = -np.inf
+        side = k // 6
+        first, last = _gaps(model, pair, clusters, sides, side, _axis(k))
+        if min(first, last) > need[side] + room:
+            return AXES + k, spare
+        keep = pair.margin + pair.deviation[side]
+        spare = max(spare[0], first - keep), max(spare[1], last - keep)
+    return -1, spare
+
+
+@inline
+def _several(model, clusters):
+    """Whether one of two clusters has several pieces."""
+    return model.clusters[clusters[0], LEFT] >= 0 or model.clusters[clusters[1], LEFT] >= 0
+
+
+@njit()
+def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memory):
+    """Search for a plane where boxes and axes have failed.
+
+    Returns
+    -------
+    token : int
+        -1 if none was found.
+    N : tuple of 3 float
+    spare : tuple of 2 float
+        By how much the gaps at both ends exceeded margins and deviations, at most.
+    near : bool
+        Whether no plane can separate these pieces at one of the ends.
+    """
+    recent, row = int(state[pair.pair, RECENT]), pair.pair
+    N = _three(state, row, RECENT + 1)
+    if dot(N, N) > 0.0:
+        first, last = _gaps(model, pair, clusters, sides, recent, N)
+        if min(first, last) > need[recent] + limits.room:
+            return (NORMAL if _is_short(N) else DOUBLES) + recent, N, spare, False
+    favoured = 0 if need[0] <= need[1] else 1
+    for turn in range(2):
+        side = favoured if turn == 0 else 1 - favoured
+        M, keep = _nine(model.turns, pair.bodies[side], 0), pair.margin + pair.deviation[side]
+        lower_upper = clusters[side], clusters[1 - side]
+        poses = sides.turns[side], sides.shifts[side]
+        n = apply(M, N) if recent == side and dot(N, N) > 0.0 else poses[1][0]
+        near, n = _direction(
+            model, lower_upper, poses, 2, n, need[side], need[side] + limits.of_normals, limits.error, memory
+        )
+        if near:
+            continue
+        exact = apply_transposed(M, n)
+        for doubles in range(2 if deep else 1):
+            N = exact if doubles else rounded(exact)
+            first, last = _gaps(model, pair, clusters, sides, side, N)
+            if min(first, last) > need[side] + limits.room:
+                for c in range(3):
+                    state[row, RECENT + 1 + c] = N[c]
+                state[row, RECENT] = side
+                return (DOUBLES if doubles else NORMAL) + side, N, spare, False
+            spare = max(spare[0], first - keep), max(spare[1], last - keep)
+        N = _three(state, row, RECENT + 1)
+    # No plane for the interval. Is there one at each end? Single pieces are not divided.
+    if not (deep or _several(model, clusters)):
+        return -1, N, spare, False
+    side = 0 if pair.deviation[0] <= pair.deviation[1] else 1
+    M, keep = _nine(model.turns, pair.bodies[side], 0), pair.margin + pair.deviation[side]
+    turns, shifts = sides.turns[side], sides.shifts[side]
+    for end in range(2):
+        if spare[end] > limits.room:
+            continue
+        # The end in question is the first of the poses.
+        poses = ((turns[end], turns[end]), (shifts[end], shifts[end]))
+        near, n = _direction(
+            model, (clusters[side], clusters[1 - side]), poses, 1, shifts[end], keep - limits.of_boxes,
+            keep + limits.of_normals, limits.error, memory,
+        )  # fmt: skip
+        if near:
+            return -1, N, spare, True
+        first, last = _gaps(model, pair, clusters, sides, side, apply_transposed(M, n))
+        spare = max(spare[0], first - keep), max(spare[1], last - keep)
+    return -1, N, spare, False
+
+
+@inline
+def _divided(model, clusters, limits, deep, still, spare, near):
+    """How an interval without a plane is divided; -1 if that would not help."""
+    counts = (
+        model.clusters[clusters[0], LAST] - model.clusters[clusters[0], FIRST],
+        model.clusters[clusters[1], LAST] - model.clusters[clusters[1], FIRST],
+    )
+    stuck = near or min(spare[0], spare[1]) <= limits.room
+    if _several(model, clusters):
+        if stuck or deep:
+            return FIRST_DIVIDED if counts[0] >= counts[1] else SECOND_DIVIDED
+    elif near or still or (stuck and deep):
+        return -1
+    return HALVED
+
+
+@njit()
+def _settled(model, pair, clusters, sides, width, limits, deep, still, state, scores, memory):
+    """Find a plane for an interval, or how it is divided: the token, or -1, and the normal."""
+    square = width * width / 8.0
+    need = (
+        SHARE * (pair.margin + pair.deviation[0] + pair.curvature[0] * square),
+        SHARE * (pair.margin + pair.deviation[1] + pair.curvature[1] * square),
+    )
+    if not deep:
+        # No gap is larger than the distance of two points of the bodies.
+        p, q = _three(model.boxes, clusters[0], INSIDE), _three(model.boxes, clusters[1], INSIDE)
+        first = minus(image(sides.turns[0][0], sides.shifts[0][0], q), p)
+        last = minus(image(sides.turns[0][1], sides.shifts[0][1], q), p)
+        least, keep = min(need[0], need[1]), pair.margin + min(pair.deviation[0], pair.deviation[1])
+        if min(dot(first, first), dot(last, last)) < least * least and least > 2.0 * keep:
+            return HALVED, (0.0, 0.0, 0.0)
+    best = _compare_boxes(model, pair.bodies, clusters[0], clusters[1], sides, need, scores)
+    if scores[best] > limits.of_boxes:
+        return AXES + best, _axis(best)
+    token, spare = _by_axes(model, pair, clusters, sides, need, limits.room, scores)
+    if token >= 0:
+        return token, _axis(token - AXES)
+    token, N, spare, near = _search(model, pair, clusters, sides, need, limits, deep, state, spare, memory)
+    if token < 0:
+        token = _divided(model, clusters, limits, deep, still, spare, near)
+    return token, N
+
+
+# -- trees ------------------------------------------------------------------------------------
+
+
+@njit()
+def measure_model(handle):
+    """Write the boxes around clusters, and the balls around bodies."""
+    model = plane_model_of(handle)
+    _write_boxes(model)
+    _write_balls(model)
+
+
+@njit()
+def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normals):
+    """Write the trees of all pairs for one motion.
+
+    Parameters
+    ----------
+    handle, tree_handle : int
+        Handles of a `records.PlaneModel` and of a `records.Tree`, which has no links if nothing moves.
+    course : ndarray, shape (degree + 1, dof)
+        Control points.
+    speeds : ndarray, shape (joints, 4)
+        Bounds on the joints' first and second derivatives, their deviations, and how far they slide.
+    room : float
+        What gaps must exceed, as a share of the size of the model.
+    state : ndarray, shape (pairs, 8)
+        The last normal of each pair and the last plane that was named for it, which is kept from motion to motion.
+    tokens : ndarray of uint8
+    normals : ndarray, shape (N, 3)
+        Receive the tokens, and the normals of all planes whose token is NORMAL or higher.
+
+    Returns
+    -------
+    nodes, planes : int
+        How many tokens and normals were written.
+    pair : int
+        -1, or a pair for which there is no tree, from the fraction `low` to `high` of the motion.
+    low, high : float
+    """
+    model, tree = plane_model_of(handle), tree_of(tree_handle)
+    links, still = len(tree.parent), len(tree.parent) == 0
+    memory = np.empty(_WORDS)
+    at = np.int64(memory.ctypes.data)
+    frames, known = np.zeros((SLOTS, links + 1, POSE)), np.zeros(KEPT + 1, dtype=np.bool_)
+    for slot in range(SLOTS):
+        frames[slot, links, 0] = frames[slot, links, 4] = frames[slot, links, 8] = 1.0
+    rows = np.empty(LANES, dtype=np.int64)
+    for lane in range(LANES):
+        rows[lane] = lane
+    dof = course.shape[1]
+    scratch = np.zeros((LANES, dof)), np.empty(workspace_size(links, dof)), rows
+    times, slots = np.empty(LANES), np.empty(LANES, dtype=np.int64)
+    times[0], times[1], slots[0], slots[1] = 0.0, 1.0, 0, KEPT
+    _place(tree, course, times, slots, 2, frames, scratch)
+    stack, ends = np.empty((2 * DEEPEST, 6), dtype=np.int64), np.empty((2 * DEEPEST, 2))
+    scores, nodes, planes = np.empty(12), 0, 0
+    size = _size(model, speeds)
+    chain, levers = np.empty(len(model.ways), dtype=np.int64), np.empty(len(model.ways))
+    limits = _Limits(room * size, BOX_ROOM * size, ROUNDED * size, position_error(size, UNIT_ROUNDOFF))
+    for p in range(len(model.pairs)):
+        a, b = model.pairs[p, 0], model.pairs[p, 1]
+        A, V = _bends(model, speeds, a, b, chain, levers)
+        B, U = _bends(model, speeds, b, a, chain, levers)
+        pair = _Pair(p, (a, b), model.margins[p], (A, B), (V, U))
+        count, low, high = 1, 0.0, 1.0
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = model.bodies[a, ROOT], model.bodies[b, ROOT], 0, KEPT
+        stack[0, 4] = stack[0, 5] = 0
+        ends[0, 0], ends[0, 1] = low, high
+        while count > 0:
+            count -= 1
+            clusters, first, last = (stack[count, 0], stack[count, 1]), stack[count, 2], stack[count, 3]
+            level, depth, low, high = stack[count, 4], stack[count, 5], ends[count, 0], ends[count, 1]
+            sides = _between(frames, first, last, model.bodies[a, PLACED_BY], model.bodies[b, PLACED_BY])
+            deep = still or depth >= DEEP
+            token, N = _settled(model, pair, clusters, sides, high - low, limits, deep, still, state, scores, at)
+            if token < 0 or depth == DEEPEST or nodes == len(tokens) or planes == len(normals):
+                held(memory)
+                return nodes, planes, p, low, high
+            if token >= SAME:
+                same = token >= NORMAL and state[p, NAMED] == token
+                for c in range(3):
+                    same = same and state[p, NAMED + 1 + c] == N[c]
+                    state[p, NAMED + 1 + c] = N[c]
+                    if token >= NORMAL:
+                        normals[planes, c] = N[c]
+                state[p, NAMED] = token
+                planes += token >= NORMAL and not same
+                token = SAME if same else token
+            else:
+                middle = first
+                if token == HALVED:
+                    middle = _slot_between(low, high, level, tree, course, known, frames, scratch)
+                for part in range(1, -1, -1):  # the first part is taken next
+                    ends[count, 0], ends[count, 1] = low, high
+                    stack[count, 0], stack[count, 1] = clusters
+                    stack[count, 2], stack[count, 3] = first, last
+                    stack[count, 4], stack[count, 5] = level, depth + 1
+                    if token == HALVED:
+                        stack[count, 3 - part], ends[count, 1 - part] = middle, (low + high) / 2.0
+                        stack[count, 4] = level + 1
+                    else:
+                        which = token - FIRST_DIVIDED
+                        stack[count, which] = model.clusters[clusters[which], LEFT + part]
+                    count += 1
+            tokens[nodes] = token
+            nodes += 1
+    held(memory)
+    return nodes, planes, -1, 0.0, 1.0
