@@ -1,6 +1,6 @@
 /* Checks a proof that motions of a robot are free of collisions, or that two bodies have a common point.
  * Build:  gcc -std=c11 -O2 verify.c -o verify -lm        Use:  ./verify file.proof
- * It prints one line, "verified: ..." (exit 0) or "refused: why" (exit 1); exit 2 if the file cannot be read.
+ * It prints "verified: FREE, ..." (exit 0), "verified: COLLIDING, ..." or "refused: why" (exit 1); exit 2: no such file.
  *
  * The page proof-format.md defines the format and what is checked. All real numbers are enclosed: next to each computed
  * double there is a bound of its distance to the true number, which grows with each rounding by more than the rounding's
@@ -506,7 +506,7 @@ static void check_motions(Block *b) {
         }
     }
     if (b->left) refuse("the proof has more bytes than it uses");
-    printf("verified: %zu motions, %zu pairs, %zu planes, tightest %.3g m", n, pair_count, plane_count, tightest);
+    printf("verified: FREE, %zu motions, %zu pairs, %zu planes, tightest %.3g m", n, pair_count, plane_count, tightest);
 }
 
 /* -------------------------------------------------------------------------------------------------- Common points */
@@ -574,7 +574,7 @@ static void check_point(Block *b) {
     if (b->left) refuse("the proof has more bytes than it uses");
     FOR(i, 2) if (!belongs(bodies + at[i][0], pieces + bodies[at[i][0]].first + at[i][1], at[i] + 2, point))
         refuse("the common point is not shown to belong to both pieces");
-    printf("verified: bodies %zu and %zu have a common point", (size_t)at[0][0], (size_t)at[1][0]);
+    printf("verified: COLLIDING, bodies %zu and %zu have a common point", (size_t)at[0][0], (size_t)at[1][0]);
 }
 
 /* ------------------------------------------------------------------------------------------------------- The file */
@@ -596,5 +596,5 @@ int main(int argc, char **argv) {
     if (hollow_count) printf(", %zu bodies with interiors that are not covered", hollow_count);
     sha256(model.p, model_size, hash);
     FOR(i, 32) printf("%s%02x%s", i ? "" : ", model ", hash[i], i < 31 ? "" : "\n");
-    return 0;
+    return kind == 2;
 }

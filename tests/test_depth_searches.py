@@ -333,3 +333,26 @@ def test_a_face_as_near_as_another():
         [-0.6819836507944946, 0.7303002693463052, -0.03949451407128679, -0.10633146170414406],
     ]
     assert exact(a, Ta, b, Tb).distance == pytest.approx(-3.411155857779846e-09, abs=1e-13)
+
+
+@pytest.mark.parametrize("curved", [Body.cylinder(0.1, 0.3), Body.cone(0.1, 0.3)], ids=["cylinder", "cone"])
+def test_shallow_overlaps_of_hulls_and_curved_pieces(curved: Body):
+    """Overlaps down to 1e-9 m are settled, and no shorter way along the normal of the depth leads out of one."""
+    rng = np.random.default_rng(36)
+    for _ in range(200):
+        made = Body.from_points(0.1 * rng.normal(size=(20, 3)))
+        Ta, Tb = random_poses(rng, 2, 0.0)
+        along = rng.normal(size=3)
+        Tb[:3, 3] = along / np.linalg.norm(along)
+        apart = exact(made, Ta, curved, Tb)
+        for overlap in (1e-5, 1e-7, 1e-9):
+            T = Tb.copy()
+            T[:3, 3] -= (apart.distance + overlap) * apart.normal
+            found = exact(made, Ta, curved, T)
+            assert loewner.collide(made, Ta, curved, T) == (found.distance < 0.0)
+            if found.distance > -1e-10:  # apexes pass each other
+                continue
+            for share, hit in ((0.9, True), (1.1, False)):
+                out = T.copy()
+                out[:3, 3] -= share * found.distance * found.normal
+                assert loewner.collide(made, Ta, curved, out) == hit

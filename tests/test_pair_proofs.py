@@ -140,7 +140,10 @@ def test_bad_input():
 def test_files(tmp_path, capsys):
     """They are saved, loaded and verified like proofs of motions; the table says that nothing moves."""
     path = tmp_path / "pair.proof"
-    for x, words in ((1.5, "holds by 500 mm (a and b, which do not move)"), (0.8, "common point a and b")):
+    for x, words in (
+        (1.5, "holds by 500 mm (a and b, which do not move)"),
+        (0.8, "COLLIDING: a and b have a common point"),
+    ):
         proof = prove(SPHERE, None, BOX, translation(x))
         proof.save(path)
         assert Proof.load(path) == proof

@@ -86,7 +86,7 @@ class Report:
         lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
         for number, (degree, joined, inside, places) in enumerate(self.motions if self.deviations else ()):
             start = ("starts anew", "starts where the last one ends", "the first")[joined + (number == 0)]
-            text = f"degree {degree}, {start}, {'' if inside else 'NOT '}within limits, {places} configurations"
+            text = f"degree {degree}, {start}, {'' if inside else 'NOT '}within limits, planes at {places} places"
             lines.append((f"motion {number}", text))
         ends = (self.points[0][0], self.points[-1][-1]) if self.points and self.deviations else ()
         for what, q in zip(("begins at", "ends at"), ends, strict=False):
@@ -102,7 +102,7 @@ class Report:
         for name, pairs in groupby(self.left_out, lambda pair: pair[0]):
             lines.append(("left out", f"{_shown(name)} and {', '.join(_shown(other) for _, other in pairs)}"))
         lines += [("not covered", f"the interior of {_shown(name)}") for name in self.uncovered]
-        lines += [("common point", _shown(*self.common))] if self.common else []
+        lines.append(("claim", f"COLLIDING: {_shown(*self.common)} have a common point" if self.common else "FREE"))
         return "\n".join(f"{what:12} {text}" for what, text in lines)
 
 
@@ -578,8 +578,8 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print its claim; return 0 if it is verified, 1 if it is refused, 2 if it cannot be read."""
-    parser = argparse.ArgumentParser(description="Check a file that proves motions free of collisions.")
+    """Check a file, print its claim and return 0 if it is verified to be free, 1 if not, 2 if it cannot be read."""
+    parser = argparse.ArgumentParser(description="Check a proof: motions or bodies are free, or two bodies collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file
     try:
@@ -593,7 +593,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{report}\nverified".encode(code, "backslashreplace").decode(code), flush=True)
     except BrokenPipeError:  # the reader has gone, and Python would fail again when it closes standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+    return 1 if report.common else 0
 
 
 if __name__ == "__main__":

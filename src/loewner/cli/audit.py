@@ -105,6 +105,8 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(answer, indent=2))
     else:
         _print_answer(answer)
+        if options.proof is not None and answer["proof"] is None:
+            print(f"no proof  {options.proof} is not written: there is no proof of this motion")
     return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
 
 

@@ -62,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
     lines, faults = [str(report)], list[str]()
     if options.urdf is not None:
         scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-        made_for = " and ".join(file.name for file in (options.urdf, options.scene) if file is not None)
+        made_for = " and ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
         found = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
         lines += [f"different    {words}" for words in found[:MOST_SHOWN]]
         lines += [f"             and {len(found) - MOST_SHOWN} more"] if len(found) > MOST_SHOWN else []
@@ -90,6 +90,8 @@ def _claim(report: verify.Report) -> str:
 
 def _difference(report: verify.Report, path: Path) -> str:
     """Describe the first difference between the motions and a path; empty if there is none."""
+    if not report.deviations:
+        return "the proof is about two bodies that do not move"
     named: Any = SimpleNamespace(configuration_names=[name for name, _ in report.deviations])
     rows = np.atleast_2d(configurations.read(path, named, named=True)).tolist()
     if len(report.points) != len(rows) - 1:

@@ -68,7 +68,7 @@ class Proof:
             raise InputError(f"data: expected {fault}")
 
     def __repr__(self) -> str:
-        return f"Proof({self.size} bytes, model {self.model_hash[:12]})"
+        return f"Proof({self.verdict.name}, {len(self.data)} bytes, model {self.model_hash[:12]})"
 
     @property
     def size(self) -> int:

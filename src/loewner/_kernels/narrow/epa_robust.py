@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import cross, dot, minus
+from loewner._kernels.linalg3 import cross, dot, minus, plus, scaled
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
@@ -59,37 +59,31 @@ def _support(A, B, shift, n, S, k):
     minkowski_support(A, B, shift, n, S, k)
 
 
+@inline
+def _point(S, k):
+    return S[k, 0], S[k, 1], S[k, 2]
+
+
 @njit()
 def _face(S, corners, normals, offsets, f):
     """Form the outward unit normal and offset of face f; return False if it has hardly any area."""
-    a = corners[f, 0]
-    b = corners[f, 1]
-    c = corners[f, 2]
-    ux = S[b, 0] - S[a, 0]
-    uy = S[b, 1] - S[a, 1]
-    uz = S[b, 2] - S[a, 2]
-    wx = S[c, 0] - S[a, 0]
-    wy = S[c, 1] - S[a, 1]
-    wz = S[c, 2] - S[a, 2]
-    nx = uy * wz - uz * wy
-    ny = uz * wx - ux * wz
-    nz = ux * wy - uy * wx
-    area = np.sqrt(nx * nx + ny * ny + nz * nz)
-    longest = np.sqrt((ux * ux + uy * uy + uz * uz) * (wx * wx + wy * wy + wz * wz))
+    a, b, c = _point(S, corners[f, 0]), _point(S, corners[f, 1]), _point(S, corners[f, 2])
+    u, v, w = minus(b, a), minus(c, b), minus(a, c)
+    x, y, z = dot(u, u), dot(v, v), dot(w, w)
+    # From the two shorter sides: the normal of a thin face has no other accuracy.
+    most = max(x, max(y, z))
+    n = cross(v, w) if x == most else (cross(w, u) if y == most else cross(u, v))
+    area = np.sqrt(dot(n, n))
+    longest = np.sqrt(x * y * z / most) if most > 0.0 else 0.0
     if not area > 1e-14 * longest:
         normals[f, 0] = 0.0
         normals[f, 1] = 0.0
         normals[f, 2] = 0.0
         offsets[f] = np.inf
         return False
-    normals[f, 0] = nx / area
-    normals[f, 1] = ny / area
-    normals[f, 2] = nz / area
-    offsets[f] = (
-        normals[f, 0] * (S[a, 0] + S[b, 0] + S[c, 0])
-        + normals[f, 1] * (S[a, 1] + S[b, 1] + S[c, 1])
-        + normals[f, 2] * (S[a, 2] + S[b, 2] + S[c, 2])
-    ) / 3.0
+    n = scaled(1.0 / area, n)
+    normals[f, 0], normals[f, 1], normals[f, 2] = n
+    offsets[f] = dot(n, plus(a, plus(b, c))) / 3.0
     return True
 
 
@@ -408,11 +402,6 @@ def plane_with_care(one, two, three, error):
     n = n[0] / area, n[1] / area, n[2] / area
     nearest = min(dot(n, one), min(dot(n, two), dot(n, three)))
     return (nearest - error) * area > error * np.sqrt(x * y * z / longest), nearest, n
-
-
-@inline
-def _point(S, k):
-    return S[k, 0], S[k, 1], S[k, 2]
 
 
 @njit()

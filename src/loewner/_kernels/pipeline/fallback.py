@@ -9,7 +9,7 @@ import numpy as np
 from loewner._kernels._jit import njit
 from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, INEXACT, TOUCHING
 from loewner._kernels.columns import KIND
-from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, NO_VOLUME, penetration, workspace
+from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, NO_VOLUME, penetration, proven_depth, workspace
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, rounding_error, run, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface, surface_of
 from loewner._kernels.narrow.surface_meets import surface_pair
@@ -184,6 +184,6 @@ def _piece_pair(A, B, margin, work):
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE
-    if shallow + swollen >= -margin - TOUCH_ROUNDINGS * error:
+    if shallow + swollen >= -margin - TOUCH_ROUNDINGS * error or proven_depth(error, work) > 0.0:
         return COLLIDING
     return AMBIGUOUS
