@@ -346,7 +346,7 @@ def test_files(tmp_path, capsys):
     proof.save(path)
     assert Proof.load(path) == proof
     assert proof.size == len(proof.data) - len(proof.model) - 56
-    assert repr(proof) == f"Proof({proof.size} bytes, model {proof.model_hash[:12]})"
+    assert repr(proof) == f"Proof(FREE, {len(proof.data)} bytes, model {proof.model_hash[:12]})"
     assert [file.name for file in tmp_path.iterdir() if "proof" in file.name] == ["plan.proof"]
     for broken, words in (
         (b"", "a proof of loewner"),
@@ -389,12 +389,14 @@ def test_command_line(tmp_path, capsys):
     )
     assert cli.main(["verify", path, "--path", csv, "--robot", *common]) == 0
     assert capsys.readouterr().out.endswith(
-        "\nthe model matches gantry.urdf and scene.yaml\nthe motions are those of path.csv\n"
+        f"\nthe model matches gantry.urdf, {srdf.name}, scene.yaml\nthe motions are those of path.csv\n"
         "verified: FREE, all pairs are farther apart than their margins, at every time\n"
     )
     assert cli.main(["verify", path, "--robot", *common[:3]]) == 1
     out = capsys.readouterr().out
-    assert out.endswith("\ndifferent    body wall: only in the proof\nDIFFERENT MODEL: not made for gantry.urdf\n")
+    assert out.endswith(
+        f"\ndifferent    body wall: only in the proof\nDIFFERENT MODEL: not made for gantry.urdf, {srdf.name}\n"
+    )
     assert "verified" not in out
     assert cli.main(["verify", path, "--srdf", str(srdf)]) == 2
     assert cli.main([*plan, "--sampled", "--proof", path]) == 2

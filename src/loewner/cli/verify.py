@@ -62,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
     lines, faults = [str(report)], list[str]()
     if options.urdf is not None:
         scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-        made_for = " and ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
+        made_for = ", ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
         found = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
         lines += [f"different    {words}" for words in found[:MOST_SHOWN]]
         lines += [f"             and {len(found) - MOST_SHOWN} more"] if len(found) > MOST_SHOWN else []

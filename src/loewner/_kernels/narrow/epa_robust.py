@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import cross, dot, minus, plus, scaled
+from loewner._kernels.linalg3 import cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
@@ -88,11 +88,11 @@ def _face(S, corners, normals, offsets, f):
 
 
 @njit()
-def _first_tetrahedron(A, B, shift, S):
-    """Four support points that span a volume, written to rows 0..3 of S."""
+def _first_tetrahedron(A, B, shift, n, S):
+    """Four support points that span a volume, the first two along n and -n, written to rows 0..3 of S."""
     rows = np.arange(5)  # as data, since the functions below would be compiled once per constant
-    _support(A, B, shift, (1.0, 0.0, 0.0), S, rows[0])
-    _support(A, B, shift, (-1.0, 0.0, 0.0), S, rows[1])
+    _support(A, B, shift, n, S, rows[0])
+    _support(A, B, shift, negated(n), S, rows[1])
     # The third point is across the line, and the fourth across the plane, each the farther of both directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
@@ -279,17 +279,40 @@ def penetration(A, B, shift, accuracy, work, result):
         Both `NO_VOLUME` if the cores span no volume; `result` then only holds a normal. Otherwise bounds on the depth,
         to within `rounding_error`; `upper` belongs to the normal and the points.
     """
+    lower, upper, astray = _expanded(A, B, shift, accuracy, (1.0, 0.0, 0.0), work, result)
+    for sign in (1.0, -1.0):
+        if astray:
+            lower, upper, astray = _expanded(A, B, shift, accuracy, (0.36, 0.48, sign * 0.8), work, result)
+    return lower, upper
+
+
+@inline
+def _known(S, count):
+    """Whether row `count` of the support points repeats one of the rows before it."""
+    known = False
+    for k in range(count):
+        known |= S[k, 0] == S[count, 0] and S[k, 1] == S[count, 1] and S[k, 2] == S[count, 2]
+    return known
+
+
+@njit()
+def _expanded(A, B, shift, accuracy, first, work, result):
+    """As `penetration`, from a polytope about the direction `first`; also returns whether the search went astray.
+
+    Rounding can leave a dent between thin faces. A point that is already a corner then lies in front of a face, and
+    adding it again and again would not end.
+    """
     S, corners, neighbors, normals, offsets, alive, free, horizon, stack, count = work
     count[0] = 0
     error = rounding_error(A, B, shift)
     tolerance = error * (accuracy / POSITION_ROUNDINGS)
-    _first_tetrahedron(A, B, shift, S)
+    _first_tetrahedron(A, B, shift, first, S)
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
         # Cores that span no volume (points, parallel segments) have depth zero: perpendicular to their plane or line
         # they already touch. The caller has the deepest points from GJK.
-        return NO_VOLUME, NO_VOLUME
+        return NO_VOLUME, NO_VOLUME, False
     # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
     if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
         for c in range(9):
@@ -312,7 +335,7 @@ def penetration(A, B, shift, accuracy, work, result):
     upper = np.inf
     lower = -np.inf
     last = -1
-    closed = True
+    closed, astray = True, False
     while used < MAX_POINTS:
         nearest = -1
         least = np.inf
@@ -335,19 +358,22 @@ def penetration(A, B, shift, accuracy, work, result):
         last = nearest
         if upper - least <= tolerance or height - least <= 4.0 * error:
             break
+        if _known(S, used):
+            astray = True
+            break
         if not _expand(
             S, corners, neighbors, normals, offsets, alive, free, counts, nearest, used, error, horizon, stack
         ):
-            closed = False
+            closed, astray = False, True
             break
         used += 1
     count[0] = counts[0] if closed else 0
     if last < 0:
-        return -np.inf, np.inf
+        return -np.inf, np.inf, False
     # If many directions tie, the faces are still coarse. Support points of directions very close to the best normal
     # span a much finer face.
     if upper - lower > WITNESS_WINDOW * error and _fine_foot(A, B, shift, S, used, result):
-        return lower, upper
+        return lower, upper, astray
     # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of it. The one that
     # contains the foot of the origin determines the witnesses.
     window = lower + max(upper - lower, WITNESS_WINDOW * error)
@@ -360,7 +386,7 @@ def penetration(A, B, shift, accuracy, work, result):
                 best = inside
                 last = f
     _witness(S, corners, normals, last, result)
-    return lower, upper
+    return lower, upper, astray
 
 
 @njit()
