@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -67,7 +69,7 @@ def prove(
     cut = in_parts(packs, np.array([True, True]))
     model, parts = model_of_pair(packs, cut, poses, keep), any(pack.trees for pack in cut)
     if not queries.collide(a, poses[0], b, poses[1], margin=keep):
-        return _apart(model, parts)
+        return _apart(model, parts, lambda: queries.distance(a, poses[0], b, poses[1], exact=True))
     found = queries.distance(a, poses[0], b, poses[1], exact=True)
     if 0.0 < found.distance <= keep:
         raise ConvergenceError(
@@ -79,22 +81,29 @@ def prove(
         if _holds(proof):
             return proof
     if found.distance > keep:  # `collide` counts bodies as touching that are apart by less than rounding
-        return _apart(model, parts)
+        return _apart(model, parts, lambda: found)
     raise ConvergenceError(
         f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
         f"{-found.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
     )
 
 
-def _apart(model: Model, parts: bool) -> Proof:
-    """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes."""
-    try:
-        return assembled(FREE, model.data, separations.still(model, parts, separations.ROOM))
-    except ConvergenceError:
-        proof = assembled(FREE, model.data, separations.still(model, parts, 0.0))
-        if _holds(proof):
+def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) -> Proof:
+    """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes.
+
+    The search for planes fails near contact. The search of the distance is more careful, and is used last.
+    """
+    failure: ConvergenceError | None = None
+    for room, careful in ((separations.ROOM, False), (0.0, False), (0.0, True)):
+        try:
+            tree = separations.still(model, parts, room, np.asarray(measured().normal) if careful else None)
+        except ConvergenceError as error:
+            failure = failure or error
+            continue
+        proof = assembled(FREE, model.data, tree)
+        if room > 0.0 or _holds(proof):
             return proof
-        raise
+    raise failure or ConvergenceError("proof: expected planes between the bodies, found none that is exact")
 
 
 def _holds(proof: Proof) -> bool:

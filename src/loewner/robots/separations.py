@@ -80,7 +80,9 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
         if isinstance(tree, Failed):
             a, b = (ready.names[n] for n in model.pairs[tree.pair])
             why = "they come nearer than the room for rounding that proofs leave"
-            if deviations.any():
+            if tree.many:
+                why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
+            elif deviations.any():
                 why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
             raise ConvergenceError(
                 f"proof: expected planes between {a} and {b} all along motion {k}, found none from the fraction "
@@ -90,8 +92,10 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
     return b"".join(found)
 
 
-def still(model: Model, cut: bool, room: float) -> bytes:
+def still(model: Model, cut: bool, room: float, normal: Floats | None = None) -> bytes:
     """Make the tree of two bodies that do not move, with a gap that exceeds the margin by `room` of all lengths.
+
+    A normal in the world, from the first body to the second one, is tried before others are searched.
 
     Raises
     ------
@@ -100,7 +104,10 @@ def still(model: Model, cut: bool, room: float) -> bytes:
     """
     none = np.empty((1, 2, 0))
     prepared = _Prepared(model, _NO_TREE, np.zeros(2, dtype=np.int64))
-    tree = prepared.trees(none[0], prepared.speeds(none, none[0, 0])[0], room, _Memory.of(model))
+    memory = _Memory.of(model)
+    if normal is not None:
+        memory.state[0, 1:4] = normal @ model.turn[0]
+    tree = prepared.trees(none[0], prepared.speeds(none, none[0, 0])[0], room, memory)
     if isinstance(tree, Failed):
         why = "the hulls of parts of a surface or a cloud are nearer" if cut else "their gap is too small"
         raise ConvergenceError(f"proof: expected planes between the bodies, which are apart, found none: {why}")
@@ -108,11 +115,12 @@ def still(model: Model, cut: bool, room: float) -> bytes:
 
 
 class Failed(NamedTuple):
-    """A pair without planes, and the part of the motion for which there are none."""
+    """A pair without planes, the part of the motion for which there are none, and whether there were too many nodes."""
 
     pair: int
     low: float
     high: float
+    many: bool
 
 
 class _Memory(NamedTuple):
@@ -169,7 +177,7 @@ class _Prepared:
             *handles, np.ascontiguousarray(course), speeds, room, *memory
         )
         if pair >= 0:
-            return Failed(pair, low, high)
+            return Failed(pair, low, high, nodes == MOST_NODES or planes == MOST_NORMALS)
         token, normal = memory.tokens[:nodes], memory.normals[:planes]
         size_of = 1 + 6 * (token >= NORMAL) + 18 * (token >= DOUBLES)
         place = np.cumsum(size_of) - size_of
@@ -183,10 +191,10 @@ class _Prepared:
         return data.tobytes()
 
 
-# -- shapes -----------------------------------------------------------------------------------
-
-
 _known: WeakKeyDictionary[Problem, _Prepared] = WeakKeyDictionary()
+
+
+# -- shapes -----------------------------------------------------------------------------------
 
 
 def clusters_of(model: Model) -> Clusters:

@@ -31,6 +31,9 @@ WITNESS_WINDOW = 2e4
 # Angle in radians of the directions whose support points refine a witness: their error in the depth is its square.
 HAIR = 1e-5
 
+# Faces are thin if the sine at a corner is below this; their normals are computed with more care.
+THIN = 1e-4
+
 DEPTH_ACCURACY = 1e-11  # accuracy for a distance query
 CONTACT_ACCURACY = 1e-13  # accuracy that distinguishes a graze from a gap
 
@@ -70,11 +73,12 @@ def _face(S, corners, normals, offsets, f):
     a, b, c = _point(S, corners[f, 0]), _point(S, corners[f, 1]), _point(S, corners[f, 2])
     u, v, w = minus(b, a), minus(c, b), minus(a, c)
     x, y, z = dot(u, u), dot(v, v), dot(w, w)
-    # From the two shorter sides: the normal of a thin face has no other accuracy.
-    most = max(x, max(y, z))
-    n = cross(v, w) if x == most else (cross(w, u) if y == most else cross(u, v))
-    area = np.sqrt(dot(n, n))
-    longest = np.sqrt(x * y * z / most) if most > 0.0 else 0.0
+    n = cross(w, u)
+    area, longest = np.sqrt(dot(n, n)), np.sqrt(x * z)
+    if area < THIN * longest:  # only the two shorter sides give the normal of a thin face accurately
+        most = max(x, max(y, z))
+        n = cross(v, w) if x == most else (cross(w, u) if y == most else cross(u, v))
+        area, longest = np.sqrt(dot(n, n)), np.sqrt(x * y * z / most)
     if not area > 1e-14 * longest:
         normals[f, 0] = 0.0
         normals[f, 1] = 0.0
@@ -280,9 +284,14 @@ def penetration(A, B, shift, accuracy, work, result):
         to within `rounding_error`; `upper` belongs to the normal and the points.
     """
     lower, upper, astray = _expanded(A, B, shift, accuracy, (1.0, 0.0, 0.0), work, result)
+    other = np.empty(9)
     for sign in (1.0, -1.0):
         if astray:
-            lower, upper, astray = _expanded(A, B, shift, accuracy, (0.36, 0.48, sign * 0.8), work, result)
+            lower, depth, astray = _expanded(A, B, shift, accuracy, (0.36, 0.48, sign * 0.8), work, other)
+            if depth < upper:
+                upper = depth
+                for k in range(9):
+                    result[k] = other[k]
     return lower, upper
 
 
@@ -359,8 +368,15 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         if upper - least <= tolerance or height - least <= 4.0 * error:
             break
         if _known(S, used):
-            astray = True
-            break
+            # A thin face that is folded over a face of A - B has the opposite normal.
+            _support(A, B, shift, (nx, ny, nz), S, used)
+            height = -(nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2])
+            astray = height + least > 4.0 * error
+            if astray:
+                break
+            normals[nearest, 0], normals[nearest, 1], normals[nearest, 2] = -nx, -ny, -nz
+            offsets[nearest] = -least
+            continue
         if not _expand(
             S, corners, neighbors, normals, offsets, alive, free, counts, nearest, used, error, horizon, stack
         ):

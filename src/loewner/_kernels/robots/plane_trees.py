@@ -62,7 +62,8 @@ ROUNDED = 4e-5
 # Candidates among the axes that are tried after the boxes.
 BEST_AXES = 3
 
-# The poses of links are kept at multiples of 1 / KEPT; at other times, for one interval on each level.
+# The poses of links are kept at multiples of 1 / KEPT, and at other times only for the middle of one interval on each
+# level: the search is depth first, so both halves of an interval are finished before another middle of its level.
 LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
@@ -96,7 +97,11 @@ class _Pair(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """Lengths that depend on the size of the model: room for rounding, for boxes, for rounded normals, and errors."""
+    """Lengths that depend on the size of the model: room for rounding, for boxes, for rounded normals, and errors.
+
+    A search cannot find planes between pieces that are nearer than a few errors. `pair_proofs` has another way for
+    bodies that do not move; between others, the room for rounding is larger.
+    """
 
     room: Any
     of_boxes: Any
@@ -508,19 +513,19 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
     near : bool
         Whether no plane can separate these pieces at one of the ends.
     """
-    recent, row = int(state[pair.pair, RECENT]), pair.pair
-    N = _three(state, row, RECENT + 1)
-    if dot(N, N) > 0.0:
-        first, last = _gaps(model, pair, clusters, sides, recent, N)
+    row = pair.pair
+    recent, old = int(state[row, RECENT]), _three(state, row, RECENT + 1)
+    if dot(old, old) > 0.0:
+        first, last = _gaps(model, pair, clusters, sides, recent, old)
         if min(first, last) > need[recent] + limits.room:
-            return (NORMAL if _is_short(N) else DOUBLES) + recent, N, spare, False
+            return (NORMAL if _is_short(old) else DOUBLES) + recent, old, spare, False
     favoured = 0 if need[0] <= need[1] else 1
     for turn in range(2):
         side = favoured if turn == 0 else 1 - favoured
         M, keep = _nine(model.turns, pair.bodies[side], 0), pair.margin + pair.deviation[side]
         lower_upper = clusters[side], clusters[1 - side]
         poses = sides.turns[side], sides.shifts[side]
-        n = apply(M, N) if recent == side and dot(N, N) > 0.0 else poses[1][0]
+        n = apply(M, old) if recent == side and dot(old, old) > 0.0 else poses[1][0]
         near, n = _direction(
             model, lower_upper, poses, 2, n, need[side], need[side] + limits.of_normals, limits.error, memory
         )
@@ -536,10 +541,9 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
                 state[row, RECENT] = side
                 return (DOUBLES if doubles else NORMAL) + side, N, spare, False
             spare = max(spare[0], first - keep), max(spare[1], last - keep)
-        N = _three(state, row, RECENT + 1)
     # No plane for the interval. Is there one at each end? Single pieces are not divided.
     if not (deep or _several(model, clusters)):
-        return -1, N, spare, False
+        return -1, old, spare, False
     side = 0 if pair.deviation[0] <= pair.deviation[1] else 1
     M, keep = _nine(model.turns, pair.bodies[side], 0), pair.margin + pair.deviation[side]
     turns, shifts = sides.turns[side], sides.shifts[side]
@@ -553,10 +557,10 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
             keep + limits.of_normals, limits.error, memory,
         )  # fmt: skip
         if near:
-            return -1, N, spare, True
+            return -1, old, spare, True
         first, last = _gaps(model, pair, clusters, sides, side, apply_transposed(M, n))
         spare = max(spare[0], first - keep), max(spare[1], last - keep)
-    return -1, N, spare, False
+    return -1, old, spare, False
 
 
 @inline
