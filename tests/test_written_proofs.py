@@ -514,7 +514,7 @@ def test_supports_of_clusters(rng, tmp_path):
         box, turned = record.boxes[whole], n @ model.turn[body]
         assert (reach <= n @ box[:3] + np.abs(turned) @ box[3:6] + 1e-12).all()
         assert (n @ box[6:] < reach).all()
-        left, right = record.clusters[whole, [plane_trees.LEFT, plane_trees.RIGHT]]
+        left, right = record.clusters[whole, [plane_trees.LEFT_HALF, plane_trees.RIGHT_HALF]]
         assert np.allclose(reach, np.maximum(reaches(record, left, n), reaches(record, right, n)))
         center, radius = record.balls[body, :3], record.balls[body, 3]
         assert (reach <= n @ center + radius * np.linalg.norm(n, axis=1) + 1e-12).all()

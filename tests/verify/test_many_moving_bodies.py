@@ -107,7 +107,7 @@ def test_no_plan_is_refuted(kind):
         if len(Q) < 2:
             continue
         error = float(rng.choice([0.0, 0.005]))
-        options = {"velocity": velocity, "joint_error": error, "max_iterations": 2000, "seed": seed}
+        options = {"velocity": velocity, "joint_error": error, "max_iterations": 2000, "timeout": 1e3, "seed": seed}
         if rng.random() < 0.3:
             options["arrive_by"] = begin + 1.5 * float((np.abs(Q[-1] - Q[0]) / velocity).max())
         try:

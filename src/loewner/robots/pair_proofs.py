@@ -93,17 +93,14 @@ def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) 
 
     The search for planes fails near contact. The search of the distance is more careful, and is used last.
     """
-    failure: ConvergenceError | None = None
     for room, careful in ((separations.ROOM, False), (0.0, False), (0.0, True)):
-        try:
-            tree = separations.still(model, parts, room, np.asarray(measured().normal) if careful else None)
-        except ConvergenceError as error:
-            failure = failure or error
-            continue
-        proof = assembled(FREE, model.data, tree)
-        if room > 0.0 or _holds(proof):
-            return proof
-    raise failure or ConvergenceError("proof: expected planes between the bodies, found none that is exact")
+        tree = separations.still(model, room, np.asarray(measured().normal) if careful else None)
+        if tree is not None:
+            proof = assembled(FREE, model.data, tree)
+            if room > 0.0 or _holds(proof):
+                return proof
+    why = "the hulls of parts of a surface or a cloud are nearer" if parts else "their gap is too small"
+    raise ConvergenceError(f"proof: expected planes between the bodies, which are apart, found none: {why}")
 
 
 def _holds(proof: Proof) -> bool:

@@ -92,15 +92,11 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
     return b"".join(found)
 
 
-def still(model: Model, cut: bool, room: float, normal: Floats | None = None) -> bytes:
+def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
     """Make the tree of two bodies that do not move, with a gap that exceeds the margin by `room` of all lengths.
 
-    A normal in the world, from the first body to the second one, is tried before others are searched.
-
-    Raises
-    ------
-    ConvergenceError
-        As for `trees`; `cut` is whether there are parts of a surface or a cloud.
+    A normal in the world, from the first body to the second one, is tried before others are searched. If planes that
+    the format can express do not separate the bodies, the result is None.
     """
     none = np.empty((1, 2, 0))
     prepared = _Prepared(model, _NO_TREE, np.zeros(2, dtype=np.int64))
@@ -108,10 +104,7 @@ def still(model: Model, cut: bool, room: float, normal: Floats | None = None) ->
     if normal is not None:
         memory.state[0, 1:4] = normal @ model.turn[0]
     tree = prepared.trees(none[0], prepared.speeds(none, none[0, 0])[0], room, memory)
-    if isinstance(tree, Failed):
-        why = "the hulls of parts of a surface or a cloud are nearer" if cut else "their gap is too small"
-        raise ConvergenceError(f"proof: expected planes between the bodies, which are apart, found none: {why}")
-    return written(none[0, 0], none) + tree
+    return None if isinstance(tree, Failed) else written(none[0, 0], none) + tree
 
 
 class Failed(NamedTuple):

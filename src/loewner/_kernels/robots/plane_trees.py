@@ -24,7 +24,7 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
 
 # Columns of clusters, and of pieces: kind, radius, center and the nine numbers of the factor.
-FIRST, LAST, LEFT, RIGHT, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
+FIRST, LAST, LEFT_HALF, RIGHT_HALF, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
 RADIUS, CENTER, FACTOR = 1, 2, 5
 
 # Columns of boxes: the center, half of the edges, and a point inside the pieces.
@@ -496,7 +496,7 @@ def _by_axes(model, pair, clusters, sides, need, room, scores):
 @inline
 def _several(model, clusters):
     """Whether one of two clusters has several pieces."""
-    return model.clusters[clusters[0], LEFT] >= 0 or model.clusters[clusters[1], LEFT] >= 0
+    return model.clusters[clusters[0], LEFT_HALF] >= 0 or model.clusters[clusters[1], LEFT_HALF] >= 0
 
 
 @njit()
@@ -709,7 +709,7 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
                         stack[count, 4] = level + 1
                     else:
                         which = token - FIRST_DIVIDED
-                        stack[count, which] = model.clusters[clusters[which], LEFT + part]
+                        stack[count, which] = model.clusters[clusters[which], LEFT_HALF + part]
                     count += 1
             tokens[nodes] = token
             nodes += 1
