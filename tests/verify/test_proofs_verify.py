@@ -99,6 +99,15 @@ def test_pairs(family, agrees):  # noqa: F811
     assert min(seen[Verdict.FREE], seen[Verdict.COLLIDING]) > PAIRS / 10
 
 
+def verified(checker, plan):
+    """The size of a plan's proof, once it is verified to be about this checker and the whole path."""
+    report = verify(plan.proof.data)
+    assert report.model == checker.model_hash
+    assert len(report.motions) == len(plan.path) - 1
+    assert all(joined for _, joined, _, _ in report.motions[1:])
+    return plan.proof.size
+
+
 @pytest.mark.parametrize("name", ["ur5", "talos", "panda on a base"])
 def test_plans_of_robots(name):
     """Proofs of a hundred plans of an arm, a humanoid, and an arm on a mobile base with sliding joints are verified."""
@@ -113,11 +122,7 @@ def test_plans_of_robots(name):
                 plan = planners.plan(checker, start, goal, full=True, proof=True)
             except PlanningError:
                 continue
-            report = verify(plan.proof.data)
-            assert report.model == checker.model_hash
-            assert len(report.motions) == len(plan.path) - 1
-            assert all(joined for _, joined, _, _ in report.motions[1:])
-            sizes.append(plan.proof.size)
+            sizes.append(verified(checker, plan))
         if len(sizes) >= PLANS:
             break
     print(f"{name}: {len(sizes)} plans verified, {np.median(sizes):.0f} bytes in the median, {max(sizes)} at most")
@@ -137,11 +142,7 @@ def test_motion_bench_maker():
             plan = planners.plan(checker, Q[0], Q[1:], joints=list(problem.joint_names), full=True, proof=True)
         except PlanningError:
             continue
-        report = verify(plan.proof.data)
-        assert report.model == checker.model_hash
-        assert len(report.motions) == len(plan.path) - 1
-        assert all(joined for _, joined, _, _ in report.motions[1:])
-        sizes.append(plan.proof.size)
+        sizes.append(verified(checker, plan))
     print(f"{len(sizes)} plans verified, {np.median(sizes):.0f} bytes in the median, {max(sizes)} at most")
     assert len(sizes) >= 620
     assert max(sizes) <= 10_000

@@ -417,8 +417,7 @@ def differences(one: bytes, other: bytes) -> list[str]:
     if one == other:
         return []
     (_, has), (_, wanted), words = contents(one), contents(other), list[str]()
-    parts = [*(has | wanted)]
-    for part in sorted(parts, key=lambda part: not part.startswith("body ")):
+    for part in sorted(has | wanted, key=lambda part: not part.startswith("body ")):
         a, b = has.get(part), wanted.get(part)
         if a is None or b is None:
             words.append(f"{part}: only in {'the proof' if b is None else 'the robot and scene'}")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import records
-from loewner._kernels.columns import BLOCK
+from loewner._kernels.columns import BLOCK, CONE, CYLINDER, ELLIPSOID, POLYTOPE
 from loewner._native import entries
 from loewner._rotations import rotations_of
 from loewner._validate import Floats, Ints
@@ -31,6 +31,9 @@ ROOM = 2e-11
 
 # Nodes of the trees of one motion, and normals among them: with more of them, the search would not end.
 MOST_NODES, MOST_NORMALS = 2**20, 2**18
+
+# Kinds of pieces for kernels, by those of the format.
+_KINDS = np.array([POLYTOPE, ELLIPSOID, CYLINDER, CONE])
 
 # The model of two bodies that do not move has no joints of a robot.
 _NONE = np.empty(0, dtype=np.int64)
@@ -208,7 +211,7 @@ def clusters_of(model: Model) -> Clusters:
     points = records.aligned(4 * len(rows))
     points[:] = np.column_stack([placed, pieces.radius[piece]]).reshape(-1, BLOCK, 4).transpose(0, 2, 1).ravel()
     table = np.zeros((len(counts), 14))
-    table[:, 0], table[:, 1] = pieces.kind, pieces.radius
+    table[:, 0], table[:, 1] = _KINDS[pieces.kind], pieces.radius
     at = np.flatnonzero(curved)
     if len(at):
         own, M = np.stack([pieces.points[k] for k in at]), model.turn[body_of[at]]

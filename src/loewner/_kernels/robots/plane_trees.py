@@ -11,17 +11,16 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import OVERLAPPING, TOUCHING
+from loewner._kernels.columns import ELLIPSOID, POLYTOPE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, image, minus, negated, plus, product, scaled
 from loewner._kernels.narrow.gjk_fast import MEMORY, measuring, result_of, vertices_of
 from loewner._kernels.pieces.pack import plane_model_of, tree_of
+from loewner._kernels.pieces.shapes import unit_support
 from loewner._kernels.robots.kinematics import POSE, place_links, workspace_size
 from loewner._kernels.simd.memory import held
 from loewner._kernels.simd.vectors import LANES, broadcast, entry_at_highest, load, numbers_from, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
-
-# Kinds of pieces in the format.
-HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
 
 # Columns of clusters, and of pieces: kind, radius, center and the nine numbers of the factor.
 FIRST, LAST, LEFT_HALF, RIGHT_HALF, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
@@ -127,21 +126,6 @@ def _transposed(M):
 # -- shapes -----------------------------------------------------------------------------------
 
 
-@inline
-def _unit_support(kind, v):
-    """The farthest point along v of the unit ball, cylinder or cone."""
-    across = np.sqrt(v[0] * v[0] + v[1] * v[1])
-    if kind == BALL:
-        scale = 1.0 / max(np.sqrt(across * across + v[2] * v[2]), 1e-300)
-        return scaled(scale, v)
-    scale = 1.0 / max(across, 1e-300)
-    if kind == CYLINDER:
-        return scale * v[0], scale * v[1], np.copysign(1.0, v[2])
-    if v[2] > across - v[2]:
-        return 0.0, 0.0, 1.0
-    return scale * v[0], scale * v[1], -1.0
-
-
 @apart
 def support(model, cluster, n):
     """The farthest point of a cluster of pieces along n, in the frame of its link; n is not zero."""
@@ -164,9 +148,10 @@ def support(model, cluster, n):
     if model.clusters[cluster, CURVED] > 0:
         for piece in range(model.clusters[cluster, FIRST], model.clusters[cluster, LAST]):
             kind = int(model.pieces[piece, 0])
-            if kind != HULL:
+            if kind > POLYTOPE:
                 M = _nine(model.pieces, piece, FACTOR)
-                x = image(M, _three(model.pieces, piece, CENTER), _unit_support(kind, apply_transposed(M, n)))
+                v = apply_transposed(M, n)
+                x = image(M, _three(model.pieces, piece, CENTER), unit_support(kind, v[0], v[1], v[2]))
                 x = plus(x, scaled(model.pieces[piece, RADIUS] / length, n))
                 if dot(x, n) > reached:
                     found, reached = x, dot(x, n)
@@ -241,7 +226,7 @@ def _ball_of(model, column, piece):
     squares = 0.0
     for k in range(9):
         squares += model.pieces[piece, FACTOR + k] ** 2
-    if int(model.pieces[piece, 0]) != BALL:
+    if int(model.pieces[piece, 0]) != ELLIPSOID:
         squares *= 2.0
     return _three(model.pieces, piece, CENTER), model.pieces[piece, RADIUS] + np.sqrt(squares)
 
@@ -257,7 +242,7 @@ def _write_balls(model):
         for turn in range(2):
             for k in range(corners + count):
                 piece = first + max(k - corners, 0)
-                if k >= corners and int(model.pieces[piece, 0]) == HULL:
+                if k >= corners and int(model.pieces[piece, 0]) <= POLYTOPE:
                     continue
                 c, r = _ball_of(model, begin + k if k < corners else -1, piece)
                 if turn == 0:
