@@ -32,7 +32,7 @@ ROOM = 2e-11
 # Nodes of the trees of one motion, and normals among them: with more of them, the search would not end.
 MOST_NODES, MOST_NORMALS = 2**20, 2**18
 
-# Kinds of pieces for kernels, by those of the format.
+# The number that kernels use for each kind of piece in the format.
 _KINDS = np.array([POLYTOPE, ELLIPSOID, CYLINDER, CONE])
 
 # The model of two bodies that do not move has no joints of a robot.
