@@ -524,7 +524,7 @@ def test_info_tells_how_the_kernels_run(capsys, monkeypatch, opened, told):
 def test_info_tells_what_is_missing(capsys, monkeypatch):
     """Without a library and without Numba it says what to install; an extra that is not there is named."""
     monkeypatch.setattr(library, "_opened", lambda: (None, "it was not built"))
-    monkeypatch.setattr("loewner.cli.info._version", lambda name: MISSING if name in ("numba", "ompl") else "1.0")
+    monkeypatch.setattr("loewner.cli.info.installed", lambda name: MISSING if name in ("numba", "ompl") else "1.0")
     _, out, _ = run(capsys, "info")
     assert "none: no library (it was not built), and no Numba; pip install 'loewner[jit]'" in out
     assert re.search(r"^\[planners\]: +ompl not installed$", out, flags=re.M)

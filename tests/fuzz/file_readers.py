@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import tempfile
 from collections.abc import Callable
@@ -13,8 +15,8 @@ import numpy as np
 
 import mesh_examples
 import test_description_files as descriptions
-from loewner import Body, CollisionChecker, Robot, Scene, load_scene, meshes, planners, read_motion_bench_maker
-from loewner.cli import configurations
+from loewner import Body, CollisionChecker, Robot, Scene, cli, load_scene, meshes, planners, read_motion_bench_maker
+from loewner.cli import configurations, report
 
 SLIDER = """<robot name="slider"><link name="base"/>
 <link name="cart"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
@@ -101,6 +103,16 @@ def _beside(shape: str) -> Callable[[Path], Any]:
     return read
 
 
+def _report() -> list[bytes]:
+    def write(path: Path) -> None:
+        body = path.with_name("part.npz")
+        Body.cone(0.5, 1.0).save(body)
+        with contextlib.redirect_stdout(io.StringIO()):
+            cli.main(["report", "check", str(body), str(body), "-o", str(path)])
+
+    return [_written("r.zip", write)]
+
+
 def _srdf(path: Path) -> Any:
     urdf = path.with_name("r.urdf")
     urdf.write_text(descriptions.URDF.replace('<mesh filename="part.stl" scale="1 -1 1"/>', '<sphere radius="0.1"/>'))
@@ -138,6 +150,7 @@ READERS: dict[str, Reader] = {
     "mjcf-scene": Reader(lambda: [MJCF.encode()], ".xml", load_scene),
     "problems": Reader(lambda: [descriptions.JSON.encode()], ".json", read_motion_bench_maker),
     "octree": Reader(_octree, ".bt", Body.from_octree),
+    "report": Reader(_report, ".zip", report.rerun),
     "roadmap": Reader(_roadmap, ".npz", lambda path: planners.Roadmap.load(path, slider())),
     "trajectory-csv": Reader(lambda: _trajectory(".csv"), ".csv", planners.Trajectory.load),
     "joint-limits": Reader(lambda: [LIMITS], ".yaml", lambda path: planners.JointLimits.load(path, slider().robot)),

@@ -55,10 +55,10 @@ def _lines() -> list[tuple[str, str]]:
         ("kernels", _told(_kernels)),
         ("processor", f"{platform.machine()}, levels of the library: {', '.join(library.levels()) or 'not known'}"),
         ("threads", _told(lambda: str(get_num_threads()))),
-        ("python", f"{platform.python_version()}, numpy {_version('numpy')}, scipy {_version('scipy')}"),
+        ("python", f"{platform.python_version()}, numpy {installed('numpy')}, scipy {installed('scipy')}"),
         ("cache", str(cache_folder())),
         *((name, value) for name, value in sorted(os.environ.items()) if name.startswith("LOEWNER_")),
-        *((f"[{extra}]", ", ".join(f"{name} {_version(name)}" for name in names)) for extra, names in EXTRAS.items()),
+        *((f"[{extra}]", ", ".join(f"{name} {installed(name)}" for name in names)) for extra, names in EXTRAS.items()),
     ]
 
 
@@ -74,12 +74,13 @@ def _kernels() -> str:
     """Describe how the kernels run."""
     if (level := library.level()) is not None:
         return f"native library, {level}, built with Numba {library.built_with()}"
-    if _version("numba") == MISSING:
+    if installed("numba") == MISSING:
         return f"none: no library ({library.why_not()}), and no Numba; pip install 'loewner[jit]'"
     return f"compiled by Numba on this machine; no native library ({library.why_not()})"
 
 
-def _version(package: str) -> str:
+def installed(package: str) -> str:
+    """Return the version of a package, or `MISSING`."""
     try:
         return version(package)
     except PackageNotFoundError:

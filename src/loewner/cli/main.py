@@ -19,7 +19,7 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, robot, verify, view
+from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, report, robot, verify, view
 from loewner.cli.output import ERROR, reader_gone
 from loewner.errors import InputError, LoewnerError
 
@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, clearance, robot, plan, verify, audit, view, compile, info, paper):
+    for command in (fit, check, clearance, robot, plan, verify, audit, report, view, compile, info, paper):
         command.add(commands)
     return parser
 
