@@ -9,6 +9,7 @@
 #   make test-torch    what is tested with PyTorch, which takes 5 GB on Linux
 #   make test-gpu      what is tested of GPUs, with NVIDIA's assembler, 143 MB; on a GPU where there is one
 #   make test-models   robots of MuJoCo that packages ship, 80 MB, against MuJoCo
+#   make newest   the quick suite with the newest versions of packages: PACKAGES="numpy scipy numba" TESTS=tests
 #   make docs     the documentation, as pages in docs/_build/html
 #   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
 #   make test-wheel    the quick suite against that wheel, installed
@@ -23,15 +24,17 @@ PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
 SECONDS ?= 20
+PACKAGES ?= numpy scipy numba
+TESTS ?= tests
 
 # The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
 # now; beside a library that does nothing.
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize bench check docs wheel sdist test-wheel clean
+.PHONY: help demo test test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize newest bench check docs wheel sdist test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 15
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 16
 
 # $(call built_with,STAMP): build the library while the packages of a stamp are installed.
 built_with = @{ $(BUILD); } & building=$$!; \
@@ -44,7 +47,7 @@ demo: $(VENV)/.compiler
 
 # Tests run in as many processes as there are cores; linear algebra on several threads in each of them takes turns, and
 # several times as long.
-test fuzz bounds test-wheel: export OPENBLAS_NUM_THREADS := 1
+test fuzz bounds newest test-wheel: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)
@@ -89,6 +92,16 @@ bounds: export NUMBA_BOUNDSCHECK := 1
 bounds: $(VENV)/.dev
 	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
+
+# In an environment of its own, since it is no longer the pinned one.
+newest:
+	rm -rf .venv-newest
+	$(MAKE) --no-print-directory VENV=.venv-newest .venv-newest/.dev
+	.venv-newest/bin/python -m pip --disable-pip-version-check install --quiet --upgrade $(PACKAGES)
+	.venv-newest/bin/python -m pip list
+	.venv-newest/bin/python native/build.py || true
+	.venv-newest/bin/python -m loewner compile
+	.venv-newest/bin/python -m pytest $(PYTEST_OPTIONS) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" $(TESTS)
 
 bench: $(VENV)/.bench
 	$(BUILD)
@@ -139,7 +152,7 @@ test-wheel: $(VENV)/.dev
 	  -c ../pyproject.toml --rootdir .. -n $(THREADS) --dist loadfile -m "not verify and not fuzz" ../tests
 
 clean:
-	rm -rf $(VENV) .venv-wheel build dist docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
+	rm -rf $(VENV) .venv-wheel .venv-newest build dist docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
 
 # A stamp file says that what it depends on was installed; a half-done installation leaves none.
 $(BIN)/python:

@@ -1,0 +1,111 @@
+"""Files about the package that no build reads: they agree with pyproject.toml, the Makefile and the code."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+import loewner
+from loewner import verify
+from loewner.bodies.files import BODIES
+from loewner.cli import report
+from loewner.planners.roadmaps import ROADMAPS
+from loewner.robots.written_proofs import VERSION
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+
+
+def spaced(requirement: str) -> str:
+    """A requirement as conda writes it."""
+    return re.sub(r"(?=[<>=])(?<![<>=])", " ", requirement, count=1)
+
+
+def test_citation():
+    """The version, license and description are the project's; the paper is among the references."""
+    cff = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert set(cff) >= {"cff-version", "message", "title", "authors", "type"}
+    assert (cff["version"], cff["license"]) == (PROJECT["version"], PROJECT["license"])
+    assert cff["abstract"] == PROJECT["description"]
+    assert cff["keywords"] == PROJECT["keywords"]
+    assert cff["authors"] == [{"name": author["name"]} for author in PROJECT["authors"]]
+    assert all({"type", "title", "authors"} <= set(reference) for reference in cff["references"])
+    assert cff["references"][0]["title"] in (ROOT / "README.md").read_text()
+
+
+def test_conda_recipe():
+    """Name, version, license, requirements and the command are the project's."""
+    recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
+    assert recipe["package"]["name"] == PROJECT["name"]
+    assert recipe["context"]["version"] == PROJECT["version"] == loewner.__version__
+    run = {f"python {PROJECT['requires-python']}", *map(spaced, PROJECT["dependencies"])}
+    assert set(recipe["requirements"]["run"]) == run
+    (build,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    jit = PROJECT["optional-dependencies"]["jit"]
+    assert set(recipe["requirements"]["host"]) >= {spaced(build), *map(spaced, jit)}
+    commands = [f"{name} = {target}" for name, target in PROJECT["scripts"].items()]
+    assert recipe["build"]["python"]["entry_points"] == commands
+    assert (recipe["about"]["summary"], recipe["about"]["license"]) == (PROJECT["description"], PROJECT["license"])
+    assert (ROOT / "packaging" / "conda" / recipe["source"]["path"] / recipe["about"]["license_file"]).is_file()
+
+
+def test_ros_package():
+    """A package of format 3, whose tags are in the order of the format; its dependencies are the project's."""
+    root = ElementTree.parse(ROOT / "packaging" / "ros" / "package.xml").getroot()
+    assert (root.tag, root.get("format")) == ("package", "3")
+    assert [root.findtext(tag) for tag in ("name", "version", "description", "license")] == [
+        PROJECT[key] for key in ("name", "version", "description", "license")
+    ]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", PROJECT["version"])  # of ROS, no other form
+    assert (ROOT / "packaging" / "ros" / root.find("license").get("file")).is_file()
+    assert "@" in root.find("maintainer").get("email")
+    needed = {f"python3-{re.match(r'[a-z]+', line)[0]}" for line in PROJECT["dependencies"]}
+    assert {element.text for element in root.findall("exec_depend")} >= needed
+    assert root.findtext("export/build_type") == "cmake"
+
+
+def test_changelog_begins_with_the_version():
+    """The first heading is that of this version."""
+    assert re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)[1] == PROJECT["version"]
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.name)
+def test_workflows(path):
+    """Each step uses an action or runs a program or target that exists, and may only read."""
+    workflow = yaml.safe_load(path.read_text())
+    assert set(workflow) == {"name", True, "permissions", "jobs"}  # "on" is a boolean in YAML
+    assert workflow["permissions"] == {"contents": "read"}
+    targets = set(re.findall(r"^([\w-]+):(?!=)", (ROOT / "Makefile").read_text(), flags=re.M))
+    for job in workflow["jobs"].values():
+        for step in job["steps"]:
+            assert len({"uses", "run"} & set(step)) == 1
+            if command := step.get("run", "").split():
+                assert (ROOT / command[0]).is_file() or (command[0] == "make" and command[1] in targets)
+        for entry in job.get("strategy", {}).get("matrix", {}).get("include", []):
+            assert all((ROOT / name).exists() for name in entry["tests"].split())
+
+
+def test_nightly_has_the_newest_packages():
+    """The nightly run names each package of the policy, and `make newest` installs them."""
+    (job,) = yaml.safe_load((ROOT / ".github/workflows/nightly.yml").read_text())["jobs"].values()
+    names = " ".join(entry["packages"] for entry in job["strategy"]["matrix"]["include"]).split()
+    assert sorted(names) == ["mujoco", "numba", "numpy", "scipy", "viser"]
+    made = ["make", "-n", "newest", "PACKAGES=viser", "TESTS=tests/test_viewer.py"]
+    commands = subprocess.run(made, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert re.search(r"install .*--upgrade viser$", commands, flags=re.M)
+    assert re.search(r"pytest .* tests/test_viewer\.py$", commands, flags=re.M)
+
+
+def test_policy_names_the_versions_of_formats():
+    """The table of formats has the versions that are written."""
+    rows = dict(
+        re.findall(r"^\| (\w+), `[^|]* \| [^|]* \| (\d)[^|]*\|", (ROOT / "docs/policy.md").read_text(), flags=re.M)
+    )
+    written = {"body": BODIES.version, "proof": VERSION, "report": report.VERSION, "roadmap": ROADMAPS.version}
+    assert rows == {name: str(version) for name, version in written.items()}
+    assert "reads version 1," in Path(verify.__file__).read_text()
