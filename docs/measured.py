@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
+RATIOS = RESULTS.with_name("ratios.csv")
 
 TITLES = {
     "pairs": "Pairs, compared with Coal and python-fcl",
@@ -35,6 +36,14 @@ from one run in which both took turns; where it is below 1, the other library is
 [benchmarks](benchmarks.md) says how the comparison is kept fair, and what its limits are."""
 
 
+RATIOS_TITLE = """## Ratios by commit
+
+`benchmarks/ratios.py` appends a row to `benchmarks/ratios.csv` for each ratio that has a target. Where a load is given,
+it is the average number of running processes in the minute before the run; if it is not small beside the number of
+cores, the ratio says little.
+"""
+
+
 def write(target: Path) -> None:
     """Write the page, unless it says the same already: Sphinx rebuilds what is new."""
     text = page(RESULTS)
@@ -52,7 +61,31 @@ def page(results: Path) -> str:
             parts.append(_machine(json.loads(described.read_text())))
         for path in sorted(machine.glob("*.csv"), key=_place):
             parts.append(_section(path))
+    parts.append(_ratios(RATIOS))
     return "\n\n".join(parts) + "\n"
+
+
+def _ratios(path: Path) -> str:
+    """The latest ratio of each comparison, and the earlier ones."""
+    with path.open(newline="") as stream:
+        rows = sorted(csv.DictReader(stream), key=lambda row: row["date"])
+    history: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows:
+        history.setdefault(tuple(row[name] for name in ("machine", "benchmark", "case", "us", "rival")), []).append(row)
+    lines = [
+        RATIOS_TITLE,
+        _line(["case", "loewner", "compared with", "target", "latest", "earlier"]),
+        _line(["---"] * 6),
+    ]
+    for (machine, benchmark, case, us, rival), of_one in sorted(history.items()):
+        *earlier, latest = [
+            f"{_cell(row['ratio'])} ({row['commit']}, {row['date'][:10]}{row['load'] and ', load ' + row['load']})"
+            for row in of_one
+        ]
+        before = "; ".join(reversed(earlier))
+        told = (f"{benchmark}: {case}, {machine}", us, rival, _cell(of_one[-1]["required"]))
+        lines.append(_line([*map(_cell, told), latest, before]))
+    return "\n".join(lines)
 
 
 def _place(path: Path) -> tuple[int, str]:

@@ -24,6 +24,7 @@ import loewner
 import memory
 import motion_bench_maker
 import pairs
+import ratios
 import report
 import rivals
 import robot_rivals
@@ -517,3 +518,45 @@ def test_no_problems_no_benchmark(tmp_path: Path, capsys: pytest.CaptureFixture[
     """Without the file it says so."""
     assert motion_bench_maker.main(["--data", str(tmp_path / "none.json")]) == 0
     assert "not run" in capsys.readouterr().out
+
+
+def test_ratios_are_kept_once(tmp_path: Path) -> None:
+    """A row for each ratio with a target, the smallest where a rival ran in two ways; reading again adds nothing."""
+    folder, kept = tmp_path / "machine", tmp_path / "ratios.csv"
+    cost = {factor: clock.Cost(factor, factor) for factor in (1.0, 3.0, 4.0)}
+    rows = [
+        report.Row("a", "collide", cost[1.0], "Coal", cost[4.0], 1, required=2.0, note="one way"),
+        report.Row("a", "collide", cost[1.0], "Coal", cost[3.0], 1, required=2.0, note="another"),
+        report.Row("a", "collide", cost[1.0], "FCL", cost[4.0], 1),
+        report.Row("b", "collide", None, "Coal", cost[3.0], 1, required=2.0),
+    ]
+    facts = {"commit": "c1", "date": "2026-01-01 00:00 UTC"}
+    for commit, lines in (("c1", 2), ("c1", 2), ("c2", 3)):
+        report.write(folder / "pairs.csv", rows, facts | {"commit": commit})
+        assert ratios.main(["--read", str(folder), "--out", str(kept)]) == 0
+        assert len(kept.read_text().splitlines()) == lines
+    with kept.open(newline="") as stream:
+        first = next(csv.DictReader(stream))
+    assert first == {
+        "commit": "c1", "date": facts["date"], "machine": "machine", "load": "", "benchmark": "pairs", "case": "a",
+        "us": "collide", "rival": "Coal", "ratio": "3", "required": "2.0",
+    }  # fmt: skip
+
+
+def test_ratios_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run of benchmarks gives rows with this machine and its load."""
+    row = report.Row("a", "collide", clock.Cost(1.0, 1.0), "Coal", clock.Cost(5.0, 5.0), 1, required=2.0)
+    monkeypatch.setitem(run.BENCHMARKS, "pairs", ("few", lambda quick, build: [row]))
+    assert ratios.main(["--only", "pairs", "--quick", "--out", str(tmp_path / "r.csv")]) == 0
+    with (tmp_path / "r.csv").open(newline="") as stream:
+        (found,) = csv.DictReader(stream)
+    assert (found["ratio"], found["machine"]) == ("5", report.machine_name(report.machine()))
+
+
+def test_kept_ratios_are_of_runs() -> None:
+    """The file in the sources has the columns, positive ratios, and each row once."""
+    with ratios.KEPT.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert tuple(rows[0]) == ratios.COLUMNS
+    assert all(float(row["ratio"]) > 0 and row["commit"] and row["date"] for row in rows)
+    assert len({tuple(row.values()) for row in rows}) == len(rows)
