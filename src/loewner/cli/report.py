@@ -97,6 +97,8 @@ def _write(options: argparse.Namespace) -> int:
         document |= {"versions": _versions(), "answers": answers}
         Path(folder, DOCUMENT).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         members = sorted(Path(folder).iterdir())
+        if (size := sum(member.stat().st_size for member in members)) > MOST_BYTES or len(members) > MOST_MEMBERS:
+            raise InputError(f"expected inputs of at most {MOST_BYTES} bytes, found {size} in {len(members)} files")
         with replacing(options.out) as target, zipfile.ZipFile(target, "x") as archive:
             for member in members:  # without dates, so that the same query gives the same file
                 archive.writestr(zipfile.ZipInfo(member.name), member.read_bytes(), zipfile.ZIP_DEFLATED)
@@ -184,7 +186,7 @@ def _write_xml(root: Element, path: Path, names: Mapping[str, str]) -> None:
     def copied(element: Element) -> ElementTree.Element:
         copy = ElementTree.Element(element.tag, element.attributes)
         if element.tag == "mesh":
-            copy.set("filename", names[element.text("filename")])
+            copy.set("filename", names.get(element.attributes.get("filename", "").strip(), ""))
         copy.extend(map(copied, element.children))
         return copy
 
@@ -282,7 +284,8 @@ def _of_robot(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     }
     if len(Q) > 1:
         found = checker.certify_edges(Q[:-1], Q[1:])
-        answers["motions"] = {"verdict": _names(found.verdict), "fraction": found.fraction.tolist()}
+        fractions = [None if np.isnan(fraction) else fraction for fraction in found.fraction.tolist()]
+        answers["motions"] = {"verdict": _names(found.verdict), "fraction": fractions}
     return answers
 
 
