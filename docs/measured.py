@@ -53,7 +53,7 @@ def write(target: Path) -> None:
 
 def page(results: Path) -> str:
     """All results of all machines."""
-    parts = [INTRODUCTION]
+    parts = [INTRODUCTION, _ratios(RATIOS)]
     for machine in sorted(folder for folder in results.iterdir() if folder.is_dir()):
         parts.append(f"## {machine.name}")
         described = machine / "machine.json"
@@ -61,7 +61,6 @@ def page(results: Path) -> str:
             parts.append(_machine(json.loads(described.read_text())))
         for path in sorted(machine.glob("*.csv"), key=_place):
             parts.append(_section(path))
-    parts.append(_ratios(RATIOS))
     return "\n\n".join(parts) + "\n"
 
 

@@ -223,6 +223,12 @@ def test_measurements_are_those_of_the_files(tmp_path, monkeypatch):
             rows = list(csv.DictReader(stream))
         section = text.split(f"### {measured.TITLES.get(path.stem, path.stem)}\n")[1].split("\n### ")[0]
         assert len(re.findall(r"^\| (?!---)", section, flags=re.M)) == len(rows) + 1, path
+    with measured.RATIOS.open(newline="") as stream:
+        ratios = {
+            tuple(row[k] for k in ("machine", "benchmark", "case", "us", "rival")) for row in csv.DictReader(stream)
+        }
+    section = text.split("## Ratios by commit\n")[1].split("\n## ")[0]
+    assert len(re.findall(r"^\| (?!---)", section, flags=re.M)) == len(ratios) + 1
     (tmp_path / "machine").mkdir()
     (tmp_path / "machine/odd.csv").write_text("case,us\n")
     assert "### odd\n\nNothing was measured." in measured.page(tmp_path)
@@ -245,6 +251,10 @@ def test_command_line_is_shown_whole(monkeypatch):
         " plan",
         " verify",
         " audit",
+        " report",
+        " report check",
+        " report robot",
+        " report rerun",
         " view",
         " compile",
         " info",
