@@ -14,6 +14,7 @@ from loewner import _validate
 from loewner._kernels import codes
 from loewner._kernels.columns import ITERATION, RANDOM, STATE
 from loewner._native import entries
+from loewner._pictures import curves, pictured
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
@@ -108,6 +109,10 @@ class Plan:
             f"Plan({len(self.path)} configurations, cost {self.cost:.6g} >= {self.bound:.6g}, "
             f"{self.iterations} iterations, {self.seconds:.3g} s)"
         )
+
+    @pictured
+    def _repr_html_(self) -> str:
+        return curves(None, np.arange(float(len(self.path))), self.path, "number of the configuration")
 
 
 @dataclass(frozen=True, eq=False)
