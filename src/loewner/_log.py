@@ -6,15 +6,20 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 log = logging.getLogger("loewner")
 log.addHandler(logging.NullHandler())
 
+# Meshes with fewer triangles, and fits of fewer pieces at once, are not logged.
+MANY_TRIANGLES, MANY_PIECES = 100_000, 100
+
 
 @contextmanager
-def logged(work: str, *values: object) -> Iterator[None]:
-    """Log the beginning of some work, and its end with the time that it took; `values` are formatted into `work`."""
-    log.info(f"{work} ...", *values)
+def logged(work: str, *values: Any, least: int = 0) -> Iterator[None]:
+    """Log the beginning of some work, and its end with the time that it took, if its last value is `least` or more."""
+    level = logging.INFO if values[-1] >= least else logging.NOTSET
+    log.log(level, f"{work} ...", *values)
     began = time.perf_counter()
     yield
-    log.info(f"{work}: %.3g s", *values, time.perf_counter() - began)
+    log.log(level, f"{work}: %.3g s", *values, time.perf_counter() - began)

@@ -38,7 +38,7 @@ LEVELS, DARKEST = 20, 0.45
 
 # Largest numbers of curves or bodies with names in a picture, of bodies, and of bars in a row of verdicts; and the
 # number of points of a curve.
-MOST_NAMES, MOST_BODIES, MOST_RUNS, POINTS = 7, 1000, 400, 161
+MOST_NAMES, MOST_BODIES, MOST_BARS, POINTS = 7, 1000, 200, 161
 
 # The directions to the right, down and towards the viewer, who is in front, to the right and above; and to the light.
 _TOWARDS = np.array([0.43, -0.66, 0.35])
@@ -46,6 +46,10 @@ _TOWARDS /= np.linalg.norm(_TOWARDS)
 _RIGHT = np.cross([0.0, 0.0, 1.0], _TOWARDS) / np.linalg.norm(_TOWARDS[:2])
 _VIEW = np.array([_RIGHT, np.cross(_RIGHT, _TOWARDS), _TOWARDS])
 _LIGHT = np.array([-0.35, -0.6, 0.72])
+
+
+# Ellipsoids whose outlines are drawn: centers (n, 3), factors (n, 3, 3), and attributes of the lines.
+Outlines = tuple[Floats, Floats, str]
 
 
 class Shape(NamedTuple):
@@ -77,22 +81,6 @@ class Shape(NamedTuple):
         return Shape(middles + ENLARGED * step**0.5 * (corners - middles), self.radii[::step], self.colour)
 
 
-class Outlines(NamedTuple):
-    """Ellipsoids whose outlines are drawn.
-
-    Attributes
-    ----------
-    centers : ndarray, shape (n, 3)
-    factors : ndarray, shape (n, 3, 3)
-    line : str
-        Attributes of the line.
-    """
-
-    centers: Floats
-    factors: Floats
-    line: str
-
-
 def pictured(draw: Callable[[Any], str]) -> Callable[[Any], str]:
     """Make `_repr_html_` of a function that draws: it also shows the text, and nothing else if drawing fails."""
 
@@ -117,12 +105,12 @@ def _svg(width: float, height: float, inside: str) -> str:
 
 def legend(entries: Sequence[tuple[str, str]], more: str = "") -> str:
     """Format names with their colours, and a last remark."""
-    spots = "".join(
-        f'<span style="white-space:nowrap;margin-right:1em"><span style="color:{colour}">&#9632;</span> '
+    spots = " ".join(
+        f'<span style="white-space:nowrap;margin-right:0.6em"><span style="color:{colour}">&#9632;</span> '
         f"{escape(name)}</span>"
         for name, colour in entries
     )
-    return f'<div style="font-size:small">{spots}{escape(more)}</div>'
+    return f'<div style="font-size:small;max-width:{WIDTH}px">{spots} {escape(more)}</div>'
 
 
 # -- bodies -------------------------------------------------------------------------------------
@@ -145,7 +133,7 @@ def bodies(
     corners, radii = (np.concatenate(arrays) for arrays in zip(*(shape[:2] for shape in shapes), strict=True))
     around = radii[:, None, None]
     extent = (corners + around).max(axis=(0, 1)) - (corners - around).min(axis=(0, 1))
-    seen = [(E.centers @ _VIEW[:2].T, _VIEW[:2] @ E.factors, E.line) for E in ellipsoids]
+    seen = [(centers @ _VIEW[:2].T, _VIEW[:2] @ factors, line) for centers, factors, line in ellipsoids]
     corners = corners @ _VIEW.T
     boxes = [(corners[..., :2].reshape(-1, 2), np.repeat(radii, 3)[:, None])]
     boxes += [(centers, np.linalg.norm(factors, axis=2)) for centers, factors, _ in seen]
@@ -214,14 +202,14 @@ def _raster(corners: Floats, value: Ints, width: float, height: float) -> Any:
     depths, values = [middles[:, 2]], [value[small]]
     corners, normal, low, high, value = (array[~small] for array in (corners, normal, low, high, value))
     # Each row of pixels that a triangle crosses, from one edge to another.
-    owner, row = _ranges(low[:, 1], high[:, 1])
+    owner, row = _ranges(low[:, 1], high[:, 1], rows)
     x, y = corners[owner, :, 0], corners[owner, :, 1]
     left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
     for i, j in ((0, 1), (1, 2), (2, 0)):
         share = np.divide(row + 0.5 - y[:, i], y[:, j] - y[:, i], out=np.full(len(row), -1.0), where=y[:, j] != y[:, i])
         crossing = np.where((share >= 0) & (share <= 1), x[:, i] + share * (x[:, j] - x[:, i]), np.nan)
         left, right = np.fmin(left, crossing), np.fmax(right, crossing)
-    line, column = _ranges(left, right)
+    line, column = _ranges(left, right, columns)
     owner, row = owner[line], row[line]
     slope = np.divide(-normal[:, :2], normal[:, 2:], out=np.zeros((len(normal), 2)), where=normal[:, 2:] != 0)
     at, rise = corners[owner, 0], slope[owner]
@@ -235,10 +223,10 @@ def _raster(corners: Floats, value: Ints, width: float, height: float) -> Any:
     return (image & 255).astype(np.uint8).reshape(rows, columns)
 
 
-def _ranges(low: Floats, high: Floats) -> tuple[Ints, Ints]:
-    """List the pixels whose middles are in each interval: the number of the interval, and the pixel."""
-    first = np.ceil(np.where(low <= high, low, 0.0) - 0.5).astype(np.int64)
-    counts = np.maximum(np.floor(np.where(low <= high, high, -1.0) - 0.5).astype(np.int64) - first + 1, 0)
+def _ranges(low: Floats, high: Floats, most: int) -> tuple[Ints, Ints]:
+    """List the pixels below `most` whose middles are in each interval: the number of the interval, and the pixel."""
+    first, end = (np.ceil(np.clip(x, 0.0, most) - 0.5).astype(np.int64) for x in (low, high))
+    counts = np.maximum(end - first, 0)
     owner = np.repeat(np.arange(len(first)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts - first, counts)
 
@@ -251,22 +239,15 @@ def _png(image: Any, colours: Sequence[str]) -> bytes:
     rows = np.zeros((image.shape[0], image.shape[1] + 1), dtype=np.uint8)  # each begins with the number of its filter
     rows[:, 1:] = image
     head = struct.pack(">2I5B", image.shape[1], image.shape[0], 8, 3, 0, 0, 0)
-    chunks = (
-        (b"IHDR", head),
-        (b"PLTE", palette),
-        (b"tRNS", b"\0"),
-        (b"IDAT", zlib.compress(rows.tobytes(), 9)),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
+    data = {b"IHDR": head, b"PLTE": palette, b"tRNS": b"\0", b"IDAT": zlib.compress(rows.tobytes(), 9), b"IEND": b""}
+    chunks = (struct.pack(">I", len(x)) + k + x + struct.pack(">I", zlib.crc32(k + x)) for k, x in data.items())
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 # -- curves and verdicts ------------------------------------------------------------------------
 
 
-def curves(names: Sequence[str] | None, times: Floats, values: Floats, label: str = "time, s") -> str:
+def curves(names: Sequence[str] | None, times: Floats, values: Floats) -> str:
     """Draw values (n, k) over times (n,): the `MOST_NAMES` that change most, each with its name or number."""
     names = names or [f"value {k}" for k in range(values.shape[1])]
     chosen = np.sort(np.argsort(-np.ptp(values, axis=0), kind="stable")[:MOST_NAMES])
@@ -274,43 +255,32 @@ def curves(names: Sequence[str] | None, times: Floats, values: Floats, label: st
     low, top_value = float(values[:, chosen].min(initial=0.0)), float(values[:, chosen].max(initial=0.0))
     x = left + wide * (times - times[0]) / max(float(times[-1] - times[0]), 1e-300)
     y = top + high * (top_value - values[:, chosen]) / max(top_value - low, 1e-300)
-    drawn = [
-        f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y[:, k], strict=True))}" fill="none" '
-        f'stroke="{COLOURS[k]}" stroke-width="1.5"/>'
-        for k in range(len(chosen))
-    ]
-    more = f"and {values.shape[1] - len(chosen)} that change less" if len(chosen) < values.shape[1] else ""
+    drawn = ""
+    for k in range(len(chosen)):
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y[:, k], strict=True))
+        drawn += f'<polyline points="{points}" fill="none" stroke="{COLOURS[k]}" stroke-width="1.5"/>'
+    more = f"rad or m; {values.shape[1] - len(chosen)} more" if len(chosen) < values.shape[1] else "rad or m"
     frame = f'<path d="M{left} {top}v{high}h{wide}" fill="none" stroke="currentColor" stroke-opacity="0.5"/>'
     marks = _text(left - 4, top + 8, "end", f"{top_value:.3g}") + _text(left - 4, top + high, "end", f"{low:.3g}")
-    marks += _ticks(left, top + high + 14, wide, times, label)
+    marks += _ticks(left, top + high + 14, wide, times, "time, s")
     entries = [(names[k], colour) for k, colour in zip(chosen.tolist(), COLOURS, strict=False)]
-    return _svg(WIDTH, top + high + 18, frame + "".join(drawn) + marks) + legend(entries, more)
+    return _svg(WIDTH, top + high + 18, frame + drawn + marks) + legend(entries, more)
 
 
 def verdicts(codes: Any, ends: Floats, label: str) -> str:
-    """Draw a row of verdicts from each of n + 1 `ends` to the next: FREE ones low, in front of all others."""
-    codes = np.atleast_1d(codes)
-    if len(codes) > MOST_RUNS and (np.diff(codes) != 0).sum() > MOST_RUNS:
-        # The worst verdict of each share.
-        starts = np.linspace(0, len(codes), MOST_RUNS, endpoint=False).astype(np.int64)
-        rank = np.maximum.reduceat(np.array([0, 2, 1])[codes], starts)
-        row, at = np.array([0, 2, 1])[rank], np.append(ends[starts], ends[-1])
-    else:
-        starts = np.append(0, np.flatnonzero(np.diff(codes)) + 1)
-        row, at = codes[starts], np.append(ends[starts], ends[-1])
-    left, wide = 4.0, WIDTH - 8.0
-    x = left + wide * (at - at[0]) / max(float(at[-1] - at[0]), 1e-300)
+    """Draw verdicts from each of n + 1 `ends` to the next, FREE ones lower; of many, the worst of several."""
+    starts = np.arange(0, len(codes), 1 + len(codes) // MOST_BARS)
+    worst = np.maximum.reduceat(np.array([0, 2, 1])[codes], starts)  # COLLIDING is the worst
+    left, wide, at = 4.0, WIDTH - 8.0, np.append(ends[starts], ends[-1])
+    x = left + wide * (at - at[0]) / (at[-1] - at[0])
     bars = "".join(
-        f'<rect x="{x[k]:.2f}" y="{4 + 10 * (code == 0)}" width="{max(x[k + 1] - x[k], 0.5):.2f}" '
-        f'height="{22 - 10 * (code == 0)}" fill="rgb{VERDICT_COLOURS[code]}"/>'
-        for k, code in enumerate(row.tolist())
+        f'<rect x="{x[k]:.2f}" y="{14 if code == 0 else 4}" width="{x[k + 1] - x[k]:.2f}" '
+        f'height="{12 if code == 0 else 22}" fill="rgb{VERDICT_COLOURS[code]}" shape-rendering="crispEdges"/>'
+        for k, code in enumerate(np.array([0, 2, 1])[worst].tolist())
     )
     counts = np.bincount(codes, minlength=3).tolist()
-    entries = [
-        (f"{name} {n}", f"rgb{colour}")
-        for name, colour, n in zip(VERDICT_NAMES, VERDICT_COLOURS, counts, strict=True)
-        if n
-    ]
+    named = zip(VERDICT_NAMES, counts, VERDICT_COLOURS, strict=True)
+    entries = [(f"{name} {count}", f"rgb{colour}") for name, count, colour in named if count]
     return _svg(WIDTH, 42, bars + _ticks(left, 38, wide, at, label)) + legend(entries)
 
 

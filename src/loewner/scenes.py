@@ -1070,7 +1070,7 @@ def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[t
     ]
     left = len(scene) - len(names)
     entries = list(zip(names, colours, strict=True)) if len(names) <= MOST_NAMES else []
-    return shapes, entries, f", without {left} of the bodies" if left else ""
+    return shapes, entries, f"; {left} of {len(scene)} bodies are not drawn" if left else ""
 
 
 def _check_name(name: Any, what: str) -> str:

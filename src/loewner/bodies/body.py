@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels import columns
-from loewner._pictures import COLOURS, Outlines, bodies, pictured
+from loewner._log import MANY_TRIANGLES, logged
+from loewner._pictures import COLOURS, bodies, pictured
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
 from loewner.bodies.kinds import KIND_NAMES
@@ -186,8 +187,8 @@ class Body(_Bodies):
     def _repr_html_(self) -> str:
         packed = self._packed
         outlines = [
-            Outlines(packed.outer_center, packed.outer_factor, 'stroke-opacity="0.7"'),
-            Outlines(packed.inner_center, packed.inner_factor, 'stroke-dasharray="4 3"'),
+            (packed.outer_center, packed.outer_factor, 'stroke-opacity="0.7"'),
+            (packed.inner_center, packed.inner_factor, 'stroke-dasharray="4 3"'),
         ]
         few = len(packed.layout) <= MANY_PIECES
         return bodies(
@@ -393,7 +394,9 @@ class Body(_Bodies):
             solid = _validate.flag(solid, "solid")
         vertices, triangles = meshes.scaled_mesh(source, scale)
         name = meshes.name_of(source)
-        return cls(Packed.of(surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)))
+        with logged("%s: preparing a surface of %d triangles", name, len(triangles), least=MANY_TRIANGLES):
+            made = surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)
+            return cls(Packed.of(made))
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:

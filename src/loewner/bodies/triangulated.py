@@ -15,9 +15,6 @@ from loewner.bodies.pack import Packed
 # Bodies with more pieces than this have coarser ellipsoids: 320 instead of 1280 triangles each.
 MANY_PIECES = 16
 
-# In pictures, curved pieces beyond this number are drawn as their outer ellipsoids.
-MOST_CURVED = 500
-
 
 def of_pieces(packed: Packed) -> list[Mesh]:
     """Triangulate the surface of each piece; the corners on a curved piece lie on its surface."""
@@ -58,13 +55,8 @@ def for_pictures(packed: Packed, coarse: bool = False) -> Shape:
     corners = packed.points[packed.triangles + np.repeat(row[:, columns.POINTS_FROM], counts)[:, None]]
     radii = np.repeat(packed.frames[:, 0], counts)
     curved = np.flatnonzero(row[:, columns.KIND] > columns.POLYTOPE)
-    if len(curved) > MOST_CURVED:
-        unit, triangles = ball(1)
-        images = unit @ packed.outer_factor[curved].transpose(0, 2, 1) + packed.outer_center[curved, None]
-        made = [images[:, triangles].reshape(-1, 3, 3)]
-    else:
-        coarse = coarse or len(curved) > MANY_PIECES
-        made = [vertices[triangles] for vertices, triangles in (of_piece(packed, k, coarse) for k in curved.tolist())]
+    coarse = coarse or len(curved) > MANY_PIECES
+    made = [vertices[triangles] for vertices, triangles in (of_piece(packed, k, coarse) for k in curved.tolist())]
     corners = np.concatenate([corners, *made])
     return Shape(corners, np.append(radii, np.zeros(len(corners) - len(radii))), "")
 

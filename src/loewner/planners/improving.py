@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kernels import codes
 from loewner._kernels.columns import ITERATION, RANDOM, STATE
+from loewner._log import log
 from loewner._native import entries
-from loewner._pictures import curves, pictured
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
@@ -109,10 +109,6 @@ class Plan:
             f"Plan({len(self.path)} configurations, cost {self.cost:.6g} >= {self.bound:.6g}, "
             f"{self.iterations} iterations, {self.seconds:.3g} s)"
         )
-
-    @pictured
-    def _repr_html_(self) -> str:
-        return curves(None, np.arange(float(len(self.path))), self.path, "number of the configuration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,8 +346,11 @@ def improved(
     done = 0
     try:
         while done < asked.most and rounds.best.cost > enough:
+            cost = rounds.best.cost
             rounds.run(done + 1)
             done += 1
+            if rounds.best.cost < cost:
+                log.info("round %d of improvement: cost %.6g, at least %.6g", done, rounds.best.cost, least)
     except _LateError:
         pass
     return rounds.best.path.copy(), done
