@@ -33,7 +33,7 @@ WIDTH, HEIGHT, BORDER = 400, 300, 6.0
 # Beyond a number of triangles, each n-th triangle of a shape is drawn, and enlarged by this factor times sqrt(n).
 MOST_PIXELS, MOST_TRIANGLES, ENLARGED = 1.2e6, 40_000, 1.8
 
-# Brightness is rounded to so many levels, the darkest of which is `DARKEST`.
+# Number of levels of brightness, and the lowest level.
 LEVELS, DARKEST = 20, 0.45
 
 # Largest numbers of curves or bodies with names in a picture, of bodies, and of bars in a row of verdicts; and the
