@@ -133,6 +133,16 @@ def test_nearest_body_is_seen():
         assert not drawn[..., 2].any()
 
 
+def test_half_spaces_are_left_out():
+    """A floor of a kilometre does not make a point of everything else."""
+    scene = Scene()
+    scene.add("floor", Body.half_space([0, 0, 1], -1.0))
+    scene.add("box", Body.box([1, 2, 3]))
+    assert "1 × 2 × 3 m; bodies of 1000 m are not drawn" in scene._repr_html_()
+    scene.remove("box")
+    assert "<svg" in scene._repr_html_()
+
+
 def test_outlines_are_those_of_ellipsoids():
     """Points on an ellipsoid are within its outline, and some are on it."""
     body = hull()

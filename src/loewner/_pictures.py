@@ -19,8 +19,8 @@ import numpy as np
 from loewner._log import log
 from loewner._validate import Floats, Ints
 
-# Colours of bodies and curves, in turn, and of the verdicts in the order of their codes. They can be distinguished with
-# colour blindness, and on light and dark pages.
+# Colours of bodies and curves, in turn, and of the verdicts in the order of their codes. They suit colour blindness,
+# and light and dark pages.
 COLOURS = ("#4477aa", "#ddaa33", "#228833", "#cc6677", "#66ccee", "#aa3377", "#bbbbbb", "#ee7733")
 LINKS = COLOURS[0], "#77a0cc"  # links of a robot, in turn
 VERDICT_COLOURS = ((34, 136, 51), (204, 51, 68), (221, 170, 51))
@@ -32,6 +32,9 @@ WIDTH, HEIGHT, BORDER = 400, 300, 6.0
 # A picture has up to two pixels for each pixel of the page, but fewer if all its triangles cover more pixels than this.
 # Beyond a number of triangles, each n-th triangle of a shape is drawn, and enlarged by this factor times sqrt(n).
 MOST_PIXELS, MOST_TRIANGLES, ENLARGED = 1.2e6, 40_000, 1.8
+
+# A body of more than this length [m], and much larger than the others, is not drawn.
+VAST = 100.0
 
 # Number of levels of brightness, and the lowest level.
 LEVELS, DARKEST = 20, 0.45
@@ -71,6 +74,10 @@ class Shape(NamedTuple):
     def at(self, T: Floats, colour: str) -> Shape:
         """Return the shape at a pose, in a colour."""
         return Shape(self.corners @ T[:3, :3].T + T[:3, 3], self.radii, colour)
+
+    def size(self) -> float:
+        """Return the longest side of the box around the triangles."""
+        return float(np.ptp(self.corners, axis=(0, 1)).max())
 
     def thinned(self, step: int) -> Shape:
         """Return every `step`-th triangle, enlarged, if there are many."""
@@ -126,6 +133,12 @@ def bodies(
     shapes = [shape for shape in shapes if len(shape.corners)]
     if not shapes:
         return legend(entries, note)
+    shapes.sort(key=Shape.size)
+    sizes = [shape.size() for shape in shapes]
+    for k in range(1, len(sizes)):
+        if sizes[k] > max(VAST, 20.0 * sizes[k - 1]):  # a half-space, beside which all others are points
+            shapes, note = shapes[:k], f"{note}; bodies of {sizes[k]:.0f} m are not drawn"
+            break
     step = 1 + sum(len(shape.corners) for shape in shapes) // MOST_TRIANGLES
     shapes = [shape.thinned(step) for shape in shapes]
     colours = sorted({shape.colour for shape in shapes})
