@@ -173,6 +173,13 @@ def test_large_meshes():
     assert opaque[inside].mean() > 0.97
 
 
+def test_many_colours():
+    """A crowd in all colours, which compresses badly, is also small."""
+    crowd = RNG.normal(size=(8, 5000, 1, 3)) + 0.05 * RNG.normal(size=(8, 5000, 3, 3))
+    html = _pictures.bodies([Shape(x, np.zeros(5000), c) for x, c in zip(crowd, _pictures.COLOURS, strict=True)])
+    assert 20_000 < len(html) < 60_000
+
+
 def test_points_and_segments_have_the_width_of_their_balls():
     """A point is as wide as its ball, and a segment as long as it is, plus a ball."""
     ends = np.stack([-2 * _pictures._RIGHT, 2 * _pictures._RIGHT, 2 * _pictures._RIGHT])

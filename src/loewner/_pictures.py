@@ -33,6 +33,9 @@ WIDTH, HEIGHT, BORDER = 400, 300, 6.0
 # Beyond a number of triangles, each n-th triangle of a shape is drawn, and enlarged by this factor times sqrt(n).
 MOST_PIXELS, MOST_TRIANGLES, ENLARGED = 1.2e6, 40_000, 1.8
 
+# Largest PNG file; a larger one is drawn with half of its rows and columns.
+MOST_BYTES = 40_000
+
 # A body of more than this length [m], and much larger than the others, is not drawn.
 VAST = 100.0
 
@@ -155,7 +158,11 @@ def bodies(
     scale = float(np.min((np.array([WIDTH, HEIGHT]) - 2 * BORDER) / np.maximum(high - low, 1e-9 * (high - low).max())))
     width, height = np.ceil(scale * (high - low) + 2 * BORDER)
     moved = np.append(BORDER - scale * low, 0.0)
-    png = _png(_raster(*_thick(scale * corners + moved, scale * radii, colour), width, height), colours)
+    pixels = _raster(*_thick(scale * corners + moved, scale * radii, colour), width, height)
+    png = _png(pixels, colours)
+    while len(png) > MOST_BYTES:
+        pixels = pixels[::2, ::2]
+        png = _png(pixels, colours)
     lines = [
         _outline(scale * c + moved[:2], scale * F, line)
         for centers, factors, line in seen for c, F in zip(centers, factors, strict=True)
