@@ -599,6 +599,8 @@ def test_close_twice_and_free_the_port():
     page.close()
     with viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, port=port) as again:
         assert again.url == f"http://localhost:{port}"
+        assert repr(again) == f"PairViewer({again.url})"
+    assert repr(again) == "PairViewer(closed)"
 
 
 # -- who may open it --------------------------------------------------------------------------

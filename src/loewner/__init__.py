@@ -27,7 +27,7 @@ from loewner.first_contacts import FirstContact, first_contact
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
 from loewner.pose_paths import PosePath
-from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.queries import Distance, Verdict, classify, collide, distance, push
 from loewner.robots import (
     CertifiedMotions,
     CertifiedTrajectory,
@@ -106,6 +106,7 @@ __all__ = [
     "overlapping_pairs",
     "pairs_by_sampling",
     "prove",
+    "push",
     "read_motion_bench_maker",
     "save_scene",
     "set_num_threads",

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from loewner import _validate
+from loewner._log import log
 from loewner._native import entries, library
 from loewner.errors import FileError
 
@@ -81,8 +82,9 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
                 running.remove(group)
                 ended += len(group.names)
             done = ended + sum(group.done() for group in running)
-            if progress is not None:
-                for number in range(told + 1, done + 1):
+            for number in range(told + 1, done + 1):
+                log.info("%d of %d parts of the kernels compiled", number, total)
+                if progress is not None:
                     progress(number, total)
             told = done
     finally:

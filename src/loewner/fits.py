@@ -17,6 +17,7 @@ from loewner._kernels import codes
 from loewner._large_fits import inner as large_inner
 from loewner._large_fits import outer as large_outer
 from loewner._large_fits.dense import Reporter, inverse_of, lower_root
+from loewner._log import MANY_PIECES, logged
 from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
@@ -375,7 +376,8 @@ def _fit_all(
     def run(first: int, last: int) -> None:
         entries.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
 
-    in_shares(run, total, LEAST_SHARE, most=BLOCK, progress=progress)
+    with logged("fitting the ellipsoids of %d pieces", total, least=MANY_PIECES):
+        in_shares(run, total, LEAST_SHARE, most=BLOCK, progress=progress)
     return inner, outer, info
 
 

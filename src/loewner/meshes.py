@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate, mesh_files
 from loewner._files import shown
+from loewner._log import MANY_TRIANGLES, log, logged
 from loewner._plausible import warn
 from loewner._validate import Floats, Progress
 from loewner.closed_parts import ClosedPart, closed_parts, volume
@@ -118,6 +119,8 @@ def load(source: Source) -> tuple[Floats, Triangles]:
         path = _path(source)
         name = shown(path)
         vertices, triangles = mesh_files.read(path)
+        if len(triangles) >= MANY_TRIANGLES:
+            log.info("%s: read, %d triangles", name, len(triangles))
     else:
         name = "mesh"
         vertices, triangles = _in_memory(source)
@@ -362,12 +365,14 @@ def convex_polytopes(
         if within is None:  # CoACD would first make it solid: slow, and farther off
             within = OPEN_TOLERANCE * _size(vertices)
     if within is None:
-        pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
+        with logged("%s: decomposing %d triangles", name, len(triangles)):
+            pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
         pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=cover)
         reached = _protrusion(pieces, solid)
     else:
         surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
-        cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
+        with logged("%s: cutting %d triangles", name, len(triangles)):
+            cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
         pieces = [cell.hull for cell in cells]
         # Each cell already lies in its hull; nothing has to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
@@ -381,6 +386,8 @@ def _told(
     name: str, pieces: list[Polytope], covering: Covering, tolerance: float | None
 ) -> tuple[list[Polytope], Covering]:
     """Return pieces and covering, with a warning if the pieces stick out by more than a tolerance."""
+    if covering.kind == "decomposition":
+        log.info("%s: %d pieces that stick out by up to %.3g m", name, len(pieces), covering.max_protrusion)
     if tolerance is not None and covering.max_protrusion > tolerance:
         warn(
             f"{name}: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "

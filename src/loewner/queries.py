@@ -16,6 +16,7 @@ from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._measure import BOUND_BYTES, CHUNK, EXACT_BYTES, measure
 from loewner._native import entries, singles
+from loewner._rotations import rotations_of
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import BoolOrBools, Bools, FloatOrFloats, Floats, Ints, OneOrMany
@@ -617,6 +618,67 @@ def distance(
     """
     found: Distance | None = singles.distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)
     return _measured(a, T_world_a, b, T_world_b, exact, pairs) if found is None else found
+
+
+@guarded
+def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
+    """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of them.
+
+    Each body moves by the force, and turns about its own origin by a rotation vector: the moment about this origin,
+    divided by the square of the radius. To first order, a distance with this wrench grows by the square of the force,
+    plus the square of this moment over the radius.
+
+    Parameters
+    ----------
+    T_world_body : array_like, shape (..., 4, 4), or None
+        Poses; translation in metres. None is the identity.
+    wrench : array_like, shape (..., 6)
+        Multiples and sums of `Distance.wrench`: a force, whose unit is here the metre, and its moment about the world's
+        origin [m²]. For the first body of a distance, use the negative wrench.
+    radius : float
+        Distance of typical points of a body from its origin, in metres: the lever arm at which turns count as much as
+        translations.
+
+    Returns
+    -------
+    ndarray, shape (..., 4, 4)
+        The new poses.
+
+    Raises
+    ------
+    PoseError
+        If a pose is not a rigid motion.
+    InputError
+        If a wrench is not finite, the shapes do not broadcast, or a step leads out of the range of numbers.
+
+    Examples
+    --------
+    >>> from loewner import Body, distance, push
+    >>> floor, brick, T = Body.box([4, 4, 1]), Body.box([1, 0.5, 0.25]), np.eye(4)
+    >>> for _ in range(60):
+    ...     found = distance(floor, None, brick, T, exact=True)
+    ...     T = push(T, 0.3 * max(0.01 - found.distance, 0.0) * found.wrench, radius=0.5)
+    >>> round(distance(floor, None, brick, T, exact=True).distance, 3)
+    0.01
+    """
+    T = _validate.poses(T_world_body, "T_world_body")
+    w, length = _validate.finite_array(wrench, "wrench", ("...", 6)), _validate.positive_scalar(radius, "radius")
+    try:
+        shape = np.broadcast_shapes(T.shape[:-2], w.shape[:-1])
+    except ValueError:
+        found = f"{_validate.shape_text(T.shape)} and {_validate.shape_text(w.shape)}"
+        raise InputError(f"wrench: expected shapes of poses and wrenches that broadcast, found {found}") from None
+    moved = np.array(np.broadcast_to(T, (*shape, 4, 4)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        half = (w[..., 3:] - np.cross(T[..., :3, 3], w[..., :3])) / length / length / 2
+        angle = np.linalg.norm(half, axis=-1, keepdims=True)
+        share = np.divide(np.sin(angle), angle, out=np.ones_like(angle), where=angle > 0)
+        turn = np.concatenate([np.cos(angle), share * half], axis=-1)
+        moved[..., :3, 3] += w[..., :3]
+        moved[..., :3, :3] = rotations_of(turn) @ moved[..., :3, :3]
+    if not np.isfinite(moved).all():
+        raise InputError("wrench: expected forces and moments that lead to finite poses, found an overflow")
+    return moved
 
 
 @guarded

@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike
 from loewner import _validate, crowds, queries
 from loewner._guard import guarded
 from loewner._kernels.columns import OUTER_RADIUS
+from loewner._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bodies, pictured
 from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
-from loewner.bodies import Bodies, Body, packed_of
+from loewner.bodies import Bodies, Body, for_pictures, packed_of
 from loewner.errors import InputError
 from loewner.pose_paths import PosePath, path_of, with_twist
 from loewner.queries import Bounds, Distance, Measured
@@ -178,6 +179,11 @@ class Scene:
     def __repr__(self) -> str:
         count = "1 body" if len(self) == 1 else f"{len(self)} bodies"
         return f"Scene({count}, {len(self._attachments)} attached)"
+
+    @pictured
+    def _repr_html_(self) -> str:
+        shapes, entries, note = drawn(self, {})
+        return bodies(shapes, (), entries, note)
 
     # -- contents -----------------------------------------------------------------------------
 
@@ -1050,6 +1056,21 @@ def poses_since(scene: Scene, structure_version: int) -> tuple[Floats, tuple[Pos
         if scene.structure_version != structure_version:
             return None
         return scene.static_poses, tuple(scene.following.values()), scene.version
+
+
+def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[tuple[str, str]], str]:
+    """Return shapes, the colours of few bodies by name, and a note; `held` has the poses of attached bodies."""
+    scene = scene.snapshot()
+    poses = scene._poses | {name: path.poses(path.times[0]) for name, path in scene._following.items()} | dict(held)
+    names = [name for name in scene if name in poses][:MOST_BODIES]
+    colours = [COLOURS[1 + k % MOST_NAMES] for k in range(len(names))]
+    shapes = [
+        for_pictures(packed_of(scene[name]), len(names) > MOST_NAMES).at(poses[name], colour)
+        for name, colour in zip(names, colours, strict=True)
+    ]
+    left = len(scene) - len(names)
+    entries = list(zip(names, colours, strict=True)) if len(names) <= MOST_NAMES else []
+    return shapes, entries, f"; {left} of {len(scene)} bodies are not drawn" if left else ""
 
 
 def _check_name(name: Any, what: str) -> str:

@@ -856,6 +856,10 @@ CALLS: dict[str, Call] = {
             "margin": margin(),
         },
     ),
+    "push": Call(
+        loewner.push,
+        {"T_world_body": poses(), "wrench": array(np.ones((2, 6)), FINITE, BATCHES), "radius": positive()},
+    ),
     "prove": Call(
         loewner.prove,
         {

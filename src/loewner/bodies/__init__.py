@@ -11,6 +11,7 @@ from loewner.bodies.body import Bodies, Body, Piece, bodies_of, packed_of
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
+from loewner.bodies.triangulated import for_pictures
 
 __all__ = [
     "ARRAYS",
@@ -24,6 +25,7 @@ __all__ = [
     "PieceArrays",
     "arrays_of",
     "bodies_of",
+    "for_pictures",
     "packed_of",
     "take",
 ]

@@ -13,12 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels import columns
+from loewner._log import MANY_TRIANGLES, logged
+from loewner._pictures import COLOURS, bodies, pictured
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
+from loewner.bodies.triangulated import MANY_PIECES, for_pictures
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
@@ -69,6 +72,8 @@ class Piece:
     outer: Ellipsoids
     inner_gap: float
     outer_gap: float
+
+    __repr__ = _validate.brief
 
 
 class _Unmade:
@@ -177,6 +182,20 @@ class Body(_Bodies):
                 return f"Body(cloud, {len(corners)} points{around})"
             return f"Body({text}, {len(self._packed.triangles)} triangles{around})"
         return f"Body({text}, {len(self._packed.points)} vertices)"
+
+    @pictured
+    def _repr_html_(self) -> str:
+        packed = self._packed
+        outlines = [
+            (packed.outer_center, packed.outer_factor, 'stroke-opacity="0.7"'),
+            (packed.inner_center, packed.inner_factor, 'stroke-dasharray="4 3"'),
+        ]
+        few = len(packed.layout) <= MANY_PIECES
+        return bodies(
+            [for_pictures(packed).at(np.eye(4), COLOURS[0])],
+            outlines if few else (),
+            note=", outer (—) and inner (- -) ellipsoids" * few,
+        )
 
     @classmethod
     def from_points(cls, points: ArrayLike, *, tol: float = 1e-4) -> Body:
@@ -375,7 +394,9 @@ class Body(_Bodies):
             solid = _validate.flag(solid, "solid")
         vertices, triangles = meshes.scaled_mesh(source, scale)
         name = meshes.name_of(source)
-        return cls(Packed.of(surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)))
+        with logged("%s: preparing a surface of %d triangles", name, len(triangles), least=MANY_TRIANGLES):
+            made = surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)
+            return cls(Packed.of(made))
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from loewner._kernels import columns
+from loewner._pictures import Shape
 from loewner._validate import Floats, Ints
 from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
@@ -48,14 +49,26 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
     return np.concatenate(points), np.concatenate(triangles)
 
 
-def of_piece(packed: Packed, number: int) -> Mesh:
-    """Triangulate the surface of one piece."""
+def for_pictures(packed: Packed, coarse: bool = False) -> Shape:
+    """Triangulate all pieces, without a pose; coarsely if there are many bodies."""
+    row, counts = packed.layout, np.diff(packed.triangle_start)
+    corners = packed.points[packed.triangles + np.repeat(row[:, columns.POINTS_FROM], counts)[:, None]]
+    radii = np.repeat(packed.frames[:, 0], counts)
+    curved = np.flatnonzero(row[:, columns.KIND] > columns.POLYTOPE)
+    coarse = coarse or len(curved) > MANY_PIECES
+    made = [vertices[triangles] for vertices, triangles in (of_piece(packed, k, coarse) for k in curved.tolist())]
+    corners = np.concatenate([corners, *made])
+    return Shape(corners, np.append(radii, np.zeros(len(corners) - len(radii))), "")
+
+
+def of_piece(packed: Packed, number: int, coarse: bool = False) -> Mesh:
+    """Triangulate the surface of one piece; `coarse` balls have 80 triangles."""
     row, frame = packed.layout[number], packed.frames[number]
     if row[columns.KIND] <= columns.POLYTOPE:
         triangles = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]
         return packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], triangles
     kind, rounding, center, factor = CURVED[int(row[columns.KIND])], frame[0], frame[1:4], frame[4:].reshape(3, 3)
-    unit, triangles = kind.mesh()
+    unit, triangles = ball(1) if coarse and kind.mesh is ball else kind.mesh()
     if kind.core is None:
         return unit @ factor.T + center, triangles
     lengths = np.linalg.norm(factor, axis=0)

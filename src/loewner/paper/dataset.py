@@ -49,6 +49,8 @@ class DataSet:
     points_2: Floats
     shift: Floats
 
+    __repr__ = _validate.brief
+
     def __len__(self) -> int:
         return len(self.shift)
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _tables, _validate
 from loewner._files import read_regular, shown
+from loewner._pictures import POINTS, curves, pictured
 from loewner.errors import FileError, InputError
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of
@@ -192,6 +193,14 @@ class ControllerPoints:
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
         return f"ControllerPoints({len(self.times)} points, {self.positions.shape[1]} joints, {kind})"
+
+    @pictured
+    def _repr_html_(self) -> str:
+        from scipy.interpolate import BPoly  # takes longer to import than everything else here
+
+        curve = _form(self, "points")
+        t = np.linspace(curve.times[0], curve.times[-1], POINTS)
+        return curves(self.names, t, BPoly(np.moveaxis(curve.courses, 1, 0), curve.times)(t))
 
 
 @form_of.register(ControllerPoints)

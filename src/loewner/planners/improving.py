@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kernels import codes
 from loewner._kernels.columns import ITERATION, RANDOM, STATE
+from loewner._log import log
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import InputError, PlanningError
@@ -345,8 +346,11 @@ def improved(
     done = 0
     try:
         while done < asked.most and rounds.best.cost > enough:
+            cost = rounds.best.cost
             rounds.run(done + 1)
             done += 1
+            if rounds.best.cost < cost:
+                log.info("round %d of improvement: cost %.6g, at least %.6g", done, rounds.best.cost, least)
     except _LateError:
         pass
     return rounds.best.path.copy(), done

@@ -23,6 +23,7 @@ from loewner import _tables, _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
+from loewner._pictures import POINTS, curves, pictured
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
@@ -135,6 +136,11 @@ class Trajectory:
             f"Trajectory({self.duration:.4g} s, {len(self.names)} joints, stops at {stops} "
             f"corner{'s' * (stops != 1)}, {blends} blend{'s' * (blends != 1)})"
         )
+
+    @pictured
+    def _repr_html_(self) -> str:
+        t = np.linspace(0.0, self.duration, POINTS)
+        return curves(self.names, t, self.positions(t))
 
     @property
     def duration(self) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
+from loewner._pictures import LINKS, bodies, pictured
 from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
@@ -29,9 +30,11 @@ from loewner.robots.motions import CertifiedMotions
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import model_of
 from loewner.robots.robot import Robot
+from loewner.robots.robot import drawn as drawn_robot
 from loewner.robots.verdicts import Settled, Verdicts
 from loewner.robots.written_proofs import proof_of
 from loewner.scenes import Contact, Scene, poses_since
+from loewner.scenes import drawn as drawn_scene
 
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
@@ -126,6 +129,13 @@ class CollisionChecker:
 
     def __repr__(self) -> str:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
+
+    @pictured
+    def _repr_html_(self) -> str:
+        links, poses, note = drawn_robot(self.robot)
+        held = {name: poses[one.link] @ one.T_link_body for name, one in self.scene.attachments.items()}
+        shapes, entries, more = drawn_scene(self.scene, held)
+        return bodies(links + shapes, (), [(self.robot.name, LINKS[0]), *entries], note + more)
 
     # -- queries ------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
 from loewner._kernels import codes
+from loewner._pictures import pictured, verdicts
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.queries import Verdict
@@ -98,6 +99,10 @@ class CertifiedTrajectory:
 
     def __repr__(self) -> str:
         return _validate.brief(self)
+
+    @pictured
+    def _repr_html_(self) -> str:
+        return verdicts(self.segments.verdict, self.times, "time, s")
 
     @property
     def first(self) -> float:

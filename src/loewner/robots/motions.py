@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loewner import _validate
 from loewner._kernels import codes
 from loewner._native import entries
+from loewner._pictures import pictured, verdicts
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
@@ -65,6 +66,11 @@ class CertifiedMotions:
 
     def __repr__(self) -> str:
         return _validate.brief(self)
+
+    @pictured
+    def _repr_html_(self) -> str:
+        found = np.ravel(self.verdict)
+        return verdicts(found, np.arange(len(found) + 1.0), "number of the motion")
 
 
 class Found(NamedTuple):

@@ -17,10 +17,11 @@ from loewner._guard import guarded
 from loewner._kept import kept
 from loewner._kernels.records import Tree
 from loewner._native import entries
+from loewner._pictures import LINKS, Shape, bodies, pictured
 from loewner._plausible import FARTHEST_LIMIT
 from loewner._threads import in_shares
 from loewner._validate import Floats, Named, OneOrMany, Pair, Progress
-from loewner.bodies import Body
+from loewner.bodies import Body, for_pictures, packed_of
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
 from loewner.mjcf_models import read_mjcf
@@ -38,6 +39,9 @@ QUATERNION_TOLERANCE = 1e-6
 
 # Kinds of joints whose last four values are a quaternion.
 WITH_QUATERNION = ("floating", "ball")
+
+# In pictures, the balls of robots with more links than this are coarse.
+MANY_LINKS = 30
 
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
@@ -355,6 +359,11 @@ class Robot:
             f"Robot({self.name!r}, {len(self.link_names)} links, {len(self.bodies)} with bodies, "
             f"{len(self.joint_names)} joints, dof {self.dof}{', quaternions wxyz' if self._quaternions else ''})"
         )
+
+    @pictured
+    def _repr_html_(self) -> str:
+        shapes, _, note = drawn(self)
+        return bodies(shapes, note=note)
 
     def placed(self, T_world_base: ArrayLike) -> Robot:
         """Return the same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
@@ -1035,3 +1044,15 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Return the nearer to p of the quaternions q and -q, and the cosine of its angle to p."""
     cosine = (p * q).sum(axis=-1, keepdims=True)
     return np.where(cosine < 0, -q, q), np.abs(cosine)
+
+
+def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
+    """Return shapes of links, poses of all links, and a note, in the first state of most joints, or at zero."""
+    state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
+    q = np.clip(robot.configuration(state), robot.lower, robot.upper)
+    poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
+    shapes = [
+        for_pictures(packed_of(body), len(robot.bodies) > MANY_LINKS).at(poses[name], LINKS[k % len(LINKS)])
+        for k, (name, body) in enumerate(robot.bodies.items())
+    ]
+    return shapes, poses, f", at the state {state!r}" if state else ", at zero or the nearest limits"

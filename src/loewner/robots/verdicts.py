@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loewner import _validate, queries
 from loewner._kernels import codes
 from loewner._native import entries
+from loewner._pictures import pictured, shares
 from loewner._settle import settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
@@ -50,6 +51,10 @@ class Settled:
     free_by_search: int
     colliding_by_ellipsoids: int
     colliding_by_search: int
+
+    @pictured
+    def _repr_html_(self) -> str:
+        return shares(asdict(self))
 
     @property
     def total(self) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from loewner import _pictures
 from loewner._kernels import columns
 from loewner._rotations import quaternions_of
 from loewner._validate import Floats
@@ -20,16 +21,12 @@ from loewner.bodies import CURVED, Body, packed_of
 from loewner.bodies.kinds import Mesh, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import MANY_PIECES, ellipsoids_of, joined, of_ellipsoids, of_piece, of_pieces
-from loewner.queries import Verdict
+from loewner.queries import VERDICTS, Verdict
 
 Rgb = tuple[int, int, int]
 
 # Also distinguishable with colour blindness; the name of the verdict is always written next to its colour.
-VERDICT_COLOURS: dict[Verdict, Rgb] = {
-    Verdict.FREE: (34, 136, 51),
-    Verdict.AMBIGUOUS: (221, 170, 51),
-    Verdict.COLLIDING: (204, 51, 68),
-}
+VERDICT_COLOURS: dict[Verdict, Rgb] = dict(zip(VERDICTS, _pictures.VERDICT_COLOURS, strict=True))
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
 LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}

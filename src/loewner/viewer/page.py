@@ -83,6 +83,11 @@ class Viewer:
         if self._guard.token is not None:
             print(self._warning(), flush=True)
 
+    def __repr__(self) -> str:
+        # Without the token, since notebooks are passed on.
+        where = "closed" if self._closed.is_set() else self._guard.where.url(self._guard.port, None)
+        return f"{type(self).__name__}({where})"
+
     # -- for the caller ---------------------------------------------------------------------------
 
     @property
