@@ -466,7 +466,11 @@ static loewner_status take_all(File *file, const Header *header)
     EXPECT(file->pairs <= 1, "margin");
     file->margin = file->pairs == 1 ? *margin : 0;
     EXPECT(file->margin >= 0 && file->margin <= 1e30, "margin");
-    TRY(take_robot(file, header));
+    file->pairs = 0;
+    if (header->links > 0)
+        TRY(take_robot(file, header));
+    else
+        EXPECT(header->dof == 0 && header->moving == 0, "a robot without links");
     for (int k = 0; k <= file->has_cut; k++, at += PACK_ARRAYS)
         TRY(take_pack(file, at, bodies, header->surfaces, k == 0 ? &file->whole : &file->cut));
     if (header->surfaces > 0) {

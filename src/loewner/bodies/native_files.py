@@ -24,7 +24,8 @@ from loewner import _validate
 from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._kernels._sources import source_hash
-from loewner.bodies.pack import Packed
+from loewner.bodies.pack import Packed, join, take
+from loewner.bodies.parts import in_parts
 from loewner.errors import InputError
 
 SUFFIX = ".lwn"
@@ -45,6 +46,16 @@ BEFORE = (
     "quaternions", "link", "pairs", "margins", "order", "margin", "poses",
 )  # fmt: skip
 _NO_INTEGERS, _NO_NUMBERS = np.zeros(0, dtype=np.int64), np.zeros(0)
+
+
+def save(path: str | os.PathLike[str], packed: Packed) -> None:
+    """Write bodies alone, see `write`; their names are their numbers."""
+    count = len(packed.piece_start) - 1
+    packs = [packed]
+    if packed.trees:
+        cut = in_parts([take(packed, np.array([k])) for k in range(count)], np.ones(count, dtype=bool))
+        packs.append(join(cut))
+    write(path, [[str(k) for k in range(count)]], {}, packs, (0, 0, 0))
 
 
 def write(
