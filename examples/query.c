@@ -1,6 +1,7 @@
 /* Ask a robot's checker from C: python examples/save_cell.py cell.lwn, then ./query cell.lwn
 
-   Build: cc examples/query.c $(python -m loewner --cflags --libs) -o query */
+   export PKG_CONFIG_PATH=$(loewner --pkg-config-dir)
+   cc examples/query.c $(pkg-config --cflags --libs loewner) -o query */
 
 #include <loewner.h>
 #include <stdio.h>

@@ -273,12 +273,19 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *undefined, "-ldl"], to, flags)
 
 
+def api_flags() -> list[str]:
+    """What the C compiler is told of the library for C.
+
+    No products are fused with sums, so that lengths and fractions are Python's to the last bit.
+    """
+    known = [*API_DEFINED, f'-DSOURCES="{source_hash()}"']
+    return [*known, "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
+
+
 def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the library for programs in C and C++."""
     sources = [HERE / "capi" / name for name in API]
-    # No products are fused with sums, so that lengths and fractions are Python's to the last bit.
-    strict = ["-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}", f'-DSOURCES="{source_hash()}"']
-    compile_c([*sources, *API_DEFINED, *strict, "-pthread", "-ldl", "-lm"], to, flags)
+    compile_c([*sources, *api_flags(), f"-Wl,-soname,{LIBRARY}", "-pthread", "-ldl", "-lm"], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
