@@ -4,13 +4,15 @@ import sys
 
 import numpy as np
 
-from loewner import Body, CollisionChecker, Robot, Scene
+from loewner import Body, CollisionChecker, Scene
 from robot_meshes import panda_robot
 
 scene = Scene(margin=0.005)
-for k, (x, y, z) in enumerate([(0.5, 0.0, 0.2), (0.4, 0.4, 0.5), (-0.3, 0.5, 0.4)]):
-    scene.add(f"box {k}", Body.box([0.15, 0.15, 0.15]), np.block([[np.eye(3), np.array([[x], [y], [z]])], [0, 0, 0, 1]]))
-robot: Robot = panda_robot()
+for k, place in enumerate([(0.5, 0.0, 0.2), (0.4, 0.4, 0.5), (-0.3, 0.5, 0.4)]):
+    T = np.eye(4)
+    T[:3, 3] = place
+    scene.add(f"box {k}", Body.box([0.15, 0.15, 0.15]), T)
+robot = panda_robot()
 path = sys.argv[1] if len(sys.argv) > 1 else "cell.lwn"
 CollisionChecker(robot, scene).save(path)
 print(f"{path}: {robot} among {len(scene)} bodies")

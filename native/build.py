@@ -76,7 +76,8 @@ HEADERS = SOURCES / "loewner" / "include"
 API_CODES = (*CODES, "INEXACT", "TOO_LONG", "BY_CARE", "MOST_POINTS", "MET", "SPENT", "FULL")
 API_COLUMNS = (
     "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
-    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE", "BOUNDS",
+    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
+    "BOUNDS",
 )  # fmt: skip
 API_CONSTANTS = {
     **{name: getattr(columns, name) for name in API_COLUMNS},
@@ -127,7 +128,13 @@ def recipe() -> str:
     """Hash of all that decides what is built, but for the levels and the interpreter."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED, API_DEFINED)).encode())
-    written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]"), *HERE.glob("capi/*.[ch]"), HEADERS / "loewner.h"]
+    written = [
+        HERE / "build.py",
+        HERE / "emit.py",
+        *HERE.glob("*.[ch]"),
+        *HERE.glob("capi/*.[ch]"),
+        HEADERS / "loewner.h",
+    ]
     besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "_ptx.py"
     for path in sorted([*written, *besides]):
         digest.update(path.read_bytes())

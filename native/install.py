@@ -11,7 +11,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from build import HEADERS, LIBRARY, BuildError, architecture, build, is_built, machine_level, LEVELS, HOME
+from build import HEADERS, HOME, LEVELS, LIBRARY, BuildError, architecture, build, is_built, machine_level
 
 SHARE = HEADERS.parent / "share"
 
@@ -40,7 +40,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("prefix", type=Path)
     parser.add_argument("--levels", choices=("machine", "all"), default="machine")
-    parser.add_argument("--from", type=Path, default=HOME, metavar="FOLDER", dest="home", help="where the library is built")
+    parser.add_argument(
+        "--from", type=Path, default=HOME, metavar="FOLDER", dest="home", help="where the library is built"
+    )
     options = parser.parse_args()
     try:
         levels = list(LEVELS[architecture()]) if options.levels == "all" else [machine_level()]

@@ -2,9 +2,10 @@
 
     python native/sanitize.py
 
-The extension and the library for C are compiled into `build/sanitize`, a copy of the package, beside the kernels that were built already; they
-are not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its libasan and libtsan, on Linux.
-The sanitizer of threads watches a program of eight threads, `tests/capi_threads.c`, since it cannot watch Python.
+The extension and the library for C are compiled into `build/sanitize`, a copy of the package, beside the kernels that
+were built already; they are not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its
+libasan and libtsan, on Linux. The sanitizer of threads watches a program with eight of them, `tests/capi_threads.c`,
+since it cannot watch Python.
 """
 
 import json
@@ -16,7 +17,7 @@ import sys
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
-from build import API, HEADERS, HERE, LIBRARY, SOURCES, BuildError, _sum, api_flags, compile_api, compile_extension
+from build import API, HERE, LIBRARY, SOURCES, BuildError, _sum, api_flags, compile_api, compile_extension
 
 from loewner._native import library
 
@@ -67,7 +68,9 @@ def threads_are_clean(to: Path) -> bool:
         subprocess.run([*compiler, *told, *sources, "-o", str(program), "-pthread", "-ldl", "-lm"], check=True)
         for path in kernels.glob("kernels-*.so"):
             shutil.copy(path, to)
-        done = subprocess.run([str(program), str(cell)], check=False, env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"})
+        done = subprocess.run(
+            [str(program), str(cell)], check=False, env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}
+        )
         print(f"sanitize: eight threads, {kind}: {'clean' if done.returncode == 0 else 'a report'}", flush=True)
         clean = clean and done.returncode == 0
     return clean

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 
 import loewner
+from families import random_poses
 from loewner import Bodies, Body, CollisionChecker, InputError, Scene, classify, collide, distance, planners
 from loewner._native import library
 from loewner.bodies import native_files
 from loewner.errors import PlanningError
 from motion_oracle import AFLOAT, example, ring, steps, written
-from families import random_poses
+from native_files import NATIVE
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
@@ -123,10 +124,8 @@ def test_some_joints_move_and_goals_are_refused(pair):
     goal[0] = np.clip(start[0] + 0.3, *(x[0] for x in (checker.robot.lower, checker.robot.upper)))
     only = [1, *[0] * (mine.dof - 1)]
     name = checker.robot.configuration_names[0]
-    try:
-        assert np.array_equal(mine.plan(start, goal, joints=only), planners.plan(checker, start, goal, joints=[name]))
-    except capi.Error as error:
-        assert error.status in (7, 8)
+    wanted = planners.plan(checker, start, goal, joints=[name])
+    assert np.array_equal(mine.plan(start, goal, joints=only), wanted)
     with pytest.raises(capi.Error, match="does not move"):
         mine.plan(start, start + 0.01, joints=only)
     with pytest.raises(capi.Error, match="within the limits"):
@@ -259,7 +258,9 @@ def test_pairs_of_bodies(tmp_path, rng):
     capi.pair_query("collide", workspace, (mine, -1, T[:5]), (mine, 2, None), 5, ctypes.c_double(0.0), out)
     assert np.array_equal(out, collide(bodies, T[:5], shapes[2], None))
     with pytest.raises(capi.Error, match="rigid"):
-        capi.pair_query("collide", workspace, (mine, 0, 2 * T), (mine, 1, S), n, ctypes.c_double(0.0), np.empty(n, np.int8))
+        capi.pair_query(
+            "collide", workspace, (mine, 0, 2 * T), (mine, 1, S), n, ctypes.c_double(0.0), np.empty(n, np.int8)
+        )
     with pytest.raises(capi.Error, match="below number"):
         capi.pair_query("collide", workspace, (mine, 5, T), (mine, 1, S), n, ctypes.c_double(0.0), np.empty(n, np.int8))
 
@@ -337,7 +338,11 @@ def test_forged_files_are_refused(forged, tmp_path, count):
         made = bytearray(content)
         wrong = int(rng.choice([-(2**62), 2**20, 2**40, 2**62]))
         if number % 4 == 0:  # the header's counts, or the directory
-            at = 96 + 8 * int(rng.integers(7)) if number % 8 else native_files.HEADER.size + 8 * int(rng.integers(rows.size))
+            at = (
+                96 + 8 * int(rng.integers(7))
+                if number % 8
+                else native_files.HEADER.size + 8 * int(rng.integers(rows.size))
+            )
             if struct.unpack_from("<q", made, at)[0] == wrong:
                 continue
         else:
@@ -357,7 +362,10 @@ def test_files_with_any_changed_word_are_harmless(forged, tmp_path, count):
     (tmp_path / "cell.lwn").write_bytes(content)
     program = Path(__file__).with_name("capi_forgeries.py")
     done = subprocess.run(
-        [sys.executable, str(program), str(tmp_path / "cell.lwn"), str(count)], capture_output=True, text=True, check=False
+        [sys.executable, str(program), str(tmp_path / "cell.lwn"), str(count)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
 
@@ -440,7 +448,7 @@ def compilers() -> list[str]:
 def test_headers_compile_without_a_warning(compiler, tmp_path):
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} here")
-    for suffix, header, standards in (("c", "loewner.h", ("c11", "c17")), ("cpp", "loewner.hpp", ("c++17", "c++20"))):
+    for suffix, header, standards in (("c", "loewner.h", ("c11",)), ("cpp", "loewner.hpp", ("c++17",))):
         source = tmp_path / f"one.{suffix}"
         source.write_text(f"#include <{header}>\n#include <{header}>\nint main(void) {{ return 0; }}\n")
         for standard in standards:
@@ -467,7 +475,16 @@ def test_the_examples_run(pair, tmp_path):
     for name, compiler in (("query.c", "cc"), ("query.cpp", "c++")):
         program, told = tmp_path / name.replace(".", "_"), [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner"]
         standard = "-std=c11" if compiler == "cc" else "-std=c++17"
-        command = [compiler, standard, *STRICT, str(folder / name), *told, f"-Wl,-rpath,{library.HOME}", "-o", str(program)]
+        command = [
+            compiler,
+            standard,
+            *STRICT,
+            str(folder / name),
+            *told,
+            f"-Wl,-rpath,{library.HOME}",
+            "-o",
+            str(program),
+        ]
         subprocess.run(command, check=True)
         done = subprocess.run([str(program), str(tmp_path / "cell.lwn")], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
@@ -475,3 +492,40 @@ def test_the_examples_run(pair, tmp_path):
         done = subprocess.run([str(program), "nothing.lwn"], capture_output=True, text=True, check=False)
         assert done.returncode == 1
         assert "could not be opened" in done.stderr
+
+
+def test_cmake_and_pkg_config_find_it(pair, tmp_path):
+    """In the package as it is, and below a prefix where it was installed."""
+    if shutil.which("cmake") is None or shutil.which("pkg-config") is None:
+        pytest.skip("no CMake or pkg-config here")
+    run = f"import sys; sys.path.insert(0, {str(NATIVE)!r}); import install; from pathlib import Path; "
+    run += f"install.install(Path({str(tmp_path / 'prefix')!r}))"
+    subprocess.run([sys.executable, "-c", run], check=True)
+    example = (Path(__file__).parents[1] / "examples" / "query.c").as_posix()
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.18)\nproject(query C)\nfind_package(loewner 0.1 REQUIRED)\n"
+        f"add_executable(query {example})\ntarget_link_libraries(query loewner::loewner)\n"
+    )
+    places = [INCLUDE.parent / "share", tmp_path / "prefix" / "lib"]
+    for place, cmake in zip(places, ("cmake", "cmake/loewner"), strict=True):
+        build = tmp_path / place.name
+        for command in (
+            ["cmake", "-S", str(tmp_path), "-B", str(build), f"-Dloewner_DIR={place / cmake}"],
+            ["cmake", "--build", str(build)],
+            [str(build / "query"), str(tmp_path / "cell.lwn")],
+        ):
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stdout + done.stderr
+        environment = os.environ | {"PKG_CONFIG_PATH": str(place / "pkgconfig")}
+        asked = ["pkg-config", "--cflags", "--libs", "loewner"]
+        told = subprocess.run(asked, capture_output=True, text=True, check=True, env=environment).stdout.split()
+        program = str(build / "with-pkg-config")
+        subprocess.run(["cc", example, *told, "-o", program], check=True)
+        assert subprocess.run([program, str(tmp_path / "cell.lwn")], check=False).returncode == 0
+
+
+def test_the_files_name_one_version():
+    version = loewner.__version__
+    share = INCLUDE.parent / "share"
+    assert f'set(PACKAGE_VERSION "{version}")' in (share / "cmake" / "loewner-config-version.cmake").read_text()
+    assert f"Version: {version}\n" in (share / "pkgconfig" / "loewner.pc").read_text()
