@@ -1,11 +1,11 @@
 // OMPL's RRT-Connect in C++ with three checkers of motions, one after the other on each problem:
 //
 //   proven     MotionValidator on loewner's certify_edges
-//   sampled    OMPL's DiscreteMotionValidator at its default resolution, with loewner's exact collide
+//   sampled    OMPL's DiscreteMotionValidator at a resolution of FRACTION, with loewner's exact collide
 //   fcl        the same with FCL: a dynamic AABB tree for the scene, boxes and then shapes for pairs of links
 //
 //   ompl_cpp agree FOLDER PROBLEM...                FCL's verdicts beside ours, configurations of PROBLEM.configurations
-//   ompl_cpp plan FOLDER SHAPES SEEDS ROUNDS LIMIT PROBLEM...
+//   ompl_cpp plan FOLDER SHAPES SEEDS ROUNDS LIMIT FRACTION PROBLEM...
 //
 // ompl_cpp.py writes the folder, compiles this file and reads the lines that it prints. FCL gets the link poses that
 // loewner computes, so that both have the same kinematics; its own would take about as long, a small part of its time.
@@ -46,7 +46,7 @@ struct Problem {
         std::int32_t body;
         std::string kind;            // box, cylinder, sphere, hull
         std::vector<double> numbers; // sizes, or coordinates of vertices
-        std::vector<int> triangles;
+        std::vector<int> triangles; // three vertices each
         loewner::Pose pose; // in the world, of a body of the scene
     };
     std::vector<Shape> shapes;
@@ -114,8 +114,7 @@ std::shared_ptr<fcl::CollisionGeometryd> geometry(const Problem::Shape &shape, b
     }
     std::vector<fcl::Triangle> triangles;
     for (std::size_t k = 0; k < shape.triangles.size(); k += 3)
-        triangles.emplace_back(static_cast<std::size_t>(shape.triangles[k]), static_cast<std::size_t>(shape.triangles[k + 1]),
-                               static_cast<std::size_t>(shape.triangles[k + 2]));
+        triangles.emplace_back(shape.triangles[k], shape.triangles[k + 1], shape.triangles[k + 2]);
     auto made = std::make_shared<fcl::BVHModel<fcl::OBBRSSd>>();
     made->beginModel();
     made->addSubModel(*vertices, triangles);
@@ -139,10 +138,11 @@ public:
             checked_[static_cast<std::size_t>(pair[1]) * count_ + static_cast<std::size_t>(pair[0])] = 1;
         }
         for (const auto &shape : problem.shapes) {
+            const std::string name = checker_.body_name(shape.body);
+            auto held = std::make_unique<fcl::CollisionObjectd>(geometry(shape, way == "mesh"), transform(shape.pose.data()));
+            held->computeAABB();
             objects_.push_back({static_cast<std::size_t>(shape.body),
-                                loewner_checker_find_link(checker_.get(), checker_.body_name(shape.body).c_str()),
-                                std::make_unique<fcl::CollisionObjectd>(geometry(shape, way == "mesh"), transform(shape.pose.data()))});
-            objects_.back().held->computeAABB();
+                                loewner_checker_find_link(checker_.get(), name.c_str()), std::move(held)});
         }
         for (auto &object : objects_) {
             object.held->setUserData(&object);
@@ -270,7 +270,7 @@ struct Run {
 };
 
 Run plan(const Problem &problem, const std::string &name, loewner::Workspace &workspace, Fcl &fcl,
-         std::uint_fast32_t seed, double limit)
+         std::uint_fast32_t seed, double limit, double fraction)
 {
     const std::size_t width = problem.columns.size();
     auto space = std::make_shared<ob::RealVectorStateSpace>(static_cast<unsigned>(width));
@@ -297,6 +297,7 @@ Run plan(const Problem &problem, const std::string &name, loewner::Workspace &wo
             ++run.states;
             return !fcl.collides(whole(state).data());
         });
+    information->setStateValidityCheckingResolution(fraction);
     information->setup();
 
     auto definition = std::make_shared<ob::ProblemDefinition>(information);
@@ -317,8 +318,7 @@ Run plan(const Problem &problem, const std::string &name, loewner::Workspace &wo
     planner.setup();
 
     const double began = cpu_seconds();
-    const double end = began + limit;
-    planner.solve(ob::PlannerTerminationCondition([end] { return cpu_seconds() > end; }));
+    planner.solve(ob::timedPlannerTerminationCondition(limit));
     run.seconds = cpu_seconds() - began;
     run.solved = definition->hasExactSolution();
     run.motions = information->getMotionValidator()->getValidMotionCount() +
@@ -333,21 +333,22 @@ int plans(const std::string &folder, int count, char **words)
 {
     const std::string shapes = words[0];
     const int seeds = std::atoi(words[1]), rounds = std::atoi(words[2]);
+    const double limit = std::atof(words[3]), fraction = std::atof(words[4]);
     loewner::Workspace workspace;
-    for (int k = 4; k < count; ++k) {
+    for (int k = 5; k < count; ++k) {
         const Problem problem(folder + "/" + words[k]);
         Fcl fcl(problem, shapes);
         for (int seed = 1; seed <= seeds; ++seed) {
             std::vector<std::pair<std::string, Run>> runs{{"proven", {}}, {"sampled", {}}, {"fcl", {}}};
             for (int round = 0; round < rounds; ++round)
                 for (auto &[name, kept] : runs) {
-                    Run run = plan(problem, name, workspace, fcl, static_cast<std::uint_fast32_t>(seed), std::atof(words[3]));
+                    Run run = plan(problem, name, workspace, fcl, static_cast<std::uint_fast32_t>(seed), limit, fraction);
                     run.seconds = round == 0 ? run.seconds : std::min(run.seconds, kept.seconds);
                     kept = std::move(run);
                 }
             for (const auto &[name, run] : runs) {
-                std::printf("%s %s %d %d %.9g %u %zu", words[k], name.c_str(), seed, run.solved, run.seconds, run.motions,
-                            run.states);
+                std::printf("%s %s %d %d %.9g", words[k], name.c_str(), seed, run.solved, run.seconds);
+                std::printf(" %u %zu", run.motions, run.states);
                 for (double value : run.path)
                     std::printf(" %.17g", value);
                 std::printf("\n");
@@ -383,7 +384,8 @@ int agree(const std::string &folder, int count, char **names)
                          : fcl.collides(q.data())                                               ? '1'
                                                                                                 : '0';
             }
-            std::printf("%s %s %.9g %s\n", names[k], way, (cpu_seconds() - began) / static_cast<double>(n), found.c_str());
+            const double each = (cpu_seconds() - began) / static_cast<double>(n);
+            std::printf("%s %s %.9g %s\n", names[k], way, each, found.c_str());
         }
     }
     return 0;
@@ -398,9 +400,9 @@ int main(int count, char **words)
         const std::string task = count > 3 ? words[1] : "";
         if (task == "agree")
             return agree(words[2], count - 3, words + 3);
-        if (task == "plan" && count > 7)
+        if (task == "plan" && count > 8)
             return plans(words[2], count - 3, words + 3);
-        throw std::runtime_error("ompl_cpp: expected agree FOLDER PROBLEM... or plan FOLDER SHAPES SEEDS ROUNDS LIMIT PROBLEM...");
+        throw std::runtime_error("ompl_cpp: expected agree FOLDER PROBLEM..., or plan and what ompl_cpp.py passes");
     } catch (const std::exception &error) {
         std::fprintf(stderr, "%s\n", error.what());
         return 1;

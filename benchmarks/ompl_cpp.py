@@ -1,6 +1,6 @@
 """OMPL's RRT-Connect in C++ on MotionBenchMaker's problems: motions proven, and sampled with loewner and with FCL.
 
-    python benchmarks/ompl_cpp.py --data FILE [--every N] [--seeds N] [--out FOLDER]
+    python benchmarks/ompl_cpp.py --data FILE [--every N] [--seeds N] [--fraction F] [--out FOLDER]
 
 Needs g++, and OMPL, FCL and Eigen for C++ (Debian: libompl-dev libfcl-dev); says so where one is missing. All three get
 the same shapes, pairs, seeds and ranges, and OMPL's defaults otherwise; FCL the link poses that loewner computes, and
@@ -40,7 +40,7 @@ RANDOM = 1000  # configurations a problem whose verdicts are compared
 # Verdicts that differ nearer to contact than this, in metres, are rounding's.
 CONTACT = 1e-5
 ROUNDS = 2
-LIMIT = 20.0  # seconds of processor time; what is not solved by then counts as having taken them
+LIMIT = 20.0  # seconds; what is not solved by then counts as having taken them
 FASTER = 10.0  # what is asked of the proven motions
 
 
@@ -49,6 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, required=True, help="the problems, in JSON")
     parser.add_argument("--every", type=int, default=8, help="take every Nth solvable problem")
     parser.add_argument("--seeds", type=int, default=2, help="plans of each problem")
+    parser.add_argument(
+        "--fraction", type=float, default=0.01, help="of the space between samples: OMPL's own; MoveIt writes 0.005"
+    )
     parser.add_argument("--out", type=Path, help="folder for results")
     options = parser.parse_args(arguments)
     facts = report.machine()
@@ -69,16 +72,17 @@ def main(arguments: list[str] | None = None) -> int:
             write(folder / name, task, number)
         shapes = agreement(said(program, "agree", folder, *tasks), folder, tasks)
         print(f"FCL's hulls: {shapes}", flush=True)
-        runs = list(runs_of(said(program, "plan", folder, shapes, options.seeds, ROUNDS, LIMIT, *tasks), tasks))
+        words = shapes, options.seeds, ROUNDS, LIMIT, options.fraction
+        runs = list(runs_of(said(program, "plan", folder, *words, *tasks), tasks))
     lines = list(table(runs, tasks))
     print("\n".join(lines))
     out = (options.out or HERE / "results" / report.machine_name(facts)) / "ompl-cpp.csv"
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("problem,motions judged by,seed,solved,seconds,motions,states,path\n")
+        file.write("fraction,problem,motions judged by,seed,solved,seconds,motions,states,path\n")
         for run in runs:
             numbers = f"{run.seed},{int(run.solved)},{run.seconds:.9g},{run.motions},{run.states},{run.proof}"
-            file.write(f"{run.problem},{run.name},{numbers}\n")
+            file.write(f"{options.fraction:g},{run.problem},{run.name},{numbers}\n")
     return 0
 
 
@@ -139,7 +143,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def shape(piece: Piece) -> tuple[str, Array, Array]:
-    """Kind, sizes or coordinates, and triangles of a piece; round ones as `Body` makes them, about the origin along z."""
+    """Kind, sizes or coordinates, and triangles of a piece; round ones about the origin along z, as `Body` makes them."""
     none = np.zeros((0, 3), dtype=int)
     if piece.kind == "cylinder":
         radius, _, half = np.sqrt(np.diag(piece.inner.shape_matrix))
@@ -225,7 +229,8 @@ def runs_of(lines: Iterable[list[str]], tasks: dict[str, Task]) -> Iterator[Run]
 def table(runs: Sequence[Run], tasks: dict[str, Task]) -> Iterator[str]:
     """Medians and means in all groups, ratios, and what became of the paths."""
     groups = [*dict.fromkeys(task.problem.group for task in tasks.values()), ALL]
-    yield f"{'ms a plan, median (mean)':26}" + "".join(f"{name:>22}" for name in NAMES) + "   fcl / proven, median of ratios"
+    names = "".join(f"{name:>22}" for name in NAMES)
+    yield f"{'ms a plan, median (mean)':26}{names}   fcl / proven, median of ratios"
     for group in groups:
         seconds = {
             name: np.array(
@@ -244,7 +249,8 @@ def table(runs: Sequence[Run], tasks: dict[str, Task]) -> Iterator[str]:
         yield (
             f"{name}: {len(solved)} of {len(mine)} solved; paths: {proofs['free']} proven, "
             f"{proofs['colliding']} collide somewhere, {proofs['ambiguous']} undecided; "
-            f"{np.mean([r.motions for r in mine]):.1f} motions and {np.mean([r.states for r in mine]):.1f} states a plan"
+            f"{np.median([r.motions for r in mine]):g} motions and {np.median([r.states for r in mine]):g} states "
+            "at the median"
         )
     medians = {name: float(np.median([r.seconds for r in runs if r.name == name])) for name in NAMES}
     ratio = medians["fcl"] / medians["proven"]
