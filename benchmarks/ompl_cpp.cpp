@@ -4,7 +4,7 @@
 //   sampled    OMPL's DiscreteMotionValidator at a resolution of FRACTION, with loewner's exact collide
 //   fcl        the same with FCL: a dynamic AABB tree for the scene, boxes and then shapes for pairs of links
 //
-//   ompl_cpp agree FOLDER PROBLEM...                FCL's verdicts beside ours, configurations of PROBLEM.configurations
+//   ompl_cpp agree FOLDER PROBLEM...      FCL's verdicts beside ours, at those of PROBLEM.configurations
 //   ompl_cpp plan FOLDER SHAPES SEEDS ROUNDS LIMIT FRACTION PROBLEM...
 //
 // ompl_cpp.py writes the folder, compiles this file and reads the lines that it prints. FCL gets the link poses that
@@ -139,7 +139,8 @@ public:
         }
         for (const auto &shape : problem.shapes) {
             const std::string name = checker_.body_name(shape.body);
-            auto held = std::make_unique<fcl::CollisionObjectd>(geometry(shape, way == "mesh"), transform(shape.pose.data()));
+            const auto pose = transform(shape.pose.data());
+            auto held = std::make_unique<fcl::CollisionObjectd>(geometry(shape, way == "mesh"), pose);
             held->computeAABB();
             objects_.push_back({static_cast<std::size_t>(shape.body),
                                 loewner_checker_find_link(checker_.get(), name.c_str()), std::move(held)});
@@ -270,7 +271,7 @@ struct Run {
 };
 
 Run plan(const Problem &problem, const std::string &name, loewner::Workspace &workspace, Fcl &fcl,
-         std::uint_fast32_t seed, double limit, double fraction)
+         int seed, double limit, double fraction)
 {
     const std::size_t width = problem.columns.size();
     auto space = std::make_shared<ob::RealVectorStateSpace>(static_cast<unsigned>(width));
@@ -312,7 +313,7 @@ Run plan(const Problem &problem, const std::string &name, loewner::Workspace &wo
     for (const auto &goal : problem.goals)
         goals->addState(part(goal));
     definition->setGoal(goals);
-    ompl::RNG::setSeed(seed);
+    ompl::RNG::setSeed(static_cast<std::uint_fast32_t>(seed));
     og::RRTConnect planner(information);
     planner.setProblemDefinition(definition);
     planner.setup();
@@ -342,7 +343,7 @@ int plans(const std::string &folder, int count, char **words)
             std::vector<std::pair<std::string, Run>> runs{{"proven", {}}, {"sampled", {}}, {"fcl", {}}};
             for (int round = 0; round < rounds; ++round)
                 for (auto &[name, kept] : runs) {
-                    Run run = plan(problem, name, workspace, fcl, static_cast<std::uint_fast32_t>(seed), limit, fraction);
+                    Run run = plan(problem, name, workspace, fcl, seed, limit, fraction);
                     run.seconds = round == 0 ? run.seconds : std::min(run.seconds, kept.seconds);
                     kept = std::move(run);
                 }

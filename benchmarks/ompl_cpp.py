@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 import report
-from loewner import Body, Verdict, read_motion_bench_maker
+from loewner import Verdict, read_motion_bench_maker
 from loewner._native import library
 from loewner.bodies import Piece
 from motion_bench_maker import ALL, Task
@@ -143,7 +143,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def shape(piece: Piece) -> tuple[str, Array, Array]:
-    """Kind, sizes or coordinates, and triangles of a piece; round ones about the origin along z, as `Body` makes them."""
+    """Kind, sizes or coordinates, and triangles of a piece; round ones are about the origin, as `Body` makes them."""
     none = np.zeros((0, 3), dtype=int)
     if piece.kind == "cylinder":
         radius, _, half = np.sqrt(np.diag(piece.inner.shape_matrix))

@@ -22,7 +22,7 @@ public:
     {
         begin(padding, scale);
     }
-    CollisionEnvLoewner(const CollisionEnvLoewner &other, const WorldPtr &world) : CollisionEnv(other, world) { watch(); }
+    CollisionEnvLoewner(const CollisionEnvLoewner &it, const WorldPtr &world) : CollisionEnv(it, world) { watch(); }
     ~CollisionEnvLoewner() override { getWorld()->removeObserver(observer_); }
 
     using Request = CollisionRequest;
@@ -30,11 +30,13 @@ public:
     using Matrix = AllowedCollisionMatrix;
     void checkSelfCollision(const Request &request, Result &result, const RobotState &at) const override
     { look(self_, request, result, at, nullptr, nullptr); }
-    void checkSelfCollision(const Request &request, Result &result, const RobotState &at, const Matrix &acm) const override
+    void checkSelfCollision(const Request &request, Result &result, const RobotState &at,
+                            const Matrix &acm) const override
     { look(self_, request, result, at, nullptr, &acm); }
     void checkRobotCollision(const Request &request, Result &result, const RobotState &at) const override
     { look(robot_, request, result, at, nullptr, nullptr); }
-    void checkRobotCollision(const Request &request, Result &result, const RobotState &at, const Matrix &acm) const override
+    void checkRobotCollision(const Request &request, Result &result, const RobotState &at,
+                             const Matrix &acm) const override
     { look(robot_, request, result, at, nullptr, &acm); }
     /* Between two states: no collision means that the whole motion is proven free, not that samples of it are. */
     void checkRobotCollision(const Request &request, Result &result, const RobotState &from, const RobotState &to,
@@ -56,7 +58,7 @@ private:
     void begin(double padding, double scale)
     {
         if (padding != 0 || scale != 1)
-            throw std::invalid_argument("loewner: expected no padding and no scale; save the cell with margins instead");
+            throw std::invalid_argument("loewner: expected no padding and no scale; save the cell with margins");
         watch();
     }
     static std::string cell() /* a plugin would read a parameter */
@@ -77,14 +79,13 @@ private:
     {
         const std::lock_guard<std::mutex> only(mutex_);
         const std::int32_t body = loewner_checker_find_body(robot_.checker.get(), object.id_.c_str());
-        if (body < 0 && action & World::DESTROY)
-            unknown_.erase(object.id_);
-        else if (body < 0) /* its shape is not in the file, so nothing can be proven while it is there */
-            unknown_.insert(object.id_);
-        else {
-            robot_.checker.set_present(body, (action & World::DESTROY) == 0);
+        const bool present = (action & World::DESTROY) == 0;
+        unknown_.erase(object.id_);
+        if (body >= 0) {
+            robot_.checker.set_present(body, present);
             robot_.checker.move(body, rows(object.pose_));
-        }
+        } else if (present) /* its shape is not in the file, so nothing can be proven while it is there */
+            unknown_.insert(object.id_);
     }
     void look(Part &part, const Request &request, Result &result, const RobotState &from, const RobotState *to,
               const Matrix *acm) const
@@ -92,17 +93,16 @@ private:
         const std::lock_guard<std::mutex> only(mutex_);
         part.follow(acm);
         const auto q = part.values(from);
-        loewner::Motion found{loewner::Verdict::Free, 0, {-1, -1}};
-        if (to == nullptr)
-            found.verdict = part.checker.collide(workspace_, q);
-        else
-            found = part.checker.certify_edge(workspace_, q, part.values(*to));
-        /* Ambiguous is not free. */
-        result.collision = found.verdict != loewner::Verdict::Free || (&part == &robot_ && !unknown_.empty());
-        if (request.contacts && found.verdict != loewner::Verdict::Free)
+        const auto found = to != nullptr ? part.checker.certify_edge(workspace_, q, part.values(*to))
+                                         : loewner::Motion{part.checker.collide(workspace_, q), 0, {-1, -1}};
+        const bool free = found.verdict == loewner::Verdict::Free; /* what is ambiguous is not */
+        if (!free || (&part == &robot_ && !unknown_.empty()))
+            result.collision = true; /* and never false: MoveIt asks several times with one result */
+        if (request.contacts && !free)
             describe(part, q, found, to == nullptr, result);
     }
-    void describe(const Part &part, const std::vector<double> &q, loewner::Motion found, bool here, Result &result) const
+    void describe(const Part &part, const std::vector<double> &q, loewner::Motion found, bool here,
+                  Result &result) const
     {
         Contact contact;
         contact.percent_interpolation = found.fraction;
@@ -113,6 +113,8 @@ private:
             contact.pos = vector(deepest.witness_a);
             contact.normal = vector(deepest.normal);
         }
+        if (found.bodies[0] < 0)
+            return;
         contact.body_name_1 = part.checker.body_name(found.bodies[0]);
         contact.body_name_2 = part.checker.body_name(found.bodies[1]);
         result.contacts[{contact.body_name_1, contact.body_name_2}].push_back(contact);
@@ -122,6 +124,8 @@ private:
     {
         const std::lock_guard<std::mutex> only(mutex_);
         part.follow(request.acm);
+        if (part.checker.pair_count() == 0)
+            return;
         const auto found = part.checker.distance(workspace_, part.values(at));
         auto &nearest = result.minimum_distance;
         nearest.distance = std::isnan(found.distance) ? found.lower : found.distance;

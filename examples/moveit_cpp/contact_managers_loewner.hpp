@@ -6,9 +6,6 @@
 #include <tesseract/collision/continuous_contact_manager.h>
 #include <tesseract/collision/discrete_contact_manager.h>
 
-#include <optional>
-#include <stdexcept>
-
 namespace loewner_tesseract {
 
 using namespace tesseract::collision;
@@ -18,6 +15,8 @@ using tesseract::common::LinkIdTransformMap;
 using tesseract::common::VectorIsometry3d;
 using Validator = std::shared_ptr<const tesseract::common::ContactAllowedValidator>;
 
+using Pair = std::array<std::int32_t, 2>;
+
 inline loewner::Pose rows(const Eigen::Isometry3d &pose)
 {
     loewner::Pose found;
@@ -26,16 +25,16 @@ inline loewner::Pose rows(const Eigen::Isometry3d &pose)
     return found;
 }
 
-/* What both managers share. Links and bodies of the scene are those of a file that `CollisionChecker.save` wrote. */
+/* What both managers share. Links, bodies of the scene and their shapes are those of a file that Python saved. */
 template <class Interface> class Manager : public Interface {
 public:
     explicit Manager(const std::string &cell) : cell_(cell), checker_(cell)
     {
         for (std::int32_t k = 0; k < static_cast<std::int32_t>(checker_.body_count()); ++k)
             ids_.emplace_back(checker_.body_name(k));
+        pairs_ = pairs();
     }
     std::string getName() const override { return "loewner"; }
-    /* Shapes are in the file: this says whether the link is. */
     bool addCollisionObject(const LinkId &id, const int &, const CollisionShapesConst &, const VectorIsometry3d &,
                             bool enabled = true) override
     { return enabled ? enableCollisionObject(id) : disableCollisionObject(id); }
@@ -49,7 +48,8 @@ public:
     void setCollisionObjectsTransform(const LinkId &id, const Eigen::Isometry3d &pose) override
     {
         poses_[id] = pose;
-        if (loewner_checker_find_link(checker_.get(), id.name().c_str()) < 0 && body(id) >= 0)
+        const bool is_link = loewner_checker_find_link(checker_.get(), id.name().c_str()) >= 0;
+        if (!is_link && body(id) >= 0)
             checker_.move(body(id), rows(pose));
     }
     void setCollisionObjectsTransform(const LinkIdTransformMap &poses) override
@@ -64,10 +64,8 @@ public:
     void setCollisionMarginData(CollisionMarginData margins) override
     {
         margins_ = margins;
-        for (std::int64_t k = 0; k < static_cast<std::int64_t>(checker_.pair_count()); ++k) {
-            const auto [a, b] = pair(k);
+        for (const auto &[a, b] : pairs_)
             checker_.set_margin(a, b, margins_.getCollisionMargin(id(a), id(b)));
-        }
     }
     const CollisionMarginData &getCollisionMarginData() const override { return margins_; }
     void setCollisionMarginPairData(const CollisionMarginPairData &pairs, CollisionMarginPairOverrideType type) override
@@ -78,7 +76,12 @@ public:
     { change_margins([&](auto &margins) { margins.setCollisionMargin(a, b, margin); }); }
     void incrementCollisionMargin(double more) override
     { change_margins([&](auto &margins) { margins.incrementMargins(more); }); }
-    void setContactAllowedValidator(Validator validator) override { validator_ = std::move(validator); }
+    void setContactAllowedValidator(Validator validator) override
+    {
+        validator_ = std::move(validator);
+        for (const auto &[a, b] : pairs_)
+            checker_.allow(a, b, validator_ != nullptr && (*validator_)(LinkIdPair(id(a), id(b))));
+    }
     Validator getContactAllowedValidator() const override { return validator_; }
 
 protected:
@@ -94,24 +97,22 @@ protected:
         return made;
     }
     std::int32_t body(const LinkId &id) const { return loewner_checker_find_body(checker_.get(), id.name().c_str()); }
-    LinkId id(std::int32_t body) const { return ids_[static_cast<std::size_t>(body)]; }
-    std::array<std::int32_t, 2> pair(std::int64_t k) const
+    LinkId id(std::int32_t body) const { return body < 0 ? LinkId() : ids_[static_cast<std::size_t>(body)]; }
+    std::vector<Pair> pairs() const
     {
-        std::array<std::int32_t, 2> found;
-        loewner::expect(loewner_checker_pair(checker_.get(), k, found.data()));
+        std::vector<Pair> found(checker_.pair_count());
+        for (std::size_t k = 0; k < found.size(); ++k)
+            loewner::expect(loewner_checker_pair(checker_.get(), static_cast<std::int64_t>(k), found[k].data()));
         return found;
     }
-    /* Report a pair that is not proven free. Its distance is not known: 0 stands for contact. */
+    /* Report a pair that is not proven free; a distance of 0 stands for contact. */
     void report(ContactResultMap &collisions, std::int32_t a, std::int32_t b, double time) const
     {
-        const LinkIdPair key(id(a), id(b));
-        if (validator_ != nullptr && (*validator_)(key))
-            return;
         ContactResult result;
         result.distance = 0;
         result.link_ids = {id(a), id(b)};
         result.cc_time = {time, time};
-        collisions.addContactResult(key, result);
+        collisions.addContactResult(LinkIdPair(id(a), id(b)), result);
     }
 
     std::string cell_;
@@ -132,11 +133,14 @@ private:
         if (body(id) < 0)
             return false;
         checker_.set_present(body(id), present);
-        present ? hidden_.erase(id) : hidden_.insert(id).second;
+        hidden_.erase(id);
+        if (!present)
+            hidden_.insert(id);
         return true;
     }
     CollisionMarginData margins_;
     std::vector<LinkId> ids_;
+    std::vector<Pair> pairs_; /* of the file */
     std::unordered_set<LinkId> active_, hidden_;
     CollisionShapesConst no_shapes_;
     VectorIsometry3d no_poses_;

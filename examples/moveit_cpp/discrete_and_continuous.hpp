@@ -4,6 +4,9 @@
 
 #include "contact_managers_loewner.hpp"
 
+#include <optional>
+#include <stdexcept>
+
 namespace loewner_tesseract {
 
 class DiscreteManager : public Manager<DiscreteContactManager> {
@@ -17,28 +20,30 @@ public:
             const auto pose = rows(poses_.at(LinkId(checker_.link_name(link))));
             poses.insert(poses.end(), pose.begin(), pose.end());
         }
-        std::vector<std::int8_t> verdicts(checker_.pair_count());
+        const auto now = pairs();
+        std::vector<std::int8_t> verdicts(now.size());
         std::int8_t all;
-        loewner::expect(loewner_checker_collide_placed(checker_.get(), workspace_.get(), poses.data(), &all, verdicts.data()));
-        for (std::size_t k = 0; k < verdicts.size(); ++k) {
-            const auto [a, b] = pair(static_cast<std::int64_t>(k));
+        loewner::expect(
+            loewner_checker_collide_placed(checker_.get(), workspace_.get(), poses.data(), &all, verdicts.data()));
+        for (std::size_t k = 0; k < now.size(); ++k) {
             if (verdicts[k] != LOEWNER_FREE)
-                report(collisions, a, b, -1);
+                report(collisions, now[k][0], now[k][1], -1);
             if (request.type == ContactTestType::FIRST && collisions.size() > 0)
                 return;
         }
     }
 };
 
-/* Two poses of each link do not say what happens between them, so `set_motion` takes the joint values, from a caller who
-   knows that this is loewner's manager. What is then reported holds for the motion of the joints: not for a hull of two
-   poses, which turning links leave. */
+/* Two poses of each link do not say what happens between them, so `set_motion` takes the joint values, from a caller
+   who knows that this is loewner's manager. What is then reported holds for the motion of the joints: not for a hull
+   of two poses, which turning links leave. */
 class ContinuousManager : public Manager<ContinuousContactManager> {
 public:
     using Manager::Manager;
     ContinuousContactManager::UPtr clone() const override { return copy<ContinuousManager>(); }
     using Manager::setCollisionObjectsTransform;
-    void setCollisionObjectsTransform(const LinkId &id, const Eigen::Isometry3d &, const Eigen::Isometry3d &end) override
+    void setCollisionObjectsTransform(const LinkId &id, const Eigen::Isometry3d &,
+                                      const Eigen::Isometry3d &end) override
     {
         motion_.reset();
         setCollisionObjectsTransform(id, end);
@@ -48,7 +53,10 @@ public:
         motion_.reset();
         setCollisionObjectsTransform(ends);
     }
-    void set_motion(std::vector<double> start, std::vector<double> end) { motion_ = {std::move(start), std::move(end)}; }
+    void set_motion(std::vector<double> start, std::vector<double> end)
+    {
+        motion_ = {std::move(start), std::move(end)};
+    }
     void contactTest(ContactResultMap &collisions, const ContactRequest &) override
     {
         if (!motion_)
