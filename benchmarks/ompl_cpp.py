@@ -227,34 +227,35 @@ def runs_of(lines: Iterable[list[str]], tasks: dict[str, Task]) -> Iterator[Run]
 
 
 def table(runs: Sequence[Run], tasks: dict[str, Task]) -> Iterator[str]:
-    """Medians and means in all groups, ratios, and what became of the paths."""
-    groups = [*dict.fromkeys(task.problem.group for task in tasks.values()), ALL]
+    """Medians and means by group and by what became of FCL's paths, with numbers of plans; then of all paths."""
+    plans: dict[tuple[str, int], dict[str, Run]] = {}
+    for run in runs:
+        plans.setdefault((run.problem, run.seed), {})[run.name] = run
+    groups = dict.fromkeys(task.problem.group for task in tasks.values())
+    chosen = {group: [p for (name, _), p in plans.items() if tasks[name].problem.group == group] for group in groups}
+    for proof in ("free", "colliding"):
+        chosen[f"FCL's path is {proof}"] = [p for p in plans.values() if p["fcl"].proof == proof]
+    chosen[ALL] = list(plans.values())
     names = "".join(f"{name:>22}" for name in NAMES)
     yield f"{'ms a plan, median (mean)':26}{names}   fcl / proven, median of ratios"
-    for group in groups:
-        seconds = {
-            name: np.array(
-                [r.seconds for r in runs if r.name == name and group in (ALL, tasks[r.problem].problem.group)]
-            )
-            for name in NAMES
-        }
+    for title, mine in chosen.items():
+        if not mine:
+            continue
+        seconds = {name: np.array([p[name].seconds for p in mine]) for name in NAMES}
         cells = "".join(f"{1e3 * np.median(s):12.3f} ({1e3 * s.mean():7.2f})" for s in seconds.values())
-        ratios = seconds["fcl"] / seconds["proven"]
-        of_medians = np.median(seconds["fcl"]) / np.median(seconds["proven"])
-        yield f"{group:26}{cells}{of_medians:8.1f}, {np.median(ratios):.1f}"
+        ratio = np.median(seconds["fcl"]) / np.median(seconds["proven"])
+        yield f"{title:26}{cells}{ratio:8.1f}, {np.median(seconds['fcl'] / seconds['proven']):.1f}  ({len(mine)})"
     for name in NAMES:
-        mine = [r for r in runs if r.name == name]
-        solved = [r for r in mine if r.solved]
-        proofs = {kind: sum(r.proof == kind for r in mine) for kind in ("free", "colliding", "ambiguous")}
+        each = [p[name] for p in plans.values()]
+        proofs = {kind: sum(r.proof == kind for r in each) for kind in ("free", "colliding", "ambiguous")}
         yield (
-            f"{name}: {len(solved)} of {len(mine)} solved; paths: {proofs['free']} proven, "
+            f"{name}: {sum(r.solved for r in each)} of {len(each)} solved; paths: {proofs['free']} proven, "
             f"{proofs['colliding']} collide somewhere, {proofs['ambiguous']} undecided; "
-            f"{np.median([r.motions for r in mine]):g} motions and {np.median([r.states for r in mine]):g} states "
-            "at the median"
+            f"{np.median([r.motions for r in each]):g} motions and {np.median([r.states for r in each]):g} states "
+            f"at the median, {1e6 * sum(r.seconds for r in each) / sum(r.motions for r in each):.1f} µs a motion"
         )
-    medians = {name: float(np.median([r.seconds for r in runs if r.name == name])) for name in NAMES}
-    ratio = medians["fcl"] / medians["proven"]
-    kept = "reached" if ratio >= FASTER and all(r.proof == "free" for r in runs if r.name == "proven") else "missed"
+    all_proven = all(p["proven"].proof == "free" for p in plans.values())
+    kept = "reached" if ratio >= FASTER and all_proven else "missed"
     yield f"proven motions: {ratio:.1f} times as fast as FCL's samples at the median, {FASTER:g} asked: {kept}"
 
 

@@ -5,6 +5,7 @@
 #include <loewner.hpp>
 #include <tesseract/collision/continuous_contact_manager.h>
 #include <tesseract/collision/discrete_contact_manager.h>
+#include <tesseract/common/contact_allowed_validator.h>
 
 namespace loewner_tesseract {
 

@@ -46,11 +46,7 @@ template <> struct std::hash<tesseract::common::LinkId> {
 namespace tesseract::common {
 using VectorIsometry3d = std::vector<Eigen::Isometry3d>;
 using LinkIdTransformMap = std::unordered_map<LinkId, Eigen::Isometry3d>;
-class ContactAllowedValidator {
-public:
-    virtual ~ContactAllowedValidator() = default;
-    virtual bool operator()(const LinkIdPair &pair) const = 0;
-};
+class ContactAllowedValidator;
 enum class CollisionMarginPairOverrideType { NONE, REPLACE, MODIFY };
 class CollisionMarginPairData {};
 class CollisionMarginData {
