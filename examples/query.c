@@ -1,6 +1,7 @@
 /* Ask a robot's checker from C: python examples/save_cell.py cell.lwn, then ./query cell.lwn
 
-   Build: cc examples/query.c $(python -m loewner --cflags --libs) -o query */
+   export PKG_CONFIG_PATH=$(loewner --pkg-config-dir)
+   cc examples/query.c $(pkg-config --cflags --libs loewner) -o query */
 
 #include <loewner.h>
 #include <stdio.h>
@@ -25,13 +26,14 @@ int main(int count, char **arguments)
     double *lower = calloc((size_t)dof, sizeof *lower), *upper = calloc((size_t)dof, sizeof *upper);
     double *start = calloc((size_t)dof, sizeof *start), *goal = calloc((size_t)dof, sizeof *goal);
     expect(loewner_checker_limits(checker, lower, upper));
-    int8_t verdict = LOEWNER_COLLIDING;
-    for (int tries = 0; verdict != LOEWNER_FREE || tries < 2; tries++) { /* two free configurations */
-        for (int k = 0; k < dof; k++) {
-            start[k] = verdict == LOEWNER_FREE ? goal[k] : start[k];
-            goal[k] = lower[k] + (upper[k] - lower[k]) * rand() / RAND_MAX;
-        }
-        expect(loewner_checker_collide(checker, workspace, goal, 1, &verdict));
+    double *free_ones[] = {start, goal};
+    for (int which = 0; which < 2; which++) {
+        int8_t verdict;
+        do {
+            for (int k = 0; k < dof; k++)
+                free_ones[which][k] = lower[k] + (upper[k] - lower[k]) * rand() / RAND_MAX;
+            expect(loewner_checker_collide(checker, workspace, free_ones[which], 1, &verdict));
+        } while (verdict != LOEWNER_FREE);
     }
     const double *path;
     size_t length;

@@ -76,7 +76,8 @@ HEADERS = SOURCES / "loewner" / "include"
 API_CODES = (*CODES, "INEXACT", "TOO_LONG", "BY_CARE", "MOST_POINTS", "MET", "SPENT", "FULL")
 API_COLUMNS = (
     "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
-    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE", "BOUNDS",
+    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
+    "BOUNDS",
 )  # fmt: skip
 API_CONSTANTS = {
     **{name: getattr(columns, name) for name in API_COLUMNS},
@@ -127,7 +128,13 @@ def recipe() -> str:
     """Hash of all that decides what is built, but for the levels and the interpreter."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED, API_DEFINED)).encode())
-    written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]"), *HERE.glob("capi/*.[ch]"), HEADERS / "loewner.h"]
+    written = [
+        HERE / "build.py",
+        HERE / "emit.py",
+        *HERE.glob("*.[ch]"),
+        *HERE.glob("capi/*.[ch]"),
+        HEADERS / "loewner.h",
+    ]
     besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "_ptx.py"
     for path in sorted([*written, *besides]):
         digest.update(path.read_bytes())
@@ -273,12 +280,19 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *undefined, "-ldl"], to, flags)
 
 
+def api_flags() -> list[str]:
+    """What the C compiler is told of the library for C.
+
+    No products are fused with sums, so that lengths and fractions are Python's to the last bit.
+    """
+    known = [*API_DEFINED, f'-DSOURCES="{source_hash()}"']
+    return [*known, "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
+
+
 def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the library for programs in C and C++."""
     sources = [HERE / "capi" / name for name in API]
-    # No products are fused with sums, so that lengths and fractions are Python's to the last bit.
-    strict = ["-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}", f'-DSOURCES="{source_hash()}"']
-    compile_c([*sources, *API_DEFINED, *strict, "-pthread", "-ldl", "-lm"], to, flags)
+    compile_c([*sources, *api_flags(), f"-Wl,-soname,{LIBRARY}", "-pthread", "-ldl", "-lm"], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:

@@ -77,7 +77,13 @@ def ask(name: str, *arguments: Any) -> Any:
     function = getattr(functions(), f"loewner_{name}")
     given = [ctypes.c_void_p(x.ctypes.data) if isinstance(x, np.ndarray) else x for x in arguments]
     found = function(*given)
-    if function.restype is ctypes.c_int and found != 0 and "count" not in name and "dof" not in name and "find" not in name:
+    if (
+        function.restype is ctypes.c_int
+        and found != 0
+        and "count" not in name
+        and "dof" not in name
+        and "find" not in name
+    ):
         raise Error(found, functions().loewner_error_text().decode())
     return found
 
@@ -186,8 +192,8 @@ class Checker(Handle):
     def certify_curves(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
         points = np.ascontiguousarray(points)
         out, at = np.full(len(points), 9, dtype=np.int8), np.empty(len(points))
-        ask("checker_certify_curves", self, self.workspace, points, size(len(points)), points.shape[1] - 1, None, out, at,
-            None)  # fmt: skip
+        shape = size(len(points)), points.shape[1] - 1
+        ask("checker_certify_curves", self, self.workspace, points, *shape, None, out, at, None)
         return out, at
 
     def plan(self, start: Any, goals: Any, seed: int = 0, joints: Any = None, cuts: int = 0) -> np.ndarray:
@@ -211,7 +217,15 @@ class Checker(Handle):
 
     def add(self, name: str, bodies: Bodies, which: int, T: Any) -> int:
         made = np.zeros(1, dtype=np.int32)
-        ask("checker_add", self, name.encode(), bodies, ctypes.c_int64(which), np.ascontiguousarray(T, dtype=float), made)
+        ask(
+            "checker_add",
+            self,
+            name.encode(),
+            bodies,
+            ctypes.c_int64(which),
+            np.ascontiguousarray(T, dtype=float),
+            made,
+        )
         return int(made[0])
 
     def attach(self, body: str, link: str, T: Any, touch: tuple[str, ...] = ()) -> None:

@@ -410,7 +410,7 @@ static loewner_status take_robot(File *file, const Header *header)
     for (int64_t k = 0; k < links; k++) {
         int64_t kind = tree->kind[k];
         EXPECT(-1 <= tree->parent[k] && tree->parent[k] < k && 0 <= kind && kind <= BALL, "parent, kind");
-        EXPECT(0 <= tree->column[k] && (kind == FIXED || tree->column[k] + widths[kind] <= dof), "column");
+        EXPECT(0 <= tree->column[k] && tree->column[k] <= dof - widths[kind], "column");
     }
     EXPECT(are_finite(tree->multiplier, links) && are_finite(tree->offset, links) &&
                are_finite(tree->constants, LINK_CONSTANTS * links),

@@ -118,8 +118,8 @@ class _Bodies:
         Parameters
         ----------
         path : path
-            Must end in ``.npz``; or in ``.lwn``, for programs in C and C++ (``loewner.h``), with prepared data that only
-            the same version of loewner reads. An existing file is replaced.
+            Must end in ``.npz``; or in ``.lwn``, for programs in C and C++ (``loewner.h``), with prepared data that
+            only the same version of loewner reads. An existing file is replaced.
 
         Raises
         ------
