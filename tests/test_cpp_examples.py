@@ -42,6 +42,7 @@ def cell(tmp_path, rng):
 
 
 def test_skeletons_compile_and_judge_as_python(cell, tmp_path):
+    """MoveIt's and Tesseract's skeletons compile against stubs, and their verdicts are those of Python."""
     checker, path = cell
     stubs = EXAMPLES / "moveit_cpp"
     program = built(tmp_path / "skeletons", HERE / "cpp_skeletons.cpp", f"-I{stubs}", f"-I{stubs / 'stubs'}")
@@ -71,6 +72,7 @@ def test_skeletons_compile_and_judge_as_python(cell, tmp_path):
 
 
 def test_ompl_proves_every_motion(cell, tmp_path):
+    """OMPL finds and shortens a path whose motions are all proven."""
     headers = Path("/usr/include/ompl-1.5"), Path("/usr/include/eigen3")
     if not all(folder.is_dir() for folder in headers):
         pytest.skip("OMPL for C++ is not installed: libompl-dev and libeigen3-dev of Debian")
