@@ -83,6 +83,7 @@ def assert_same(checker, mine, Q, *, exactly=True):
 
 
 def test_an_arm_answers_as_in_python(pair):
+    """All queries give the same bits, also of single pairs, and of links that somebody else placed."""
     checker, mine = pair
     Q = checker.robot.random_configurations(1500, seed=1)
     assert_same(checker, mine, Q)
@@ -98,6 +99,7 @@ def test_an_arm_answers_as_in_python(pair):
 
 
 def test_paths_are_those_of_python(pair):
+    """Equal seeds give equal paths, rough and shortened."""
     checker, mine = pair
     Q = checker.robot.random_configurations(300, seed=2)
     free = Q[~checker.collide(Q)]
@@ -117,6 +119,7 @@ def test_paths_are_those_of_python(pair):
 
 
 def test_some_joints_move_and_goals_are_refused(pair):
+    """A path moves the named joints only, and a start or goal that cannot be says why."""
     checker, mine = pair
     free = (q for q in checker.robot.random_configurations(300, seed=3) if not checker.collide(q))
     start = next(free)
@@ -133,6 +136,7 @@ def test_some_joints_move_and_goals_are_refused(pair):
 
 
 def test_curves_are_proven_as_courses(pair):
+    """Evenly spread points are the straight motion; FREE curves hold against samples, COLLIDING ones collide."""
     checker, mine = pair
     Q = checker.robot.random_configurations(400, seed=4)
     points = np.stack([Q[:100] + s * (Q[100:200] - Q[:100]) for s in (0.0, 0.05, 0.1)], axis=1)
@@ -151,6 +155,7 @@ def test_curves_are_proven_as_courses(pair):
 
 
 def test_every_kind_of_joint(tmp_path, rng):
+    """Floating, planar, turning and sliding joints; quaternions of either sign."""
     bodies = {"cart": Body.box([0.3, 0.2, 0.1]), "arm": Body.capsule(0.05, 0.3), "hand": Body.sphere(0.06)}
     robot = replace(written(tmp_path, AFLOAT), bodies=bodies)
     checker = CollisionChecker(robot, ring(rng, 8, 0.3, 0.8, 0.3))
@@ -172,6 +177,7 @@ def test_every_kind_of_joint(tmp_path, rng):
 
 
 def test_surfaces_and_clouds(panda, tmp_path, rng):
+    """Surfaces are whole for configurations and in parts for motions, also after they moved."""
     import trimesh
 
     scene = Scene(margin=0.01)
@@ -191,6 +197,7 @@ def test_surfaces_and_clouds(panda, tmp_path, rng):
 
 
 def test_bodies_are_added_attached_and_taken_away(pair, tmp_path, rng):
+    """Each change of the scene gives what the same change of Python's scene gives."""
     checker, mine = pair
     scene, Q = checker.scene, checker.robot.random_configurations(200, seed=1)
     mug = Body.union([Body.box([0.1, 0.02, 0.1]), Body.from_points(rng.normal(size=(300, 3)) * 0.05)]
@@ -234,6 +241,7 @@ def test_bodies_are_added_attached_and_taken_away(pair, tmp_path, rng):
 
 
 def test_pairs_of_bodies(tmp_path, rng):
+    """Queries without a robot: one body or all of a file, margins, and what is refused."""
     shapes = [Body.box([0.3, 0.2, 0.1]), Body.capsule(0.1, 0.3), Body.from_points(rng.normal(size=(20, 3)) * 0.1),
               Body.union([Body.sphere(0.1), Body.cone(0.1, 0.2)]), Body.cylinder(0.1, 0.2)]  # fmt: skip
     bodies = Bodies(shapes)
@@ -303,6 +311,7 @@ def forged(panda, tmp_path_factory):
 
 
 def test_a_file_is_whole_and_of_this_version(forged, tmp_path):
+    """A file that was cut, altered or written by another version is refused with the reason."""
     content, _ = forged
     path = tmp_path / "cell.lwn"
     assert sealed(content) == content
@@ -371,6 +380,7 @@ def test_files_with_any_changed_word_are_harmless(forged, tmp_path, count):
 
 
 def test_what_cannot_be_saved(panda, tmp_path):
+    """Another suffix, and bodies that follow motions."""
     checker = CollisionChecker(panda)
     with pytest.raises(InputError, match="ends in .lwn"):
         checker.save(tmp_path / "cell.npz")
@@ -384,6 +394,7 @@ def test_what_cannot_be_saved(panda, tmp_path):
 
 
 def test_bad_arguments_are_refused(pair):
+    """Numbers that are not finite, poses that are not rigid, unknown bodies and NULL are errors, and do no harm."""
     checker, mine = pair
     Q = checker.robot.random_configurations(3, seed=1)
     for value in (np.nan, np.inf, -1e300):
@@ -417,6 +428,7 @@ def test_bad_arguments_are_refused(pair):
 
 
 def test_threads_with_workspaces_of_their_own(pair):
+    """Eight threads get the same answers; the first one takes a change over."""
     checker, mine = pair
     Q = checker.robot.random_configurations(2000, seed=1)
     wanted, faults = checker.collide(Q), []
@@ -446,6 +458,7 @@ def compilers() -> list[str]:
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_headers_compile_without_a_warning(compiler, tmp_path):
+    """C11 and C++17, with all warnings as errors."""
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} here")
     for suffix, header, standards in (("c", "loewner.h", ("c11",)), ("cpp", "loewner.hpp", ("c++17",))):
@@ -459,6 +472,7 @@ def test_headers_compile_without_a_warning(compiler, tmp_path):
 
 
 def test_every_function_is_exported_and_nothing_else():
+    """The symbols of the library are the functions of the header."""
     nm = shutil.which("nm")
     if nm is None:
         pytest.skip("no nm here")
@@ -469,6 +483,7 @@ def test_every_function_is_exported_and_nothing_else():
 
 
 def test_the_examples_run(pair, tmp_path):
+    """The programs compile without a warning, find a path, and say what is wrong."""
     if not compilers():
         pytest.skip("no C compiler here")
     folder = Path(__file__).parents[1] / "examples"
@@ -525,6 +540,7 @@ def test_cmake_and_pkg_config_find_it(pair, tmp_path):
 
 
 def test_the_files_name_one_version():
+    """CMake, pkg-config and the package agree."""
     version = loewner.__version__
     share = INCLUDE.parent / "share"
     assert f'set(PACKAGE_VERSION "{version}")' in (share / "cmake" / "loewner-config-version.cmake").read_text()

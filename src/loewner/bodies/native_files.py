@@ -1,8 +1,8 @@
 """Flat files of arrays for programs without Python: `native/capi/files.c` maps them, and checks all that they contain.
 
-A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. The arrays are those that
-kernels take, as they are in memory; only addresses are replaced. Their layout is that of one version of the kernels,
-so the header names the version, and no other version reads the file.
+A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. Kernels take these arrays
+as they are, except for addresses, which the reader fills in. The layout of the arrays belongs to one version of the
+kernels, so the header names the version, and no other version reads the file.
 
 The header is the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after it, the
 hash of the kernels' sources, and eight counts: arrays, values of a configuration, links, moving bodies, static bodies,
@@ -74,7 +74,7 @@ def write(
     names : sequence of sequences of str
         Names of bodies, of links, and of the values of a configuration.
     arrays : dict
-        Arrays by their names in `BEFORE`; those that are missing are empty.
+        Arrays by their names in `BEFORE`; missing ones are empty.
     packs : sequence of Packed
         The bodies; and once more with surfaces in parts, if there are surfaces that can be cut.
     counts : tuple of int

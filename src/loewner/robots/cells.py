@@ -26,10 +26,10 @@ def save(path: str | os.PathLike[str], robot: Robot, ready: Problem, margin: flo
     Raises
     ------
     InputError
-        If bodies of the scene follow motions, which such programs do not know.
+        If bodies of the scene follow motions, since these programs have no time.
     """
     if ready.paths is not None:
-        raise InputError("expected a scene without bodies that follow motions, found some: programs in C have no time")
+        raise InputError("expected a scene without bodies that follow motions, found some: only Python has them")
     tree, whole = robot.tree, ready.packed
     below, above, turning = unlimited(robot)
     joints = np.array([name in robot.joint_names for name in robot.configuration_names], dtype=np.int64)
