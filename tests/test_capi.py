@@ -545,3 +545,29 @@ def test_the_files_name_one_version():
     share = INCLUDE.parent / "share"
     assert f'set(PACKAGE_VERSION "{version}")' in (share / "cmake" / "loewner-config-version.cmake").read_text()
     assert f"Version: {version}\n" in (share / "pkgconfig" / "loewner.pc").read_text()
+
+
+@pytest.mark.filterwarnings("ignore:attach of 'b1'")
+def test_margins_and_allowed_pairs_of_static_bodies_travel(panda, tmp_path, rng):
+    """They say nothing while the bodies stand, and hold when one is attached or another body is added."""
+    scene = ring(rng, 6, 0.3, 0.6, 0.25)
+    scene.set_margin(0.04, "b1")
+    scene.set_margin(0.03, "panda_hand")
+    scene.set_margin(0.06, "b2", "b3")
+    scene.set_margin(0.0, "b4", lower=True)
+    scene.allow("b1", "b5")
+    scene.widen(0.01)
+    checker = CollisionChecker(panda, scene)
+    checker.save(tmp_path / "cell.lwn")
+    Body.box([0.1, 0.1, 0.1]).save(tmp_path / "box.lwn")
+    mine, Q = capi.Checker(tmp_path / "cell.lwn"), panda.random_configurations(300, seed=1)
+    assert_same(checker, mine, Q)
+    T = pose(rng)
+    scene.add("box", Body.box([0.1, 0.1, 0.1]), T)
+    mine.add("box", capi.Bodies(tmp_path / "box.lwn"), 0, T)
+    assert_same(checker, mine, Q)
+    for name in ("b1", "b2", "b4"):
+        H = pose(rng, 0.1, 0.2)
+        scene.attach(name, "panda_hand", H)
+        mine.attach(name, "panda_hand", H)
+        assert_same(checker, mine, Q, exactly=False)

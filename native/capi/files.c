@@ -49,7 +49,7 @@ static const int64_t item_sizes[] = {8, 8, 4, 1};
 /* The arrays before the packs, in order. */
 enum {
     NAMES, PARENT, KIND, COLUMN, MULTIPLIER, OFFSET, CONSTANTS, LIMITS, JOINTS, QUATERNIONS, LINK, PAIRS, MARGINS, ORDER,
-    MARGIN, POSES, BEFORE,
+    MARGIN, POSES, OWN, LOWERED, RULES, RULE_MARGINS, BEFORE,
 };
 
 static loewner_status damaged(const char *what)
@@ -406,6 +406,17 @@ static loewner_status take_robot(File *file, const Header *header)
     TRY(take(file, MARGINS, DOUBLES, file->pairs, 1, "margins", &file->margins, NULL));
     TRY(take(file, ORDER, INTEGERS, file->pairs, 1, "order", &file->order, NULL));
     TRY(take(file, POSES, DOUBLES, header->standing, 16, "poses", &file->poses, NULL));
+    TRY(take(file, OWN, DOUBLES, bodies, 1, "own", &file->own, NULL));
+    TRY(take(file, LOWERED, INTEGERS, bodies, 1, "lowered", &file->lowered, NULL));
+    TRY(take(file, RULES, INTEGERS, -1, 3, "rules", &file->rules, &file->rule_count));
+    TRY(take(file, RULE_MARGINS, DOUBLES, file->rule_count, 1, "rule_margins", &file->rule_margins, NULL));
+    for (int64_t k = 0; k < bodies; k++)
+        EXPECT(file->own[k] >= 0 && file->own[k] <= 1e30, "own");
+    for (int64_t k = 0; k < file->rule_count; k++) {
+        const int64_t *rule = file->rules + 3 * k;
+        EXPECT(moving <= rule[0] && rule[0] < rule[1] && rule[1] < bodies && (rule[2] == 0 || rule[2] == 1), "rules");
+        EXPECT(file->rule_margins[k] == -1 || (file->rule_margins[k] >= 0 && file->rule_margins[k] <= 1e30), "rules");
+    }
     tree->links = links;
     for (int64_t k = 0; k < links; k++) {
         int64_t kind = tree->kind[k];

@@ -152,6 +152,10 @@ typedef struct {
     const int64_t *link, *pair_list, *order;
     const double *margins, *poses;
     double margin;
+    const double *own;              /* margins of single bodies */
+    const int64_t *lowered, *rules; /* rules of pairs of static bodies: two bodies, and whether they may touch */
+    const double *rule_margins;     /* -1 for none */
+    int64_t rule_count;
     Pack whole, cut;
 } File;
 

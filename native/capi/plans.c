@@ -463,10 +463,11 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
     if (at >= 0)
         return fail(LOEWNER_NOT_FREE, "path: expected free motions, found the one from row %lld, which is not proven free",
                     (long long)at);
-    if (path != workspace->path) {
-        TRY(make_room(workspace, rows, (int64_t)dof));
-        memcpy(workspace->path, path, n * dof * sizeof *path);
-    }
+    /* The path may lie in the workspace, which may move while it grows. */
+    int is_own = workspace->path != NULL && path >= workspace->path && path < workspace->path + workspace->path_room;
+    ptrdiff_t begin = is_own ? path - workspace->path : 0;
+    TRY(make_room(workspace, (is_own ? (int64_t)begin / (int64_t)dof + 1 : 0) + rows, (int64_t)dof));
+    memmove(workspace->path, is_own ? workspace->path + begin : path, n * dof * sizeof *path);
     if (options->cuts >= 0)
         TRY(cut_corners(&judge, &rows, options->cuts > 0 ? options->cuts : USUAL_CUTS, options->seed));
     *shorter = workspace->path;

@@ -327,8 +327,16 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
     const File *file = checker->file;
     const Body *one = checker->bodies + a, *other = checker->bodies + b;
     const Rule *rule = rule_of(checker, a, b);
-    *margin = file->margin;
-    int is = 1;
+    int is = 1, is_lowered = 0;
+    *margin = 0;
+    for (int side = 0; side < 2; side++) { /* `_margins` of checked_pairs.py, for pairs with at most one link */
+        int32_t body = side == 0 ? a : b;
+        if (body < file->bodies) {
+            *margin = fmax(*margin, file->own[body]);
+            is_lowered |= file->lowered[body] != 0;
+        }
+    }
+    *margin = is_lowered ? *margin : fmax(*margin, file->margin);
     /* The file knows the pairs with a body that moves in it. */
     if (a < file->moving && b < file->bodies) {
         int64_t pair = listed_pair(file, a, b);
@@ -336,6 +344,11 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
         if (is)
             *margin = file->margins[pair];
     }
+    for (int64_t k = 0; a >= file->moving && b < file->bodies && k < file->rule_count; k++)
+        if (file->rules[3 * k] == a && file->rules[3 * k + 1] == b) {
+            is = !file->rules[3 * k + 2];
+            *margin = file->rule_margins[k] >= 0 ? file->rule_margins[k] : *margin;
+        }
     if ((one->is_attached && touches(one, other)) || (other->is_attached && touches(other, one)))
         is = 0;
     if (rule != NULL && rule->has_allowed)
@@ -450,12 +463,9 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 /* How long a chain of links is, from the world's origin to the origin of one: at most the sum of its translations. */
 static double length_of(const Tree *tree, int64_t link)
 {
-    double length = 0;
-    for (; link >= 0; link = tree->parent[link]) {
-        const double *shift = tree->constants + LINK_CONSTANTS * link + TRANSLATION;
-        length += sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2]);
-    }
-    return length;
+    const double *shift = tree->constants + LINK_CONSTANTS * link + TRANSLATION;
+    double own = sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2]);
+    return own + (tree->parent[link] >= 0 ? length_of(tree, tree->parent[link]) : 0);
 }
 
 static loewner_status place(const State *state, Half *half, int into)
