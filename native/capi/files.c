@@ -1,7 +1,7 @@
 /* Maps the files that `loewner/bodies/native_files.py` describes.
 
-   A file is untrusted: its checksum finds damage, but anybody can compute one. So every size, index and number is checked
-   before a kernel uses it. A check that fails ends with the name of the array. */
+   A file is untrusted: its checksum finds damage, but anybody can compute one. So every size, index and number is
+   checked before a kernel uses it. A check that fails ends with the name of the array. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -48,8 +48,27 @@ static const int64_t item_sizes[] = {8, 8, 4, 1};
 
 /* The arrays before the packs, in order. */
 enum {
-    NAMES, PARENT, KIND, COLUMN, MULTIPLIER, OFFSET, CONSTANTS, LIMITS, JOINTS, QUATERNIONS, LINK, PAIRS, MARGINS, ORDER,
-    MARGIN, POSES, OWN, LOWERED, RULES, RULE_MARGINS, BEFORE,
+    NAMES,
+    PARENT,
+    KIND,
+    COLUMN,
+    MULTIPLIER,
+    OFFSET,
+    CONSTANTS,
+    LIMITS,
+    JOINTS,
+    QUATERNIONS,
+    LINK,
+    PAIRS,
+    MARGINS,
+    ORDER,
+    MARGIN,
+    POSES,
+    OWN,
+    LOWERED,
+    RULES,
+    RULE_MARGINS,
+    BEFORE,
 };
 
 static loewner_status damaged(const char *what)
@@ -63,7 +82,7 @@ static loewner_status damaged(const char *what)
             return damaged(what);                                                                                      \
     } while (0)
 
-/* -- the container --------------------------------------------------------------------------------------------------- */
+/* -- the container ------------------------------------------------------------------------------------------------- */
 
 static uint64_t checksum(const char *content, size_t size)
 {
@@ -109,10 +128,13 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     memcpy(&header->format, content + 8, 24);
     memcpy(numbers, content + 32 + SOURCES_LENGTH, sizeof numbers);
     if (header->format != FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
-        return fail(LOEWNER_OTHER_VERSION, "%.300s: expected a file of this version of loewner, found one of another; "
-                    "save it again", path);
+        return fail(LOEWNER_OTHER_VERSION,
+                    "%.300s: expected a file of this version of loewner, found one of another; "
+                    "save it again",
+                    path);
     EXPECT(header->size == file->size, "its size is not the one in its header");
-    EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM), "its checksum differs");
+    EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
+           "its checksum differs");
     for (int k = 0; k < 8; k++)
         EXPECT(numbers[k] < (uint64_t)MOST, "a count in its header");
     header->arrays = (int64_t)numbers[0];
@@ -122,8 +144,8 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     header->standing = (int64_t)numbers[4];
     header->has_cut = (int64_t)numbers[5];
     header->surfaces = (int64_t)numbers[6];
-    EXPECT(header->has_cut <= 1 && header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) +
-                                                         SURFACE_ARRAYS * header->surfaces,
+    EXPECT(header->has_cut <= 1 &&
+               header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) + SURFACE_ARRAYS * header->surfaces,
            "the number of its arrays");
     EXPECT(header->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
     EXPECT(HEADER + 32 * header->arrays <= (int64_t)file->size, "its directory");
@@ -135,10 +157,12 @@ static loewner_status look_up(const File *file, int64_t number, Found *found)
 {
     int64_t row[4];
     memcpy(row, (const char *)file->map + HEADER + 32 * number, sizeof row);
-    EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST, "its directory");
+    EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST,
+           "its directory");
     EXPECT(row[2] == 0 || row[1] <= MOST / row[2], "its directory");
     int64_t bytes = row[1] * row[2] * item_sizes[row[0]], size = (int64_t)file->size;
-    EXPECT(row[3] % CACHE_LINE == 0 && HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3], "its directory");
+    EXPECT(row[3] % CACHE_LINE == 0 && HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3],
+           "its directory");
     *found = (Found){row[0], row[1], row[2], (const char *)file->map + row[3]};
     return LOEWNER_OK;
 }
@@ -189,9 +213,10 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
     return is;
 }
 
-/* -- packs ----------------------------------------------------------------------------------------------------------- */
+/* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take two. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take
+ * two. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -329,7 +354,8 @@ static loewner_status take_surface(const File *file, int64_t at, int64_t words[S
     TRY(take(file, at + 4, SINGLES, -1, 1, "diagonals of a surface", &diagonals, &sizes[4]));
     int64_t nodes = sizes[1] / WIDE_SURFACE, leaves = sizes[2] / BLOCK_NUMBERS;
     EXPECT(nodes >= 1 && leaves >= 1 && sizes[1] % WIDE_SURFACE == 0 && sizes[2] % BLOCK_NUMBERS == 0, "a surface");
-    EXPECT(sizes[0] == 6 * WIDE_SURFACE * nodes && sizes[4] == DIAGONAL_NUMBERS * nodes && sizes[3] % 3 == 0, "a surface");
+    EXPECT(sizes[0] == 6 * WIDE_SURFACE * nodes && sizes[4] == DIAGONAL_NUMBERS * nodes && sizes[3] % 3 == 0,
+           "a surface");
     for (int64_t k = 0; k < sizes[0]; k++)
         EXPECT(!isnan(boxes[k]), "boxes of a surface");
     for (int64_t k = 0; k < sizes[4]; k++)
@@ -384,7 +410,7 @@ static loewner_status link_surfaces(File *file, Pack *pack, int which)
     return LOEWNER_OK;
 }
 
-/* -- robots ---------------------------------------------------------------------------------------------------------- */
+/* -- robots -------------------------------------------------------------------------------------------------------- */
 
 static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* values of a joint, by its kind in `columns.py` */
 
@@ -495,7 +521,7 @@ static loewner_status take_all(File *file, const Header *header)
     return link_surfaces(file, &file->cut, 1);
 }
 
-/* -- files ----------------------------------------------------------------------------------------------------------- */
+/* -- files --------------------------------------------------------------------------------------------------------- */
 
 loewner_status open_file(const char *path, File **made)
 {
@@ -533,17 +559,47 @@ void write_words(const Pack *pack, int64_t words[PACK_WORDS])
 {
     int64_t singles = pack->is_single ? pack->pieces : 0, starts = pack->has_parts ? PARTS * pack->pieces : 0;
     const int64_t rows[PACK_WORDS] = {
-        (int64_t)pack->table,       pack->pieces,                COLUMNS, (int64_t)pack->layout,     pack->pieces, LAYOUT,
-        (int64_t)pack->points,      pack->numbers,               1,       (int64_t)pack->piece_start, pack->bodies + 1, 1,
-        (int64_t)pack->hot,         pack->pieces,                HOT,     (int64_t)pack->single,     singles, HOT,
-        (int64_t)pack->tree_groups, GROUP_NUMBERS * pack->groups, 1,      (int64_t)pack->children,   WIDE * pack->groups, 1,
-        (int64_t)pack->roots,       pack->bodies,                1,       (int64_t)pack->vertices,
-        pack->is_single ? pack->numbers : 0, 1, (int64_t)pack->part_rows, pack->parts, HOT, (int64_t)pack->part_start, starts, 1,
+        (int64_t)pack->table,
+        pack->pieces,
+        COLUMNS,
+        (int64_t)pack->layout,
+        pack->pieces,
+        LAYOUT,
+        (int64_t)pack->points,
+        pack->numbers,
+        1,
+        (int64_t)pack->piece_start,
+        pack->bodies + 1,
+        1,
+        (int64_t)pack->hot,
+        pack->pieces,
+        HOT,
+        (int64_t)pack->single,
+        singles,
+        HOT,
+        (int64_t)pack->tree_groups,
+        GROUP_NUMBERS * pack->groups,
+        1,
+        (int64_t)pack->children,
+        WIDE * pack->groups,
+        1,
+        (int64_t)pack->roots,
+        pack->bodies,
+        1,
+        (int64_t)pack->vertices,
+        pack->is_single ? pack->numbers : 0,
+        1,
+        (int64_t)pack->part_rows,
+        pack->parts,
+        HOT,
+        (int64_t)pack->part_start,
+        starts,
+        1,
     };
     memcpy(words, rows, sizeof rows);
 }
 
-/* -- bodies ---------------------------------------------------------------------------------------------------------- */
+/* -- bodies -------------------------------------------------------------------------------------------------------- */
 
 loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
 {

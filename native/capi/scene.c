@@ -9,7 +9,7 @@
 
 static _Atomic uint64_t serials = 1;
 
-/* -- memory of a state ----------------------------------------------------------------------------------------------- */
+/* -- memory of a state --------------------------------------------------------------------------------------------- */
 
 /* Memory that lives as long as the state; NULL if there is none. */
 static void *room(State *state, int64_t count, size_t size)
@@ -41,7 +41,7 @@ static void leave_state(State *state)
     memset(state, 0, sizeof *state);
 }
 
-/* -- packs of chosen bodies ------------------------------------------------------------------------------------------ */
+/* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
 typedef struct {
     int64_t bodies, pieces, numbers, groups, parts;
@@ -100,13 +100,15 @@ static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
         const int64_t none[PARTS] = {0, 0, 0}, *rows = pack->has_parts ? pack->part_start + PARTS * (first + p) : none;
         for (int k = 0; k < PARTS; k++)
             part_start[PARTS * (q + p) + k] = at->parts + rows[k] - rows[0];
-        memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0], sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
+        memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0],
+               sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
         at->parts += rows[2] - rows[0];
     }
     for (int64_t c = 0; c < WIDE * count.groups; c++) {
         int64_t child = pack->children[WIDE * from.groups + c];
-        children[WIDE * at->groups + c] = child >= 0 ? child - from.groups + at->groups
-                                          : child == -1 && first > 0 ? -1 : ~(~child - first + q);
+        children[WIDE * at->groups + c] = child >= 0                 ? child - from.groups + at->groups
+                                          : child == -1 && first > 0 ? -1
+                                                                     : ~(~child - first + q);
     }
     ((int64_t *)made->roots)[at->bodies] = count.groups == 0 ? -1 : at->groups + count.groups - 1;
     at->bodies++;
@@ -142,15 +144,16 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     made->parts = total.parts;
     int64_t starts = made->has_parts ? PARTS * total.pieces : 0;
     const void **const arrays[] = {
-        (const void **)&made->table,       (const void **)&made->layout,   (const void **)&made->points,
-        (const void **)&made->piece_start, (const void **)&made->hot,      (const void **)&made->single,
-        (const void **)&made->tree_groups, (const void **)&made->children, (const void **)&made->roots,
+        (const void **)&made->table,       (const void **)&made->layout,    (const void **)&made->points,
+        (const void **)&made->piece_start, (const void **)&made->hot,       (const void **)&made->single,
+        (const void **)&made->tree_groups, (const void **)&made->children,  (const void **)&made->roots,
         (const void **)&made->vertices,    (const void **)&made->part_rows, (const void **)&made->part_start,
     };
     const int64_t sizes[] = {
-        8 * COLUMNS * total.pieces, 8 * LAYOUT * total.pieces, 8 * total.numbers, 8 * (bodies + 1), 8 * HOT * total.pieces,
-        4 * HOT * total.pieces, 8 * 48 * total.groups, 8 * WIDE * total.groups, 8 * bodies, 4 * total.numbers,
-        8 * HOT * total.parts, 8 * starts,
+        8 * COLUMNS * total.pieces, 8 * LAYOUT * total.pieces, 8 * total.numbers,
+        8 * (bodies + 1),           8 * HOT * total.pieces,    4 * HOT * total.pieces,
+        8 * 48 * total.groups,      8 * WIDE * total.groups,   8 * bodies,
+        4 * total.numbers,          8 * HOT * total.parts,     8 * starts,
     };
     int64_t bytes = 0;
     for (int k = 0; k < PACK_ARRAYS; k++)
@@ -170,7 +173,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     return LOEWNER_OK;
 }
 
-/* -- links ----------------------------------------------------------------------------------------------------------- */
+/* -- links --------------------------------------------------------------------------------------------------------- */
 
 /* The first link with which one is rigidly joined; -1 is the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
@@ -207,8 +210,9 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
         return LOEWNER_OK;
     state->tree.links = links + more;
     const void **const arrays[] = {
-        (const void **)&state->tree.parent,     (const void **)&state->tree.kind,   (const void **)&state->tree.column,
-        (const void **)&state->tree.multiplier, (const void **)&state->tree.offset, (const void **)&state->tree.constants,
+        (const void **)&state->tree.parent, (const void **)&state->tree.kind,
+        (const void **)&state->tree.column, (const void **)&state->tree.multiplier,
+        (const void **)&state->tree.offset, (const void **)&state->tree.constants,
     };
     for (int k = 0; k < 6; k++) {
         size_t size = k < 5 ? 8 : 8 * LINK_CONSTANTS;
@@ -286,7 +290,7 @@ static double bend_of(const Tree *tree)
     return total;
 }
 
-/* -- pairs ----------------------------------------------------------------------------------------------------------- */
+/* -- pairs --------------------------------------------------------------------------------------------------------- */
 
 static const Rule *rule_of(const loewner_checker *checker, int32_t a, int32_t b)
 {
@@ -458,7 +462,7 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
     return LOEWNER_OK;
 }
 
-/* -- halves ---------------------------------------------------------------------------------------------------------- */
+/* -- halves -------------------------------------------------------------------------------------------------------- */
 
 /* How long a chain of links is, from the world's origin to the origin of one: at most the sum of its translations. */
 static double length_of(const Tree *tree, int64_t link)
@@ -475,7 +479,10 @@ static loewner_status place(const State *state, Half *half, int into)
         Array1 block;
         Array2 poses;
     } arguments = {
-        (int64_t)half->words, half->handle, {half->blocks[into], half->block_words}, {state->poses, state->standing, 16},
+        (int64_t)half->words,
+        half->handle,
+        {half->blocks[into], half->block_words},
+        {state->poses, state->standing, 16},
     };
     TRY(call(kernels()->place_static, &arguments, &half->handle));
     half->motions = half->handle + 8 * 3 * (TABLE_ROWS - 10);
@@ -488,7 +495,8 @@ static loewner_status measure(const loewner_checker *checker, Half *half, int is
 {
     const Kernels *known = kernels();
     const int64_t arguments[] = {(int64_t)half->words, half->handle, checker->file->dof};
-    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances, known->motion_memory};
+    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
+                            known->motion_memory};
     half->memory = known->settle_memory;
     for (int k = 0; k < 3 + is_for_motions; k++) {
         int64_t size = 0;
@@ -524,10 +532,11 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
     half->chain[0] = (double)(1 + deepest);
     half->chain[1] = longest * STRETCH;
     half->chain[2] = bend_of(&state->tree);
-    /* The arrays of a block that depend on poses, in words; the last one starts as NaN, which differs from all poses. */
+    /* The arrays of a block that depend on poses, in words; the last one starts as NaN, which differs from all poses.
+     */
     const int64_t sizes[] = {
-        bodies * links,         pieces * HOT,     state->standing,     64 * state->groups,
-        state->standing * BOUNDS / 2, pieces * HOT / 2, 16 * state->standing,
+        bodies * links,   pieces * HOT,         state->standing, 64 * state->groups, state->standing * BOUNDS / 2,
+        pieces * HOT / 2, 16 * state->standing,
     };
     int64_t words = TABLE_WORDS + CACHE_LINE / 8, at[7];
     for (int k = 0; k < 7; k++)
@@ -549,16 +558,79 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
         ((double *)at[6])[k] = NAN;
     const Tree *tree = &state->tree;
     const int64_t paths = state->path_start[links], table[TABLE_WORDS] = {
-        (int64_t)tree->parent, links, 1, (int64_t)tree->kind, links, 1, (int64_t)tree->column, links, 1,
-        (int64_t)tree->multiplier, links, 1, (int64_t)tree->offset, links, 1, (int64_t)tree->constants, links, LINK_CONSTANTS,
-        (int64_t)state->link, state->moving, 1, (int64_t)half->ball, state->moving, 5,
-        (int64_t)state->pair_list, pairs, 2, (int64_t)state->margins, pairs, 1, (int64_t)state->order, pairs, 1,
-        at[4], state->standing, BOUNDS, at[5], pieces, HOT, at[6], state->standing, 16,
-        (int64_t)state->path_start, links + 1, 1, (int64_t)state->path_link, paths, 1,
-        at[0], bodies, links, at[1], pieces, HOT, at[2], state->standing, 1, (int64_t)state->motion_order, pairs, 1,
-        (int64_t)state->group_start, state->moving + 1, 1, (int64_t)state->group_pairs, 8 * state->groups, 1,
-        at[3], 64 * state->groups, 1, (int64_t)half->chain, 3, 1,
-    };
+                                                        (int64_t)tree->parent,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->kind,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->column,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->multiplier,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->offset,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->constants,
+                                                        links,
+                                                        LINK_CONSTANTS,
+                                                        (int64_t)state->link,
+                                                        state->moving,
+                                                        1,
+                                                        (int64_t)half->ball,
+                                                        state->moving,
+                                                        5,
+                                                        (int64_t)state->pair_list,
+                                                        pairs,
+                                                        2,
+                                                        (int64_t)state->margins,
+                                                        pairs,
+                                                        1,
+                                                        (int64_t)state->order,
+                                                        pairs,
+                                                        1,
+                                                        at[4],
+                                                        state->standing,
+                                                        BOUNDS,
+                                                        at[5],
+                                                        pieces,
+                                                        HOT,
+                                                        at[6],
+                                                        state->standing,
+                                                        16,
+                                                        (int64_t)state->path_start,
+                                                        links + 1,
+                                                        1,
+                                                        (int64_t)state->path_link,
+                                                        paths,
+                                                        1,
+                                                        at[0],
+                                                        bodies,
+                                                        links,
+                                                        at[1],
+                                                        pieces,
+                                                        HOT,
+                                                        at[2],
+                                                        state->standing,
+                                                        1,
+                                                        (int64_t)state->motion_order,
+                                                        pairs,
+                                                        1,
+                                                        (int64_t)state->group_start,
+                                                        state->moving + 1,
+                                                        1,
+                                                        (int64_t)state->group_pairs,
+                                                        8 * state->groups,
+                                                        1,
+                                                        at[3],
+                                                        64 * state->groups,
+                                                        1,
+                                                        (int64_t)half->chain,
+                                                        3,
+                                                        1,
+                                                    };
     memcpy(block, table, sizeof table);
     half->handle = (int64_t)block;
     const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + 8 * 3 * (TABLE_ROWS - 10)};
@@ -568,7 +640,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
     return measure(checker, half, is_for_motions);
 }
 
-/* -- states ---------------------------------------------------------------------------------------------------------- */
+/* -- states -------------------------------------------------------------------------------------------------------- */
 
 /* Put the moving bodies first: those of the robot, then those that are attached; then those that stand. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
@@ -673,7 +745,7 @@ const Half *half_of_motions(const loewner_checker *checker)
     return checker->state.cut.words[0] != 0 ? &checker->state.cut : &checker->state.whole;
 }
 
-/* -- workspaces ------------------------------------------------------------------------------------------------------ */
+/* -- workspaces ---------------------------------------------------------------------------------------------------- */
 
 loewner_status loewner_workspace_new(loewner_workspace **workspace)
 {
@@ -701,7 +773,8 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
 {
     const State *state = &checker->state;
     const Half *half = half_of_motions(checker);
-    size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs, bodies = (size_t)(state->moving + state->standing);
+    size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs,
+           bodies = (size_t)(state->moving + state->standing);
     size_t memory = (size_t)(half->memory > state->whole.memory ? half->memory : state->whole.memory);
     const Part parts[] = {
         {(void **)&workspace->memory, memory},
@@ -773,7 +846,7 @@ loewner_status prepare(const loewner_checker *checker, loewner_workspace *worksp
     return workspace->serial == checker->serial ? LOEWNER_OK : bind(checker, workspace);
 }
 
-/* -- checkers -------------------------------------------------------------------------------------------------------- */
+/* -- checkers ------------------------------------------------------------------------------------------------------ */
 
 loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
 {
@@ -791,7 +864,8 @@ loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
     if (made == NULL || made->bodies == NULL)
         outcome = no_memory();
     else if (file->moving == 0 || file->dof == 0)
-        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only", path);
+        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only",
+                       path);
     if (outcome != LOEWNER_OK) {
         if (made != NULL)
             free(made->bodies);
@@ -915,7 +989,7 @@ loewner_status loewner_checker_limits(const loewner_checker *checker, double *lo
     return LOEWNER_OK;
 }
 
-/* -- changes --------------------------------------------------------------------------------------------------------- */
+/* -- changes ------------------------------------------------------------------------------------------------------- */
 
 static void spoil(loewner_checker *checker, int how)
 {
@@ -940,7 +1014,8 @@ loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bod
     for (size_t k = 0; k < n; k++) {
         TRY(expect_body(checker, bodies[k]));
         if (checker->bodies[bodies[k]].link >= 0)
-            return fail(LOEWNER_BAD_ARGUMENT, "bodies: expected bodies that stand in the scene, found %s, which is on a link",
+            return fail(LOEWNER_BAD_ARGUMENT,
+                        "bodies: expected bodies that stand in the scene, found %s, which is on a link",
                         checker->bodies[bodies[k]].name);
     }
     for (size_t k = 0; k < n; k++)
@@ -997,7 +1072,8 @@ loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, in
         return fail(LOEWNER_BAD_ARGUMENT, "pose_in_link, touch_links: expected pointers, found NULL");
     Body *its = checker->bodies + body;
     if (its->link >= 0 && !its->is_attached)
-        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body of the scene, found %s, which belongs to the robot", its->name);
+        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body of the scene, found %s, which belongs to the robot",
+                    its->name);
     TRY(check_poses(pose_in_link, 1, "pose_in_link"));
     for (size_t k = 0; k <= touch_count; k++) {
         int32_t named = k < touch_count ? touch_links[k] : link;
