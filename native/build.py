@@ -19,7 +19,6 @@ import sys
 import sysconfig
 import tempfile
 import time
-from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -32,7 +31,7 @@ from loewner import _ptx  # noqa: E402
 from loewner._kernels import codes  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
-from loewner._native.library import HOME, LIST  # noqa: E402
+from loewner._native.library import CALL, HOME, LIST  # noqa: E402
 from loewner.robots.edges import NEARLY_WHOLE  # noqa: E402
 
 # By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
@@ -55,8 +54,9 @@ FIRST = (
 )  # fmt: skip
 
 
-# What the C compiler is told of files that people get.
-RELEASE = ("-O2", "-s")
+# What the C compiler is told of files that people get. The linker of macOS knows no -s; nobody has tried Windows yet.
+MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
+RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
@@ -86,7 +86,7 @@ def architecture() -> str:
 
 
 def recipe() -> str:
-    """Hash of all that decides what is built, but for the levels and the interpreter."""
+    """Hash of all that decides what is built, but for the levels."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED)).encode())
     written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]")]
@@ -97,10 +97,10 @@ def recipe() -> str:
 
 
 def is_built(levels: list[str], home: Path = HOME) -> bool:
-    """Tell whether the library is there for these levels and this interpreter, and whole."""
+    """Tell whether the library is there for these levels, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
-        wanted = [f"kernels-{level}.so" for level in levels] + [f"_call{EXTENSION_SUFFIXES[0]}", _ptx.NAME]
+        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME]
         return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
@@ -118,9 +118,10 @@ def told(level: str) -> dict[str, str]:
 def machine_level() -> str:
     """Level of this machine's processor, asked of the extension."""
     with tempfile.TemporaryDirectory() as folder:
-        extension = Path(folder, f"_call{EXTENSION_SUFFIXES[0]}")
+        extension = Path(folder, CALL)
         compile_extension(extension)
-        ask = f"import sys; sys.path.insert(0, {folder!r}); import _call; print(*_call.levels())"
+        ask = f"import sys; sys.path.insert(0, {str(SOURCES)!r}); from loewner._native.library import loaded; "
+        ask += f"print(*loaded({str(extension)!r}).levels())"
         found = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.split()
     if not found:
         raise BuildError("this processor is older than all levels that are built; Numba compiles for it")
@@ -144,7 +145,7 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
     before = source_hash()
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
         work = Path(folder)
-        compile_extension(work / f"_call{EXTENSION_SUFFIXES[0]}")  # first: it fails at once where there is no compiler
+        compile_extension(work / CALL)  # first: it fails at once where there is no compiler
         run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
         # For one level two processes compile half each, and hand each other what the halves share; several levels
         # keep processes busy enough, and each file is a ninth smaller.
@@ -223,27 +224,28 @@ def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
 
 
 def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Compile the extension for this interpreter."""
+    """Compile the extension, which any Python from 3.11 on can load: see `call.h`."""
     import numpy
 
     headers = Path(sysconfig.get_path("include"), "Python.h")
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
-    undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *undefined, "-ldl"], to, flags)
+    python = ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
+    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
     """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
-    strict = [] if sys.platform == "darwin" else ["-Wl,-z,defs", "-Wl,--gc-sections"]
-    compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict, "-lm"], to)
+    strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
+    compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Call the C compiler: that of the environment, or `cc`."""
-    compiler = shlex.split(os.environ.get("CC") or "cc")
-    command = [*compiler, *flags, "-std=gnu11", "-Wall", "-fPIC", "-shared", "-o", str(to), *map(str, what)]
+    """Call the C compiler: that of the environment, or `cc`; on Windows `clang`."""
+    compiler = shlex.split(os.environ.get("CC") or ("clang" if WINDOWS else "cc"))
+    strict = ["-std=gnu11", "-Wall", "-Werror=implicit-function-declaration", *([] if WINDOWS else ["-fPIC"])]
+    command = [*compiler, *flags, *strict, "-shared", "-o", str(to), *map(str, what)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:

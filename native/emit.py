@@ -140,6 +140,7 @@ def shim(module: ir.Module, entry: Entry, result) -> None:
     context, signature = result.target_context, result.signature
     pointer = SLOT.as_pointer()
     outer = ir.Function(module, ir.FunctionType(ir.IntType(32), [pointer, pointer]), PREFIX + entry.name)
+    outer.storage_class = "dllexport" if sys.platform == "win32" else ""
     builder = ir.IRBuilder(outer.append_basic_block())
     inner = context.declare_function(module, result.fndesc)
     at = iter(range(1000))

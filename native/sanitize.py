@@ -12,7 +12,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 from build import HERE, SOURCES, BuildError, _sum, compile_extension
@@ -39,7 +38,7 @@ def instrumented(to: Path) -> None:
     if library.level() is None:
         raise BuildError(f"expected a native library that is built, found none ({library.why_not()})")
     shutil.rmtree(to, ignore_errors=True)
-    name = f"_call{EXTENSION_SUFFIXES[0]}"
+    name = library.CALL
     package = to / "loewner"
     shutil.copytree(SOURCES / "loewner", package, ignore=shutil.ignore_patterns("__pycache__", ".build-*", name))
     home = package / library.HOME.relative_to(SOURCES / "loewner")
