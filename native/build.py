@@ -68,11 +68,13 @@ DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEA
 
 
 class Command(NamedTuple):
-    """Arguments of Python, variables of its environment, and the file that it makes."""
+    """What is made, arguments of Python, variables of its environment, the file made, and those that are needed first."""
 
+    what: str
     arguments: list[str]
     environment: dict[str, str]
     to: Path
+    needed: tuple[Path, ...] = ()
 
 
 class BuildError(Exception):
@@ -147,17 +149,14 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         work = Path(folder)
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
         run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
-        # For one level two processes compile half each, and hand each other what the halves share; several levels
-        # keep processes busy enough, and each file is a ninth smaller.
-        halves = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
-        groups = halves if len(levels) == 1 else {"all": list(ENTRIES)}
-        jobs = [(level, group) for level in levels for group in groups]
-        run_all(
-            [emission(n, level, groups[group], work / f"{level}-{group}.o") for n, (level, group) in enumerate(jobs)]
-            + [ptx(work / _ptx.NAME)]
-        )
+        # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
+        halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
+        codes = [emission(n, "code", levels[0], half, work / f"code-{n}") for n, half in enumerate(halves)]
+        parts = tuple(code.to for code in codes)
+        objects = [emission(2 + n, "object", level, parts, work / f"{level}.o") for n, level in enumerate(levels)]
+        run_all([*codes, *objects, ptx(work / _ptx.NAME)])
         for level in levels:
-            link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
+            link(work / f"{level}.o", level, work / f"kernels-{level}.so")
         # Processes read the sources as they need them: code of two versions may not be called code of one.
         if source_hash.__wrapped__() != before:
             raise BuildError("the kernels' sources changed while they were compiled; build again")
@@ -178,38 +177,47 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         return [home / path.name for path in [*made, work / LIST]]
 
 
-def emission(number: int, level: str, names: list[str], to: Path) -> Command:
-    """Emit an object file for a level; jobs of one build share a cache, and nobody else does.
+def emission(number: int, what: str, level: str, given: tuple[str | Path, ...], to: Path) -> Command:
+    """Emit the code of entries, or the object file of such code; jobs of one build share a cache, and nobody else does.
 
     Object code is only made of functions that these processes numbered.
     """
     environment = told(level) | {"LOEWNER_CACHE_DIR": str(to.parent / "cache")}
-    return Command([str(HERE / "emit.py"), str(to), str(number), *names], environment, to)
+    arguments = [str(HERE / "emit.py"), what, str(to), str(number), *map(str, given)]
+    if what == "code":
+        return Command(f"intermediate code of {len(given)} of {len(ENTRIES)} kernels", arguments, environment, to)
+    return Command(f"machine code for {level}", arguments, environment, to, tuple(map(Path, given)))
 
 
 def ptx(to: Path) -> Command:
     """Write the threads' functions as PTX, which are the same for all processors."""
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return Command(["-m", "loewner._ptx", str(to)], {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}, to)
+    environment = {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}
+    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to)
 
 
 def run_all(commands: list[Command]) -> None:
-    """Run commands, each in a process of its own, as many at a time as there are processors."""
-    waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Path]]()
+    """Run commands, each in a process of its own, as many at a time as there are processors; print what is done."""
+    start, done = time.perf_counter(), set[Path]()
+    waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
     try:
         while waiting or running:
-            while waiting and len(running) < (os.cpu_count() or 1):
-                arguments, variables, to = waiting.pop(0)
-                environment = os.environ | variables | {"LOEWNER_QUIET": "1"}
-                with to.with_suffix(".log").open("wb") as log:
-                    command = [sys.executable, *arguments]
-                    running.append((subprocess.Popen(command, env=environment, stdout=log, stderr=log), to))
+            ready = [command for command in waiting if done.issuperset(command.needed)]
+            for command in ready[: (os.cpu_count() or 1) - len(running)]:
+                waiting.remove(command)
+                environment = os.environ | command.environment | {"LOEWNER_QUIET": "1"}
+                with command.to.with_suffix(".log").open("wb") as log:
+                    call = [sys.executable, *command.arguments]
+                    running.append((subprocess.Popen(call, env=environment, stdout=log, stderr=log), command))
             time.sleep(0.05)
-            for process, to in [one for one in running if one[0].poll() is not None]:
-                running.remove((process, to))
+            for process, command in [one for one in running if one[0].poll() is not None]:
+                running.remove((process, command))
                 if process.returncode:
-                    said = to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
-                    raise BuildError(f"the kernels could not be compiled:\n{said.strip()[-4000:]}")
+                    said = command.to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
+                    raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
+                done.add(command.to)
+                elapsed = time.perf_counter() - start
+                print(f"native library: {elapsed:4.0f} s: {command.what}", file=sys.stderr, flush=True)
     finally:
         for process, _ in running:
             process.kill()
@@ -235,10 +243,10 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
 
 
-def link(objects: list[Path], level: str, to: Path) -> None:
-    """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
+def link(code: Path, level: str, to: Path) -> None:
+    """Link an object file and what it needs of Numba's run time; nothing may be left to be found elsewhere but libm."""
     strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
-    compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
+    compile_c([code, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
