@@ -54,7 +54,7 @@ FIRST = (
 )  # fmt: skip
 
 
-# What the C compiler is told of files that people get. The linker of macOS knows no -s; nobody has tried Windows yet.
+# What the C compiler is told of files that people get. The linker of macOS knows no -s; Windows is untried.
 MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
 RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
@@ -68,7 +68,7 @@ DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEA
 
 
 class Command(NamedTuple):
-    """What is made, arguments of Python, variables of its environment, the file made, and those that are needed first."""
+    """What is made, arguments of Python, variables of its environment, the file made, and those needed first."""
 
     what: str
     arguments: list[str]
@@ -239,7 +239,9 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
-    python = ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
+    python = (
+        ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
+    )
     compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
 
 

@@ -27,8 +27,11 @@ static PyObject *levels(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(nothing
         __asm__ volatile("xgetbv" : "=a"(saved), "=d"(a) : "c"(0));
     int v3 = all(basic, bit_AVX | bit_FMA | bit_MOVBE | bit_POPCNT | bit_F16C) && all(extended, bit_LZCNT) &&
              all(more, bit_AVX2 | bit_BMI | bit_BMI2) && all(saved, 0x6);
-    int v4 = v3 && all(more, bit_AVX512F | bit_AVX512BW | bit_AVX512CD | bit_AVX512DQ | bit_AVX512VL) && all(saved, 0xe6);
-    return v4 ? Py_BuildValue("(ss)", "x86-64-v4", "x86-64-v3") : v3 ? Py_BuildValue("(s)", "x86-64-v3") : PyTuple_New(0);
+    int v4 = v3 && all(more, bit_AVX512F | bit_AVX512BW | bit_AVX512CD | bit_AVX512DQ | bit_AVX512VL) &&
+             all(saved, 0xe6);
+    if (v4)
+        return Py_BuildValue("(ss)", "x86-64-v4", "x86-64-v3");
+    return v3 ? Py_BuildValue("(s)", "x86-64-v3") : PyTuple_New(0);
 }
 
 #else

@@ -1,5 +1,5 @@
-/* What Windows has under other names than POSIX: libraries, memory that begins at a cache line, memory of threads. Nobody
-   has tried Windows yet. */
+/* What Windows has under other names than POSIX: libraries, memory that begins at a cache line, memory of threads. The
+   part for Windows has not been tried. */
 
 #ifndef LOEWNER_SYSTEM_H
 #define LOEWNER_SYSTEM_H

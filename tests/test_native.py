@@ -151,7 +151,7 @@ def test_levels_are_those_that_the_processor_and_the_system_support():
 
 @needs_library
 def test_the_extension_is_for_all_pythons():
-    """No symbol but those of the stable interface, which every later Python has; its private names are used by macros."""
+    """No private symbol but those of the stable interface, which macros use and every later Python has."""
     if shutil.which("nm") is None:
         pytest.skip("no nm")
     command = ["nm", "-D", "--undefined-only", str(library.HOME / library.CALL)]
