@@ -197,7 +197,7 @@ def ptx(to: Path) -> Command:
 
 
 def run_all(commands: list[Command]) -> None:
-    """Run commands, each in a process of its own, as many at a time as there are processors; print what is done."""
+    """Run commands, each in a process of its own, as many at a time as there are processors; print what begins."""
     start, done = time.perf_counter(), set[Path]()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
     try:
@@ -205,6 +205,8 @@ def run_all(commands: list[Command]) -> None:
             ready = [command for command in waiting if done.issuperset(command.needed)]
             for command in ready[: (os.cpu_count() or 1) - len(running)]:
                 waiting.remove(command)
+                elapsed = time.perf_counter() - start
+                print(f"native library: {elapsed:4.0f} s: {command.what} ...", file=sys.stderr, flush=True)
                 environment = os.environ | command.environment | {"LOEWNER_QUIET": "1"}
                 with command.to.with_suffix(".log").open("wb") as log:
                     call = [sys.executable, *command.arguments]
@@ -216,8 +218,6 @@ def run_all(commands: list[Command]) -> None:
                     said = command.to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
                 done.add(command.to)
-                elapsed = time.perf_counter() - start
-                print(f"native library: {elapsed:4.0f} s: {command.what}", file=sys.stderr, flush=True)
     finally:
         for process, _ in running:
             process.kill()

@@ -166,8 +166,8 @@ def test_the_extension_is_for_all_pythons():
 # -- how processes share the work of a build -------------------------------------------------------
 
 
-def test_a_build_waits_for_what_is_needed_and_prints_what_is_done(tmp_path, capsys):
-    """A step starts when the files that it needs are whole; a line tells each step that ended."""
+def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, capsys):
+    """A step starts when the files that it needs are whole; a line tells each step that begins."""
     build = module("build")
     code = "import sys, pathlib as p; p.Path(sys.argv[1]).write_text(''.join(map(open_text, sys.argv[2:])) + 'x')"
     code = f"open_text = lambda path: open(path).read(); {code}"
@@ -179,7 +179,7 @@ def test_a_build_waits_for_what_is_needed_and_prints_what_is_done(tmp_path, caps
     build.run_all([step(last, first, second), step(first), step(second, first)])
     assert last.read_text() == "xxxx"
     told = capsys.readouterr().err.splitlines()
-    assert [line.rpartition(": ")[2] for line in told] == ["file first", "file second", "file last"]
+    assert [line.rpartition(": ")[2] for line in told] == ["file first ...", "file second ...", "file last ..."]
     with pytest.raises(build.BuildError, match=r"file last: .*\n(.*\n)*.*missing"):
         build.run_all([step(last, tmp_path / "missing")._replace(needed=())])
 
