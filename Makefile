@@ -12,6 +12,7 @@
 #   make docs     the documentation, as pages in docs/_build/html
 #   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
 #   make test-wheel    the quick suite against that wheel, installed
+#   make dist-c   headers and libraries for C and C++, in dist/
 # PYTHON=python3.13 chooses the interpreter that .venv is made with.
 
 PYTHON ?= python3
@@ -29,9 +30,9 @@ SECONDS ?= 20
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize bench check docs wheel sdist test-wheel clean
+.PHONY: help demo test test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize bench check docs wheel sdist dist-c test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 15
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 16
 
 # $(call built_with,STAMP): build the library while the packages of a stamp are installed.
 built_with = @{ $(BUILD); } & building=$$!; \
@@ -125,6 +126,13 @@ sdist: $(VENV)/.wheel
 	mkdir -p build/sdist/tree && tar -xzf dist/*.tar.gz -C build/sdist/tree --strip-components 1
 	$(BIN)/python -m build --wheel --no-isolation --outdir build/sdist build/sdist/tree
 	$(BIN)/python native/check_wheel.py --same-as build/wheel/*.whl build/sdist/*.whl
+
+# What programs in C and C++ need, without Python: unpack it anywhere.
+dist-c: $(VENV)/.compiler
+	rm -rf build/dist-c
+	name=loewner-$$($(BIN)/python -c 'import tomllib; print(tomllib.load(open("pyproject.toml", "rb"))["project"]["version"])'); \
+	  $(BIN)/python native/install.py build/dist-c/$$name-$$(uname -m) --levels all --from build/dist-c/native && \
+	  mkdir -p dist && tar -C build/dist-c -czf dist/$$name-$$(uname -m).tar.gz $$name-$$(uname -m) && ls -l dist/$$name-$$(uname -m).tar.gz
 
 # The quick suite where `import loewner` finds the wheel, not these sources; the other packages are those of .venv.
 test-wheel: $(VENV)/.dev

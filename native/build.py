@@ -28,10 +28,13 @@ SOURCES = HERE.parent / "src"
 sys.path.insert(0, str(SOURCES))
 
 from loewner import _ptx  # noqa: E402
-from loewner._kernels import codes  # noqa: E402
+from loewner._kernels import codes, columns  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST  # noqa: E402
+from loewner.planners import compiled as compiled_planner  # noqa: E402
+from loewner.planners import joint_limits, judge  # noqa: E402
+from loewner.robots import checker, contacts, motion_tables, robot, watch  # noqa: E402
 from loewner.robots.edges import NEARLY_WHOLE  # noqa: E402
 
 # By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
@@ -67,6 +70,42 @@ CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")
 DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEARLY_WHOLE={NEARLY_WHOLE!r}"]
 
 
+# `libloewner`, which programs in C and C++ link with, and the constants of Python that it knows.
+LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "pairs.c")
+HEADERS = SOURCES / "loewner" / "include"
+API_CODES = (*CODES, "INEXACT", "TOO_LONG", "BY_CARE", "MOST_POINTS", "MET", "SPENT", "FULL")
+API_COLUMNS = (
+    "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
+    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
+    "BOUNDS",
+)  # fmt: skip
+API_CONSTANTS = {
+    **{name: getattr(columns, name) for name in API_COLUMNS},
+    "KIND_OF": columns.KIND,
+    "LAST_KIND": columns.POINT,
+    "POINT_BLOCK": columns.BLOCK,
+    "LINK_CONSTANTS": columns.CONSTANTS,
+    "STRETCH": motion_tables.STRETCH,
+    "ROUNDED_VALUES": contacts.OFF,
+    "FIRST_LOOK": checker.FIRST_LOOK,
+    "LARGEST_VALUE": watch.LARGEST_VALUE,
+    "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE,
+    "ON_LIMIT": joint_limits.ON_LIMIT,
+    "PLAN_TOLERANCE": judge.TOLERANCE,
+    "LONGEST_SHARE": compiled_planner.SHARE,
+    "TREE_CAPACITY": compiled_planner.CAPACITY,
+    "FIRST_ITERATIONS": compiled_planner.FIRST,
+    "MOST_ITERATIONS": compiled_planner.AT_A_TIME,
+    "A_WHILE": compiled_planner.A_WHILE,
+    "USUAL_CUTS": compiled_planner.CUTS,
+    "USUAL_ITERATIONS": 100_000,
+    "MOST_ROOM": compiled_planner.MOST_ROOM,
+}
+API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + [
+    f"-D{name}=({value!r})" for name, value in API_CONSTANTS.items()
+]
+
+
 class Command(NamedTuple):
     """What is made, arguments of Python, variables of its environment, the file made, and those needed first."""
 
@@ -90,8 +129,14 @@ def architecture() -> str:
 def recipe() -> str:
     """Hash of all that decides what is built, but for the levels."""
     digest = hashlib.sha256(source_hash().encode())
-    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED)).encode())
-    written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]")]
+    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED, API_DEFINED)).encode())
+    written = [
+        HERE / "build.py",
+        HERE / "emit.py",
+        *HERE.glob("*.[ch]"),
+        *HERE.glob("capi/*.[ch]"),
+        HEADERS / "loewner.h",
+    ]
     besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "_ptx.py"
     for path in sorted([*written, *besides]):
         digest.update(path.read_bytes())
@@ -102,7 +147,7 @@ def is_built(levels: list[str], home: Path = HOME) -> bool:
     """Tell whether the library is there for these levels, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
-        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME]
+        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME, LIBRARY]
         return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
@@ -148,6 +193,7 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
         work = Path(folder)
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
+        compile_api(work / LIBRARY)
         run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
         # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
         halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
@@ -243,6 +289,21 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
         ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
     )
     compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
+
+
+def api_flags() -> list[str]:
+    """What the C compiler is told of the library for C.
+
+    No products are fused with sums, so that lengths and fractions are Python's to the last bit.
+    """
+    known = [*API_DEFINED, f'-DSOURCES="{source_hash()}"']
+    return [*known, "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
+
+
+def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
+    """Compile the library for programs in C and C++."""
+    sources = [HERE / "capi" / name for name in API]
+    compile_c([*sources, *api_flags(), f"-Wl,-soname,{LIBRARY}", "-pthread", "-ldl", "-lm"], to, flags)
 
 
 def link(code: Path, level: str, to: Path) -> None:

@@ -12,7 +12,7 @@ from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 
-from build import CALL, LEVELS, architecture  # type: ignore[attr-defined]  # the file beside this one
+from build import CALL, LEVELS, LIBRARY, architecture  # type: ignore[attr-defined]  # the file beside this one
 from elftools.elf.dynamic import DynamicSection
 from elftools.elf.elffile import ELFFile
 
@@ -32,7 +32,7 @@ def faults(path: Path) -> list[str]:
         found.append(f"expected nothing but the package, found {', '.join(foreign)}")
     if not any(name.endswith("/licenses/LICENSE") for name in names):
         found.append("expected a LICENSE, found none")
-    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {CALL}
+    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {CALL, LIBRARY}
     libraries = {name.removeprefix(HOME) for name in names if name.endswith(".so")}
     if libraries != wanted:
         found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
@@ -58,6 +58,8 @@ def _belongs(name: str) -> bool:
     top, _, rest = name.partition("/")
     if rest.startswith("_native/"):
         return rest.endswith((".py", ".so", "built.json", "threads.ptx.z"))
+    if rest.startswith(("include/", "share/")):
+        return rest.endswith((".h", ".hpp", ".cmake", ".pc"))
     kinds = (".py", "py.typed", "_kernels/sources.zip")
     return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
 

@@ -1,9 +1,11 @@
-"""Run the tests that drive the extension with the sanitizers of addresses and of undefined behaviour in its C files.
+"""Run the tests that drive the C files with the sanitizers of addresses, of undefined behaviour and of threads.
 
     python native/sanitize.py
 
-The extension is compiled into `build/sanitize`, a copy of the package, beside the kernels that were built already; they
-are not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its libasan, on Linux.
+The extension and the library for C are compiled into `build/sanitize`, a copy of the package, beside the kernels that
+were built already; they are not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its
+libasan and libtsan, on Linux. The sanitizer of threads watches a program with eight of them, `tests/capi_threads.c`,
+since it cannot watch Python.
 """
 
 import json
@@ -14,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from build import HERE, SOURCES, BuildError, _sum, compile_extension
+from build import API, HERE, LIBRARY, SOURCES, BuildError, _sum, api_flags, compile_api, compile_extension
 
 from loewner._native import library
 
@@ -22,8 +24,8 @@ TO = HERE.parent / "build" / "sanitize"
 FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 
 # What drives the extension.
-TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/fuzz/test_border.py",
-         "tests/fuzz/test_hostile_calls.py")  # fmt: skip
+TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/test_capi.py",
+         "tests/fuzz/test_border.py", "tests/fuzz/test_hostile_calls.py")  # fmt: skip
 # The sanitizer keeps in memory what was freed, which one of these measures; and a fork while another thread is in its
 # allocator leaves the child without it. Of the bad arguments a sample will do: few of them reach the extension.
 LEFT_OUT = (
@@ -40,12 +42,37 @@ def instrumented(to: Path) -> None:
     shutil.rmtree(to, ignore_errors=True)
     name = library.CALL
     package = to / "loewner"
-    shutil.copytree(SOURCES / "loewner", package, ignore=shutil.ignore_patterns("__pycache__", ".build-*", name))
+    kept_out = shutil.ignore_patterns("__pycache__", ".build-*", name, LIBRARY)
+    shutil.copytree(SOURCES / "loewner", package, ignore=kept_out)
     home = package / library.HOME.relative_to(SOURCES / "loewner")
     compile_extension(home / name, FLAGS)
+    compile_api(home / LIBRARY, FLAGS)
     built = json.loads((home / library.LIST).read_text(encoding="utf-8"))
-    built["files"][name] = _sum(home / name)
+    for made in (name, LIBRARY):
+        built["files"][made] = _sum(home / made)
     (home / library.LIST).write_text(json.dumps(built), encoding="utf-8")
+
+
+def threads_are_clean(to: Path) -> bool:
+    """Run eight threads under the sanitizer of threads, and under that of addresses with its search for leaks."""
+    cell, kernels = to / "cell.lwn", library.HOME
+    save = [sys.executable, str(HERE.parent / "examples" / "save_cell.py"), str(cell)]
+    subprocess.run(save, check=True, env=os.environ | {"PYTHONPATH": str(SOURCES)})
+    sources = [str(HERE / "capi" / name) for name in API] + [str(HERE.parent / "tests" / "capi_threads.c")]
+    clean = True
+    for kind in ("thread", "address,undefined"):
+        program = to / f"threads-{kind.partition(',')[0]}"
+        told = ["-std=gnu11", "-O1", "-g", f"-fsanitize={kind}", "-fno-sanitize-recover=undefined", *api_flags()]
+        compiler = shlex.split(os.environ.get("CC") or "cc")
+        subprocess.run([*compiler, *told, *sources, "-o", str(program), "-pthread", "-ldl", "-lm"], check=True)
+        for path in kernels.glob("kernels-*.so"):
+            shutil.copy(path, to)
+        done = subprocess.run(
+            [str(program), str(cell)], check=False, env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}
+        )
+        print(f"sanitize: eight threads, {kind}: {'clean' if done.returncode == 0 else 'a report'}", flush=True)
+        clean = clean and done.returncode == 0
+    return clean
 
 
 def runtime() -> str:
@@ -81,7 +108,8 @@ def main() -> int:
     try:
         instrumented(TO)
         around = environment(TO)
-    except BuildError as error:
+        clean = threads_are_clean(TO)
+    except (BuildError, subprocess.CalledProcessError) as error:
         print(f"sanitize: {error}", file=sys.stderr)
         return 1
     ask = "from loewner._native import library; print(library.extension().__file__)"
@@ -95,7 +123,7 @@ def main() -> int:
     reports = sorted(TO.glob("report*"))
     for report in reports:
         print(report.read_text(encoding="utf-8", errors="replace"), file=sys.stderr)
-    return 1 if reports or done.returncode else 0
+    return 1 if reports or done.returncode or not clean else 0
 
 
 if __name__ == "__main__":

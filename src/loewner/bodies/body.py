@@ -113,17 +113,18 @@ class _Bodies:
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Save to a versioned ``.npz`` file without pickle; the file is written under a temporary name, then renamed.
+        """Save to a versioned file without pickle; the file is written under a temporary name, then renamed.
 
         Parameters
         ----------
         path : path
-            Must end in ``.npz``; an existing file is replaced.
+            Must end in ``.npz``; or in ``.lwn``, for programs in C and C++ (``loewner.h``), with prepared data that
+            only the same version of loewner reads. An existing file is replaced.
 
         Raises
         ------
         InputError
-            If the name does not end in ``.npz``.
+            If the name ends otherwise.
         FileError
             If the file cannot be written.
 
@@ -134,9 +135,12 @@ class _Bodies:
         Body(sphere, 0 vertices)
         """
         # Imported late: with archives and checksums it takes a fifth of the time of `import loewner`.
-        from loewner.bodies import files
+        from loewner.bodies import files, native_files
 
-        files.save(self._packed, path, self._covering)
+        if str(path).endswith(native_files.SUFFIX):
+            native_files.save(path, self._packed)
+        else:
+            files.save(self._packed, path, self._covering)
 
 
 @guarded

@@ -15,6 +15,7 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import loewner
@@ -100,6 +101,13 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
+    package = Path(loewner.__file__).parent
+    for option, folder, what in (
+        ("--include", package / "include", "headers for C and C++"),
+        ("--cmake-dir", package / "share" / "cmake", "files for CMake's find_package"),
+        ("--pkg-config-dir", package / "share" / "pkgconfig", "files for pkg-config"),
+    ):
+        parser.add_argument(option, action="version", version=str(folder), help=f"print the folder of {what}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (fit, check, clearance, robot, plan, verify, audit, view, compile, info, paper):
         command.add(commands)

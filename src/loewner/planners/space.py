@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
-from loewner._kernels import columns
-from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
@@ -20,7 +18,7 @@ from loewner.planners.pose_goals import PoseGoal, goals_of
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
-from loewner.robots.robot import named_joints
+from loewner.robots.robot import named_joints, unlimited
 from loewner.scenes import Contact
 
 # A smaller deviation, in the units of the joints, is probably due to rounding.
@@ -60,7 +58,7 @@ class Space:
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper
-        below, above, turning = _unlimited(robot)
+        below, above, turning = unlimited(robot)
         if below.any() or above.any():
             least, most = np.minimum(goals.min(axis=0), q), np.maximum(goals.max(axis=0), q)
             lower = np.where(below, np.maximum(least - np.pi, lower), lower)
@@ -226,20 +224,6 @@ def checked_ends(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
         )
     return q, goals, names or [f"goal[{k}]" for k in range(len(goals))]
-
-
-def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
-    """Mark the columns without a lower limit, those without an upper limit, and angles without any limit.
-
-    Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
-    """
-    below, above = robot.lower <= -FARTHEST_LIMIT, robot.upper >= FARTHEST_LIMIT
-    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
-    moved = tree.kind != columns.FIXED
-    turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
-    turning[tree.column[moved]] = True
-    turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
-    return below, above, turning & below & above
 
 
 def _by_a_hair(excess: float) -> str:

@@ -6,6 +6,7 @@ wraps the results of `verdicts`, `proofs` and `distances`. Only this module rais
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Literal, overload
@@ -20,7 +21,7 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import contact_times, curves, distances, edges, in_time, proofs, tracking, verdicts
+from loewner.robots import cells, contact_times, curves, distances, edges, in_time, proofs, tracking, verdicts
 from loewner.robots.checked_pairs import prepared
 from loewner.robots.courses import straight
 from loewner.robots.curves import CertifiedTrajectory
@@ -126,6 +127,35 @@ class CollisionChecker:
 
     def __repr__(self) -> str:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Save the robot and the scene's present state for programs in C and C++, which read it with ``loewner.h``.
+
+        Parameters
+        ----------
+        path : path
+            Must end in ``.lwn``. An existing file is replaced, by a file that is written under a temporary name first.
+
+        Raises
+        ------
+        InputError
+            If the name does not end in ``.lwn``, or bodies of the scene follow motions.
+        UnknownNameError
+            As for `collide`.
+        FileError
+            If the file cannot be written.
+
+        Notes
+        -----
+        The file holds prepared data and is read by the same version of loewner only. Contacts that `Scene.leave` and
+        `Scene.reach` permit at the ends of motions are not permitted there.
+
+        Examples
+        --------
+        >>> CollisionChecker(Robot.from_urdf("arm.urdf")).save("arm.lwn")
+        """
+        ready = self._ready(timed=True)
+        cells.save(path, self.robot, ready, self._scene.margin)
 
     # -- queries ------------------------------------------------------------------------------
 

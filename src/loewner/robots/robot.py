@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kept import kept
+from loewner._kernels import columns as kernel_columns
 from loewner._kernels.records import Tree
 from loewner._native import entries
 from loewner._plausible import FARTHEST_LIMIT
 from loewner._threads import in_shares
-from loewner._validate import Floats, Named, OneOrMany, Pair, Progress
+from loewner._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
@@ -1018,6 +1019,20 @@ def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
     for quaternion in robot._quaternions.values():
         ends[..., quaternion], _ = _nearer(a[..., quaternion], b[..., quaternion])
     return ends
+
+
+def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
+    """Mark the columns without a lower limit, those without an upper limit, and angles without any limit.
+
+    Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
+    """
+    below, above = robot.lower <= -FARTHEST_LIMIT, robot.upper >= FARTHEST_LIMIT
+    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
+    moved = tree.kind != kernel_columns.FIXED
+    turns = (tree.kind == kernel_columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
+    turning[tree.column[moved]] = True
+    turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
+    return below, above, turning & below & above
 
 
 def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:

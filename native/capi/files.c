@@ -1,0 +1,565 @@
+/* Maps the files that `loewner/bodies/native_files.py` describes.
+
+   A file is untrusted: its checksum finds damage, but anybody can compute one. So every size, index and number is checked
+   before a kernel uses it. A check that fails ends with the name of the array. */
+
+#define _GNU_SOURCE
+#include "internal.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#define MAGIC "lwn file"
+#define FORMAT 1
+#define HEADER 160
+#define BEHIND_CHECKSUM 32
+#define SOURCES_LENGTH 64
+#define GOLDEN 0x9E3779B97F4A7C15u
+
+#define MOST ((int64_t)1 << 40) /* of any count; products of a few stay far from overflow */
+
+/* Kinds and columns of `loewner/_kernels/columns.py`, whose numbers `build.py` passes. */
+#define WIDE_SURFACE 16 /* boxes of a node of a surface, `triangle_tree.py` */
+#define LEAF_BITS 3
+#define BLOCK_NUMBERS 72
+#define DIAGONAL_NUMBERS 320
+#define SURFACE_LEVELS 68
+#define GROUP_NUMBERS 48
+#define TREE_LEVELS 22
+
+typedef struct {
+    uint64_t format, size, checksum;
+    int64_t arrays, dof, links, moving, standing, has_cut, surfaces;
+} Header;
+
+typedef struct {
+    int64_t type, rows, columns;
+    const void *data;
+} Found;
+
+enum { INTEGERS, DOUBLES, SINGLES, BYTES };
+static const int64_t item_sizes[] = {8, 8, 4, 1};
+
+/* The arrays before the packs, in order. */
+enum {
+    NAMES, PARENT, KIND, COLUMN, MULTIPLIER, OFFSET, CONSTANTS, LIMITS, JOINTS, QUATERNIONS, LINK, PAIRS, MARGINS, ORDER,
+    MARGIN, POSES, BEFORE,
+};
+
+static loewner_status damaged(const char *what)
+{
+    return fail(LOEWNER_BAD_FILE, "the file is damaged: %s", what);
+}
+
+#define EXPECT(condition, what)                                                                                        \
+    do {                                                                                                               \
+        if (!(condition))                                                                                              \
+            return damaged(what);                                                                                      \
+    } while (0)
+
+/* -- the container --------------------------------------------------------------------------------------------------- */
+
+static uint64_t checksum(const char *content, size_t size)
+{
+    uint64_t sum = 0, factor = 0;
+    for (size_t at = 0; at + 8 <= size; at += 8) {
+        uint64_t word;
+        memcpy(&word, content + at, 8);
+        factor += GOLDEN;
+        sum += word * (factor | 1);
+    }
+    return sum;
+}
+
+static loewner_status map(File *file, const char *path)
+{
+    int descriptor = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+    if (descriptor < 0)
+        return fail(LOEWNER_BAD_FILE, "%.300s: could not be opened (%s)", path, strerror(errno));
+    struct stat status;
+    loewner_status outcome = LOEWNER_OK;
+    if (fstat(descriptor, &status) != 0 || !S_ISREG(status.st_mode))
+        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a regular file, found another kind", path);
+    else if (status.st_size < HEADER)
+        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a file that loewner saved, found another", path);
+    else {
+        file->size = (size_t)status.st_size;
+        file->map = mmap(NULL, file->size, PROT_READ, MAP_PRIVATE, descriptor, 0);
+        if (file->map == MAP_FAILED) {
+            file->map = NULL;
+            outcome = fail(LOEWNER_BAD_FILE, "%.300s: could not be mapped (%s)", path, strerror(errno));
+        }
+    }
+    close(descriptor);
+    return outcome;
+}
+
+static loewner_status read_header(const File *file, const char *path, Header *header)
+{
+    const char *content = file->map;
+    uint64_t numbers[8];
+    if (memcmp(content, MAGIC, 8) != 0)
+        return fail(LOEWNER_BAD_FILE, "%.300s: expected a file that loewner saved, found another", path);
+    memcpy(&header->format, content + 8, 24);
+    memcpy(numbers, content + 32 + SOURCES_LENGTH, sizeof numbers);
+    if (header->format != FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
+        return fail(LOEWNER_OTHER_VERSION, "%.300s: expected a file of this version of loewner, found one of another; "
+                    "save it again", path);
+    EXPECT(header->size == file->size, "its size is not the one in its header");
+    EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM), "its checksum differs");
+    for (int k = 0; k < 8; k++)
+        EXPECT(numbers[k] < (uint64_t)MOST, "a count in its header");
+    header->arrays = (int64_t)numbers[0];
+    header->dof = (int64_t)numbers[1];
+    header->links = (int64_t)numbers[2];
+    header->moving = (int64_t)numbers[3];
+    header->standing = (int64_t)numbers[4];
+    header->has_cut = (int64_t)numbers[5];
+    header->surfaces = (int64_t)numbers[6];
+    EXPECT(header->has_cut <= 1 && header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) +
+                                                         SURFACE_ARRAYS * header->surfaces,
+           "the number of its arrays");
+    EXPECT(header->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
+    EXPECT(HEADER + 32 * header->arrays <= (int64_t)file->size, "its directory");
+    return LOEWNER_OK;
+}
+
+/* An array of the directory, which lies in the file. */
+static loewner_status look_up(const File *file, int64_t number, Found *found)
+{
+    int64_t row[4];
+    memcpy(row, (const char *)file->map + HEADER + 32 * number, sizeof row);
+    EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST, "its directory");
+    EXPECT(row[2] == 0 || row[1] <= MOST / row[2], "its directory");
+    int64_t bytes = row[1] * row[2] * item_sizes[row[0]], size = (int64_t)file->size;
+    EXPECT(row[3] % CACHE_LINE == 0 && HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3], "its directory");
+    *found = (Found){row[0], row[1], row[2], (const char *)file->map + row[3]};
+    return LOEWNER_OK;
+}
+
+/* An array of a type and a shape; -1 for any number of rows. */
+static loewner_status take(const File *file, int64_t number, int64_t type, int64_t rows, int64_t columns,
+                           const char *name, const void *data, int64_t *count)
+{
+    Found found = {0};
+    TRY(look_up(file, number, &found));
+    EXPECT(found.type == type && found.columns == columns && (rows < 0 || found.rows == rows), name);
+    memcpy((void *)data, &found.data, sizeof found.data);
+    if (count != NULL)
+        *count = found.rows;
+    return LOEWNER_OK;
+}
+
+static int are_finite(const double *numbers, int64_t count)
+{
+    double sum = 0;
+    for (int64_t k = 0; k < count; k++)
+        sum += numbers[k] - numbers[k]; /* 0, or NaN */
+    return sum == 0;
+}
+
+static int are_finite_singles(const float *numbers, int64_t count)
+{
+    float sum = 0;
+    for (int64_t k = 0; k < count; k++)
+        sum += numbers[k] - numbers[k];
+    return sum == 0;
+}
+
+static int is_within(const int64_t *numbers, int64_t count, int64_t least, int64_t beyond)
+{
+    int is = 1;
+    for (int64_t k = 0; k < count; k++)
+        is &= least <= numbers[k] && numbers[k] < beyond;
+    return is;
+}
+
+/* Whether starts of ranges rise from 0 to a total. */
+static int rises(const int64_t *starts, int64_t count, int64_t total)
+{
+    int is = starts[0] == 0 && starts[count - 1] == total;
+    for (int64_t k = 1; k < count; k++)
+        is &= starts[k - 1] <= starts[k] && starts[k] <= total;
+    return is;
+}
+
+/* -- packs ----------------------------------------------------------------------------------------------------------- */
+
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take two. */
+static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
+{
+    int64_t count = room / 2;
+    EXPECT(count >= 6, "points: nodes");
+    int8_t *depth = malloc((size_t)count);
+    if (depth == NULL)
+        return no_memory();
+    memset(depth, -1, (size_t)count);
+    memset(depth, 0, 6);
+    int is_sound = 1;
+    for (int64_t k = 0; is_sound && k < count; k++) {
+        if (depth[k] < 0)
+            continue; /* nothing leads there */
+        double first = nodes[2 * k], last = nodes[2 * k + 1];
+        if (last >= 0) {
+            is_sound = 0 <= first && first < last && last <= (double)vertices && fmod(first, POINT_BLOCK) == 0 &&
+                       fmod(last, POINT_BLOCK) == 0;
+            continue;
+        }
+        /* Children follow their parents, so that no walk returns. */
+        is_sound = (double)k < first && first <= (double)(count - 4) && depth[k] < DEEPEST;
+        for (int c = 0; is_sound && c < 4; c++)
+            if (depth[(int64_t)first + c] <= depth[k])
+                depth[(int64_t)first + c] = (int8_t)(depth[k] + 1);
+    }
+    free(depth);
+    EXPECT(is_sound, "points: nodes");
+    return LOEWNER_OK;
+}
+
+static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
+{
+    int64_t columns = pack->numbers / 3, before = 0;
+    for (int64_t p = 0; p < pack->pieces; p++) {
+        const int64_t *row = pack->layout + LAYOUT * p;
+        int64_t kind = row[KIND_OF], first = row[POINTS_FROM], last = row[POINTS_TO], at = row[SURFACE_AT];
+        int64_t next = p + 1 < pack->pieces ? row[LAYOUT + POINTS_FROM] : columns;
+        EXPECT(SOLID <= kind && kind <= LAST_KIND, "layout: kinds");
+        EXPECT(before <= first && first <= last && last <= next && next <= columns, "layout: points");
+        EXPECT(first % POINT_BLOCK == 0 && last % POINT_BLOCK == 0 && next % POINT_BLOCK == 0, "layout: points");
+        EXPECT(kind <= SURFACE ? 1 <= at && at <= surfaces : at == 0, "layout: surfaces");
+        EXPECT(kind > SURFACE || last - first == POINT_BLOCK, "layout: boxes of surfaces");
+        EXPECT(kind > POLYTOPE || last > first, "layout: polytopes without points");
+        if (kind == MAPPED)
+            TRY(check_nodes(pack->points + 3 * last, 3 * (next - last), last - first));
+        before = next;
+    }
+    return LOEWNER_OK;
+}
+
+/* Check the trees over the pieces of bodies: those of a body follow each other, and lead to its own pieces only. */
+static loewner_status check_trees(const Pack *pack)
+{
+    int64_t begin = 0;
+    int8_t *height = calloc((size_t)pack->groups + 1, 1);
+    if (height == NULL)
+        return no_memory();
+    int is_sound = 1;
+    for (int64_t b = 0; is_sound && b < pack->bodies; b++) {
+        int64_t root = pack->roots[b], first = pack->piece_start[b], last = pack->piece_start[b + 1];
+        if (root == -1)
+            continue;
+        is_sound = root < pack->groups && root == begin + groups_of(last - first) - 1;
+        for (int64_t g = begin; is_sound && g <= root; g++)
+            for (int64_t c = WIDE * g; c < WIDE * (g + 1); c++) {
+                int64_t child = pack->children[c];
+                if (child >= 0) {
+                    is_sound &= begin <= child && child < g;
+                    if (is_sound && height[g] <= height[child])
+                        height[g] = (int8_t)(height[child] + 1);
+                } else /* an unused place says -1 whatever the piece */
+                    is_sound &= child == -1 || (first <= ~child && ~child < last);
+                is_sound = is_sound && height[g] < TREE_LEVELS;
+            }
+        begin = root + 1;
+    }
+    free(height);
+    EXPECT(is_sound && begin == pack->groups, "trees");
+    for (int64_t k = 0; k < GROUP_NUMBERS * pack->groups; k++)
+        EXPECT(!isnan(pack->tree_groups[k]), "groups");
+    return LOEWNER_OK;
+}
+
+static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, int64_t surfaces, Pack *pack)
+{
+    int64_t singles, vertices, numbers, groups, starts, children;
+    pack->bodies = bodies;
+    TRY(take(file, at, DOUBLES, -1, COLUMNS, "table", &pack->table, &pack->pieces));
+    TRY(take(file, at + 1, INTEGERS, pack->pieces, LAYOUT, "layout", &pack->layout, NULL));
+    TRY(take(file, at + 2, DOUBLES, -1, 1, "points", &pack->points, &numbers));
+    TRY(take(file, at + 3, INTEGERS, bodies + 1, 1, "piece_start", &pack->piece_start, NULL));
+    TRY(take(file, at + 4, DOUBLES, pack->pieces, HOT, "hot", &pack->hot, NULL));
+    TRY(take(file, at + 5, SINGLES, -1, HOT, "single", &pack->single, &singles));
+    TRY(take(file, at + 6, DOUBLES, -1, 1, "groups", &pack->tree_groups, &groups));
+    TRY(take(file, at + 7, INTEGERS, -1, 1, "children", &pack->children, &children));
+    TRY(take(file, at + 8, INTEGERS, bodies, 1, "roots", &pack->roots, NULL));
+    TRY(take(file, at + 9, SINGLES, -1, 1, "vertices", &pack->vertices, &vertices));
+    TRY(take(file, at + 10, DOUBLES, -1, HOT, "parts", &pack->part_rows, &pack->parts));
+    TRY(take(file, at + 11, INTEGERS, -1, 1, "part_start", &pack->part_start, &starts));
+    pack->numbers = numbers;
+    pack->groups = groups / GROUP_NUMBERS;
+    pack->is_single = singles > 0;
+    pack->has_parts = starts > 0;
+    EXPECT(numbers % (3 * POINT_BLOCK) == 0, "points");
+    EXPECT(groups % GROUP_NUMBERS == 0 && children == WIDE * pack->groups, "groups");
+    EXPECT(singles == 0 || singles == pack->pieces, "single");
+    EXPECT(vertices == (pack->is_single ? numbers : 0), "vertices");
+    EXPECT(starts == 0 || starts == PARTS * pack->pieces, "part_start");
+    EXPECT(rises(pack->piece_start, bodies + 1, pack->pieces), "piece_start");
+    EXPECT(are_finite(pack->table, COLUMNS * pack->pieces) && are_finite(pack->hot, HOT * pack->pieces) &&
+               are_finite(pack->points, numbers) && are_finite(pack->part_rows, HOT * pack->parts) &&
+               are_finite_singles(pack->single, HOT * singles) && are_finite_singles(pack->vertices, vertices),
+           "numbers that are not finite");
+    for (int64_t p = 0; p < starts / PARTS; p++) {
+        const int64_t *row = pack->part_start + PARTS * p;
+        EXPECT(0 <= row[0] && row[0] <= row[1] && row[1] <= row[2] && row[2] <= pack->parts, "part_start");
+        EXPECT(pack->layout[LAYOUT * p + KIND_OF] <= SURFACE || row[0] == row[2], "part_start");
+    }
+    EXPECT(surfaces == 0 || starts > 0 || pack->pieces == 0 || !pack->has_parts, "part_start");
+    TRY(check_pieces(pack, surfaces));
+    return check_trees(pack);
+}
+
+/* Check the tree over the triangles of a surface (`triangle_tree.py`). */
+static loewner_status take_surface(const File *file, int64_t at, int64_t words[SURFACE_WORDS])
+{
+    const float *boxes, *diagonals;
+    const int64_t *children;
+    const double *blocks, *parts;
+    int64_t sizes[SURFACE_ARRAYS];
+    TRY(take(file, at, SINGLES, -1, 1, "boxes of a surface", &boxes, &sizes[0]));
+    TRY(take(file, at + 1, INTEGERS, -1, 1, "children of a surface", &children, &sizes[1]));
+    TRY(take(file, at + 2, DOUBLES, -1, 1, "blocks of a surface", &blocks, &sizes[2]));
+    TRY(take(file, at + 3, DOUBLES, -1, 1, "parts of a surface", &parts, &sizes[3]));
+    TRY(take(file, at + 4, SINGLES, -1, 1, "diagonals of a surface", &diagonals, &sizes[4]));
+    int64_t nodes = sizes[1] / WIDE_SURFACE, leaves = sizes[2] / BLOCK_NUMBERS;
+    EXPECT(nodes >= 1 && leaves >= 1 && sizes[1] % WIDE_SURFACE == 0 && sizes[2] % BLOCK_NUMBERS == 0, "a surface");
+    EXPECT(sizes[0] == 6 * WIDE_SURFACE * nodes && sizes[4] == DIAGONAL_NUMBERS * nodes && sizes[3] % 3 == 0, "a surface");
+    for (int64_t k = 0; k < sizes[0]; k++)
+        EXPECT(!isnan(boxes[k]), "boxes of a surface");
+    for (int64_t k = 0; k < sizes[4]; k++)
+        EXPECT(!isnan(diagonals[k]), "diagonals of a surface");
+    EXPECT(are_finite(blocks, sizes[2]) && are_finite(parts, sizes[3]), "numbers that are not finite");
+    int8_t *depth = calloc((size_t)nodes, 1);
+    if (depth == NULL)
+        return no_memory();
+    int is_sound = 1;
+    for (int64_t s = 0; is_sound && s < sizes[1]; s++) {
+        int64_t child = children[s], node = s / WIDE_SURFACE;
+        if (child < 0) {
+            is_sound = ~child >> LEAF_BITS < leaves;
+            continue;
+        }
+        if (child == 0) { /* an unused place: its box is empty, and nothing opens it */
+            const float *half = boxes + 6 * WIDE_SURFACE * node + 3 * WIDE_SURFACE + s % WIDE_SURFACE;
+            is_sound = half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY;
+            continue;
+        }
+        is_sound = node < child && child < nodes && depth[node] < SURFACE_LEVELS;
+        if (is_sound && depth[child] <= depth[node])
+            depth[child] = (int8_t)(depth[node] + 1);
+    }
+    free(depth);
+    EXPECT(is_sound, "children of a surface");
+    const void *arrays[SURFACE_ARRAYS] = {boxes, children, blocks, parts, diagonals};
+    for (int k = 0; k < SURFACE_ARRAYS; k++) {
+        words[3 * k] = (int64_t)arrays[k];
+        words[3 * k + 1] = sizes[k];
+        words[3 * k + 2] = 1;
+    }
+    return LOEWNER_OK;
+}
+
+/* Replace the numbers of surfaces by addresses of their tables, in a copy. */
+static loewner_status link_surfaces(File *file, Pack *pack, int which)
+{
+    if (file->surfaces == NULL || pack->pieces == 0)
+        return LOEWNER_OK;
+    size_t size = sizeof(int64_t) * LAYOUT * (size_t)pack->pieces;
+    int64_t *copy = file->owned[which] = malloc(size);
+    if (copy == NULL)
+        return no_memory();
+    memcpy(copy, pack->layout, size);
+    for (int64_t p = 0; p < pack->pieces; p++) {
+        int64_t *at = copy + LAYOUT * p + SURFACE_AT;
+        if (*at != 0)
+            *at = (int64_t)(file->surfaces + SURFACE_WORDS * (*at - 1));
+    }
+    pack->layout = copy;
+    return LOEWNER_OK;
+}
+
+/* -- robots ---------------------------------------------------------------------------------------------------------- */
+
+static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* values of a joint, by its kind in `columns.py` */
+
+static loewner_status take_robot(File *file, const Header *header)
+{
+    Tree *tree = &file->tree;
+    int64_t links = header->links, dof = header->dof, moving = header->moving, bodies = moving + header->standing;
+    TRY(take(file, PARENT, INTEGERS, links, 1, "parent", &tree->parent, NULL));
+    TRY(take(file, KIND, INTEGERS, links, 1, "kind", &tree->kind, NULL));
+    TRY(take(file, COLUMN, INTEGERS, links, 1, "column", &tree->column, NULL));
+    TRY(take(file, MULTIPLIER, DOUBLES, links, 1, "multiplier", &tree->multiplier, NULL));
+    TRY(take(file, OFFSET, DOUBLES, links, 1, "offset", &tree->offset, NULL));
+    TRY(take(file, CONSTANTS, DOUBLES, links, LINK_CONSTANTS, "constants", &tree->constants, NULL));
+    TRY(take(file, LIMITS, DOUBLES, 2, dof, "limits", &file->limits, NULL));
+    TRY(take(file, JOINTS, INTEGERS, dof, 1, "joints", &file->joints, NULL));
+    TRY(take(file, QUATERNIONS, INTEGERS, -1, 1, "quaternions", &file->quaternions, &file->quaternion_count));
+    TRY(take(file, LINK, INTEGERS, moving, 1, "link", &file->link, NULL));
+    TRY(take(file, PAIRS, INTEGERS, -1, 2, "pairs", &file->pair_list, &file->pairs));
+    TRY(take(file, MARGINS, DOUBLES, file->pairs, 1, "margins", &file->margins, NULL));
+    TRY(take(file, ORDER, INTEGERS, file->pairs, 1, "order", &file->order, NULL));
+    TRY(take(file, POSES, DOUBLES, header->standing, 16, "poses", &file->poses, NULL));
+    tree->links = links;
+    for (int64_t k = 0; k < links; k++) {
+        int64_t kind = tree->kind[k];
+        EXPECT(-1 <= tree->parent[k] && tree->parent[k] < k && 0 <= kind && kind <= BALL, "parent, kind");
+        EXPECT(0 <= tree->column[k] && tree->column[k] <= dof - widths[kind], "column");
+    }
+    EXPECT(are_finite(tree->multiplier, links) && are_finite(tree->offset, links) &&
+               are_finite(tree->constants, LINK_CONSTANTS * links),
+           "numbers that are not finite");
+    for (int64_t k = 0; k < dof; k++)
+        EXPECT(!isnan(file->limits[k]) && !isnan(file->limits[dof + k]), "limits");
+    EXPECT(dof < 4096 && links < 1 << 20, "the size of the robot");
+    EXPECT(is_within(file->joints, dof, 0, 16) && is_within(file->quaternions, file->quaternion_count, 0, dof - 3) &&
+               is_within(file->link, moving, 0, links) && is_within(file->order, file->pairs, 0, file->pairs),
+           "indices");
+    for (int64_t k = 0; k < file->pairs; k++) {
+        const int64_t *pair = file->pair_list + 2 * k;
+        EXPECT(0 <= pair[0] && pair[0] < moving && pair[0] < pair[1] && pair[1] < bodies, "pairs");
+        /* In ascending order, by which they are found. */
+        EXPECT(k == 0 || pair[-2] < pair[0] || (pair[-2] == pair[0] && pair[-1] < pair[1]), "pairs");
+        EXPECT(file->margins[k] >= 0 && file->margins[k] <= 1e30, "margins");
+    }
+    return LOEWNER_OK;
+}
+
+/* The names are texts that follow each other, each with its end. */
+static loewner_status take_names(File *file, int64_t count)
+{
+    const char *text;
+    int64_t size, found = 0, begin = 0;
+    TRY(take(file, NAMES, BYTES, -1, 1, "names", &text, &size));
+    EXPECT(count <= size, "names");
+    file->names = malloc(sizeof(char *) * (size_t)(count + 1));
+    if (file->names == NULL)
+        return no_memory();
+    for (int64_t k = 0; k < size; k++)
+        if (text[k] == '\0') {
+            EXPECT(found < count, "names");
+            file->names[found++] = text + begin;
+            begin = k + 1;
+        }
+    EXPECT(found == count && begin == size, "names");
+    return LOEWNER_OK;
+}
+
+static loewner_status take_all(File *file, const Header *header)
+{
+    int64_t bodies = header->moving + header->standing, at = BEFORE;
+    const double *margin;
+    file->dof = header->dof;
+    file->links = header->links;
+    file->moving = header->moving;
+    file->bodies = bodies;
+    file->has_cut = (int)header->has_cut;
+    EXPECT(bodies <= INT32_MAX && header->links <= INT32_MAX && header->dof <= INT32_MAX, "a count in its header");
+    TRY(take_names(file, bodies + header->links + header->dof));
+    TRY(take(file, MARGIN, DOUBLES, -1, 1, "margin", &margin, &file->pairs));
+    EXPECT(file->pairs <= 1, "margin");
+    file->margin = file->pairs == 1 ? *margin : 0;
+    EXPECT(file->margin >= 0 && file->margin <= 1e30, "margin");
+    file->pairs = 0;
+    if (header->links > 0)
+        TRY(take_robot(file, header));
+    else
+        EXPECT(header->dof == 0 && header->moving == 0, "a robot without links");
+    for (int k = 0; k <= file->has_cut; k++, at += PACK_ARRAYS)
+        TRY(take_pack(file, at, bodies, header->surfaces, k == 0 ? &file->whole : &file->cut));
+    if (header->surfaces > 0) {
+        file->surfaces = malloc(sizeof(int64_t) * SURFACE_WORDS * (size_t)header->surfaces);
+        if (file->surfaces == NULL)
+            return no_memory();
+        for (int64_t k = 0; k < header->surfaces; k++, at += SURFACE_ARRAYS)
+            TRY(take_surface(file, at, file->surfaces + SURFACE_WORDS * k));
+    }
+    TRY(link_surfaces(file, &file->whole, 0));
+    return link_surfaces(file, &file->cut, 1);
+}
+
+/* -- files ----------------------------------------------------------------------------------------------------------- */
+
+loewner_status open_file(const char *path, File **made)
+{
+    Header header;
+    File *file = calloc(1, sizeof *file);
+    if (file == NULL)
+        return no_memory();
+    atomic_init(&file->users, 1);
+    loewner_status outcome = map(file, path);
+    if (outcome == LOEWNER_OK)
+        outcome = read_header(file, path, &header);
+    if (outcome == LOEWNER_OK)
+        outcome = take_all(file, &header);
+    if (outcome == LOEWNER_OK)
+        *made = file;
+    else
+        leave_file(file);
+    return outcome;
+}
+
+void leave_file(File *file)
+{
+    if (file == NULL || atomic_fetch_sub(&file->users, 1) != 1)
+        return;
+    free(file->owned[0]);
+    free(file->owned[1]);
+    free(file->surfaces);
+    free(file->names);
+    if (file->map != NULL)
+        munmap(file->map, file->size);
+    free(file);
+}
+
+void write_words(const Pack *pack, int64_t words[PACK_WORDS])
+{
+    int64_t singles = pack->is_single ? pack->pieces : 0, starts = pack->has_parts ? PARTS * pack->pieces : 0;
+    const int64_t rows[PACK_WORDS] = {
+        (int64_t)pack->table,       pack->pieces,                COLUMNS, (int64_t)pack->layout,     pack->pieces, LAYOUT,
+        (int64_t)pack->points,      pack->numbers,               1,       (int64_t)pack->piece_start, pack->bodies + 1, 1,
+        (int64_t)pack->hot,         pack->pieces,                HOT,     (int64_t)pack->single,     singles, HOT,
+        (int64_t)pack->tree_groups, GROUP_NUMBERS * pack->groups, 1,      (int64_t)pack->children,   WIDE * pack->groups, 1,
+        (int64_t)pack->roots,       pack->bodies,                1,       (int64_t)pack->vertices,
+        pack->is_single ? pack->numbers : 0, 1, (int64_t)pack->part_rows, pack->parts, HOT, (int64_t)pack->part_start, starts, 1,
+    };
+    memcpy(words, rows, sizeof rows);
+}
+
+/* -- bodies ---------------------------------------------------------------------------------------------------------- */
+
+loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
+{
+    if (path == NULL || bodies == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT, "path, bodies: expected pointers, found NULL");
+    *bodies = NULL;
+    if (kernels() == NULL)
+        return LOEWNER_NO_KERNELS;
+    loewner_bodies *made = calloc(1, sizeof *made);
+    if (made == NULL)
+        return no_memory();
+    loewner_status outcome = open_file(path, &made->file);
+    if (outcome == LOEWNER_OK)
+        *bodies = made;
+    else
+        free(made);
+    return outcome;
+}
+
+void loewner_bodies_close(loewner_bodies *bodies)
+{
+    if (bodies != NULL)
+        leave_file(bodies->file);
+    free(bodies);
+}
+
+int64_t loewner_bodies_count(const loewner_bodies *bodies)
+{
+    return bodies == NULL ? 0 : bodies->file->bodies;
+}

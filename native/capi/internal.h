@@ -1,0 +1,267 @@
+/* What the files of `libloewner` share; `loewner.h` has what programs see.
+
+   kernels.c   finds the machine code beside the library        files.c     maps files and checks them
+   scene.c     bodies, pairs and poses of a checker, and what kernels are given of them
+   queries.c   configurations and motions                       plans.c     paths
+   pairs.c     pairs of bodies, without a checker */
+
+#ifndef LOEWNER_INTERNAL_H
+#define LOEWNER_INTERNAL_H
+
+#include "loewner.h"
+
+#include <pthread.h>
+#include <stdatomic.h>
+
+_Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
+
+#define CACHE_LINE 64
+
+/* Set the text of this thread's last error; returns the status. */
+loewner_status fail(loewner_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
+loewner_status no_memory(void);
+
+#define TRY(call)                                                                                                      \
+    do {                                                                                                               \
+        loewner_status tried = (call);                                                                                 \
+        if (tried != LOEWNER_OK)                                                                                       \
+            return tried;                                                                                              \
+    } while (0)
+
+/* -- kernels: see `loewner/_native/entries.py` ----------------------------------------------------------------------- */
+
+typedef int32_t (*Kernel)(const int64_t *, int64_t *);
+
+#define ALL_KERNELS(X)                                                                                                 \
+    X(settle_range)                                                                                                    \
+    X(settle_open)                                                                                                     \
+    X(workspace_size)                                                                                                  \
+    X(distance_range)                                                                                                  \
+    X(measure_left)                                                                                                    \
+    X(memory_of_distances)                                                                                             \
+    X(first_fault)                                                                                                     \
+    X(check_configurations)                                                                                            \
+    X(memory_size)                                                                                                     \
+    X(certify_motions)                                                                                                 \
+    X(motion_memory)                                                                                                   \
+    X(connect_trees)                                                                                                   \
+    X(shorten_path)                                                                                                    \
+    X(nearest_pairs)                                                                                                   \
+    X(memory_of_nearest)                                                                                               \
+    X(clearances)                                                                                                      \
+    X(memory_of_clearances)                                                                                            \
+    X(pair_gradients)                                                                                                  \
+    X(link_poses)                                                                                                      \
+    X(measure_moving)                                                                                                  \
+    X(place_static)
+
+typedef struct {
+#define DECLARE(name) Kernel name;
+    ALL_KERNELS(DECLARE)
+#undef DECLARE
+    void (*release)(void *);
+    const char *level;
+    int64_t settle_memory, distance_memory; /* bytes */
+} Kernels;
+
+/* The kernels of this machine, loaded at the first call; NULL, with an error, if there are none. */
+const Kernels *kernels(void);
+
+/* Call a kernel with the address of a struct of slots; kernels fail only where memory is short. */
+loewner_status call(Kernel kernel, const void *arguments, void *results);
+
+/* Arrays as kernels take them, slot by slot. */
+typedef struct {
+    const void *data;
+    int64_t length;
+} Array1;
+
+typedef struct {
+    const void *data;
+    int64_t rows, columns;
+} Array2;
+
+typedef struct {
+    const void *data;
+    int64_t count, rows, columns;
+} Array3;
+
+typedef struct {
+    const void *data;
+    int64_t count, links, rows, columns;
+} Array4;
+
+/* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ------------------------------------- */
+
+enum { PACK_ARRAYS = 12, PACK_WORDS = 3 * PACK_ARRAYS };
+
+typedef struct {
+    int64_t bodies, pieces, numbers, groups, parts; /* `numbers` of `points` */
+    int is_single, has_parts;
+    const double *table;
+    const int64_t *layout;
+    const double *points;
+    const int64_t *piece_start;
+    const double *hot;
+    const float *single;
+    const double *tree_groups;
+    const int64_t *children, *roots;
+    const float *vertices;
+    const double *part_rows;
+    const int64_t *part_start;
+} Pack;
+
+/* How many groups the tree over so many pieces of a body has, if it has one. */
+static inline int64_t groups_of(int64_t pieces)
+{
+    int64_t total = 0;
+    while (pieces > 1) {
+        pieces = (pieces + WIDE - 1) / WIDE;
+        total += pieces;
+    }
+    return total;
+}
+
+/* Write the table of addresses to which a handle points. */
+void write_words(const Pack *pack, int64_t words[PACK_WORDS]);
+
+/* -- files ----------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    int64_t links;
+    const int64_t *parent, *kind, *column;
+    const double *multiplier, *offset, *constants;
+} Tree;
+
+enum { SURFACE_ARRAYS = 5, SURFACE_WORDS = 3 * SURFACE_ARRAYS };
+
+typedef struct {
+    atomic_int users;
+    void *map;
+    size_t size;
+    void *owned[2];       /* copies of layouts, with addresses of surfaces */
+    int64_t *surfaces;    /* tables of their addresses */
+    int64_t dof, links, moving, bodies, pairs;
+    int has_cut;
+    const char **names; /* of bodies, links and values */
+    Tree tree;
+    const double *limits;
+    const int64_t *joints; /* bits: JOINT_... */
+    const int64_t *quaternions;
+    int64_t quaternion_count;
+    const int64_t *link, *pair_list, *order;
+    const double *margins, *poses;
+    double margin;
+    Pack whole, cut;
+} File;
+
+enum { JOINT_SINGLE = 1, JOINT_NO_LOWER = 2, JOINT_NO_UPPER = 4, JOINT_TURNING = 8 };
+
+loewner_status open_file(const char *path, File **file);
+void leave_file(File *file);
+
+struct loewner_bodies {
+    File *file;
+};
+
+/* -- checkers -------------------------------------------------------------------------------------------------------- */
+
+enum { TABLE_ROWS = 24, TABLE_WORDS = 3 * TABLE_ROWS, ORDER_ROW = 10 };
+
+typedef struct {
+    char *name;
+    File *file;
+    int64_t which;
+    int64_t link; /* of the robot; -1 for a body of the scene */
+    int is_attached, is_present;
+    double pose[16]; /* in the world, or in the frame of the link */
+    int32_t *touch;
+    size_t touch_count;
+} Body;
+
+/* What a user said about a pair. */
+typedef struct {
+    int32_t a, b; /* a < b */
+    int has_margin, has_allowed, allowed;
+    double margin;
+} Rule;
+
+/* All that kernels are given of one set of bodies: whole, or with standing surfaces cut into parts. */
+typedef struct {
+    Pack pack;
+    void *joined; /* memory of the pack, unless it is a file's */
+    int64_t words[PACK_WORDS];
+    double *ball, *chain, *blocks[2];
+    int64_t block_words;
+    int current;
+    int64_t handle, motions;
+    int64_t memory; /* bytes that any query writes to */
+} Half;
+
+/* The pairs to check, derived from the bodies and the rules. */
+typedef struct {
+    int64_t moving, standing, pairs, groups;
+    int starts_matter;
+    int32_t *body;  /* moving + standing: which body is where */
+    int32_t *place; /* of a body, -1 if it is absent */
+    Tree tree;      /* with a link for each attached body */
+    int64_t *link, *pair_list, *rows, *order, *motion_order, *path_start, *path_link, *group_start, *group_pairs;
+    double *margins, *poses;
+    Half whole, cut; /* cut.words[0] == 0: there is none */
+    void *memory[32];
+    int memory_count;
+} State;
+
+struct loewner_checker {
+    File *file;
+    Body *bodies;
+    int32_t body_count;
+    Rule *rules;
+    size_t rule_count;
+    pthread_mutex_t lock;
+    atomic_int is_stale; /* 1: poses; 2: all */
+    uint64_t serial;     /* of the state: another for each, also of other checkers */
+    State state;
+};
+
+struct loewner_workspace {
+    uint64_t serial; /* of the state that it is prepared for */
+    int64_t table[TABLE_WORDS], pack;
+    int64_t *order, *hits, seen, next_look;
+    char *memory; /* for kernels */
+    double *link_poses, *poses, *courses, *off, *fractions, *numbers, *vectors, *slopes;
+    int64_t *found_pairs, *work, *pieces;
+    int8_t *tiers, *pair_verdicts, *found;
+    void *block;
+    size_t size;
+    double *path;
+    size_t path_room;
+};
+
+/* Configurations and motions that are handled together. */
+enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
+
+/* Take over changes of the scene, and prepare a workspace. */
+loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
+
+/* The set of bodies of which motions are proven. */
+const Half *half_of_motions(const loewner_checker *checker);
+
+loewner_status check_configurations(const loewner_checker *checker, const double *configurations, size_t n,
+                                    const char *name);
+loewner_status check_poses(const double *poses, size_t n, const char *name);
+
+/* Exact verdicts of configurations that were checked. */
+loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
+                       const double *configurations, size_t n, int8_t *verdicts);
+
+/* Prove motions by their control points, shape (n, degree + 1, dof), which were checked; n <= MOTIONS_AT_ONCE.
+   `fractions` and `pairs` have room for n. */
+loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
+                     int32_t degree, double tolerance, const double *joint_error, int8_t *verdicts, double *fractions,
+                     int64_t *pairs);
+
+/* Write the course of the straight motion from a to b, shape (2, dof). */
+void straight(const loewner_checker *checker, const double *a, const double *b, double *course);
+
+#endif

@@ -1,0 +1,604 @@
+/* Configurations and motions of a checker: what `loewner/robots/verdicts.py`, `proofs.py` and `distances.py` do. */
+
+#include "internal.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Of `loewner/_kernels/codes.py`, whose numbers `build.py` passes. */
+enum { CERTIFY = CODE_CERTIFY, EXACT = CODE_EXACT };
+_Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
+               "verdicts have the numbers of codes.py");
+
+/* -- arguments ------------------------------------------------------------------------------------------------------- */
+
+loewner_status check_poses(const double *poses, size_t n, const char *name)
+{
+    struct {
+        int64_t row, kind;
+        double size;
+    } fault = {0};
+    if (poses == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected poses, found NULL", name);
+    Array3 all = {poses, (int64_t)n, 4, 4};
+    TRY(call(kernels()->first_fault, &all, &fault));
+    if (fault.row < (int64_t)n)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected rigid motions, found another at %lld", name, (long long)fault.row);
+    return LOEWNER_OK;
+}
+
+loewner_status check_configurations(const loewner_checker *checker, const double *configurations, size_t n,
+                                    const char *name)
+{
+    const File *file = checker->file;
+    size_t count = n * (size_t)file->dof;
+    int is = 1;
+    if (configurations == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
+    for (size_t k = 0; k < count; k++)
+        is &= fabs(configurations[k]) <= LARGEST_VALUE; /* not for NaN */
+    if (!is)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected finite numbers within %g, found others", name, LARGEST_VALUE);
+    for (int64_t c = 0; c < file->quaternion_count; c++)
+        for (size_t k = 0; k < n; k++) {
+            const double *q = configurations + k * (size_t)file->dof + file->quaternions[c];
+            double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+            if (fabs(norm - 1) > QUATERNION_TOLERANCE)
+                return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %g", name, norm);
+        }
+    return LOEWNER_OK;
+}
+
+/* -- verdicts -------------------------------------------------------------------------------------------------------- */
+
+/* Poses of all links, those of attached bodies included, at configurations that were checked. */
+static loewner_status place_links(const Tree *tree, const double *configurations, int64_t n, int64_t dof, double *poses)
+{
+    struct {
+        Array1 parent, kind, column, multiplier, offset;
+        Array2 constants, configurations;
+        int64_t first, last;
+        Array4 out;
+    } arguments = {
+        {tree->parent, tree->links}, {tree->kind, tree->links}, {tree->column, tree->links},
+        {tree->multiplier, tree->links}, {tree->offset, tree->links}, {tree->constants, tree->links, LINK_CONSTANTS},
+        {configurations, n, dof}, 0, n, {poses, n, tree->links, 4, 4},
+    };
+    int64_t nothing;
+    return call(kernels()->link_poses, &arguments, &nothing);
+}
+
+/* Exact verdicts of all pairs, with all bodies at poses. */
+static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses, int8_t *verdicts)
+{
+    static const int64_t ones[5] = {0, 1, 1, 1, 1};
+    int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5];
+    memcpy(plan, ones, sizeof plan);
+    plan[0] = count;
+    int64_t pack = (int64_t)state->whole.words;
+    memset(verdicts, LOEWNER_AMBIGUOUS, (size_t)count);
+    for (int64_t first = 0, last; first < count; first = last) {
+        for (last = first + 1; last < count && state->margins[last] == state->margins[first];)
+            last++;
+        int64_t tally[CODE_TIERS] = {0}, are_rigid = 0, nothing;
+        struct {
+            int64_t mode;
+            double margin;
+            int64_t first, last;
+            Array2 plan, rows;
+            int64_t a;
+            Array3 poses_a;
+            int64_t b;
+            Array3 poses_b;
+            Array1 out, tally;
+            void *memory;
+        } fast = {
+            EXACT, state->margins[first], first, last, {plan, 5, 1}, {state->rows, 2, count}, pack, {poses, bodies, 4, 4},
+            pack, {poses, bodies, 4, 4}, {verdicts, count}, {tally, CODE_TIERS}, workspace->memory,
+        };
+        TRY(call(kernels()->settle_range, &fast, &are_rigid));
+        if (!(are_rigid & 1)) { /* overflow distorted a pose */
+            memset(verdicts + first, LOEWNER_AMBIGUOUS, (size_t)(last - first));
+            continue;
+        }
+        if (tally[CODE_OPEN] == 0)
+            continue;
+        struct {
+            double margin;
+            int64_t first, last;
+            Array2 plan, rows;
+            int64_t a;
+            Array3 poses_a;
+            int64_t b;
+            Array3 poses_b;
+            Array1 out;
+        } careful = {
+            fast.margin, first, last, fast.plan, fast.rows, pack, fast.poses_a, pack, fast.poses_b, fast.out,
+        };
+        TRY(call(kernels()->settle_open, &careful, &nothing));
+        for (int64_t k = first; k < last; k++)
+            if (verdicts[k] == CODE_INEXACT) /* Python decides it in whole numbers */
+                verdicts[k] = LOEWNER_AMBIGUOUS;
+    }
+    return LOEWNER_OK;
+}
+
+static int8_t worst(const int8_t *verdicts, int64_t count)
+{
+    int8_t found = LOEWNER_FREE;
+    for (int64_t k = 0; k < count; k++) {
+        if (verdicts[k] == LOEWNER_COLLIDING)
+            return LOEWNER_COLLIDING;
+        if (verdicts[k] == LOEWNER_AMBIGUOUS)
+            found = LOEWNER_AMBIGUOUS;
+    }
+    return found;
+}
+
+/* Poses of all bodies, with the links at poses. */
+static void place_bodies(const State *state, const double *links, double *poses)
+{
+    for (int64_t k = 0; k < state->moving; k++)
+        memcpy(poses + 16 * k, links + 16 * state->link[k], 16 * sizeof(double));
+    memcpy(poses + 16 * state->moving, state->poses, (size_t)state->standing * 16 * sizeof(double));
+}
+
+static loewner_status settle_one(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
+                                 int8_t *verdicts)
+{
+    const State *state = &checker->state;
+    TRY(place_links(&state->tree, q, 1, checker->file->dof, workspace->link_poses));
+    place_bodies(state, workspace->link_poses, workspace->poses);
+    return settle_pairs(state, workspace, workspace->poses, verdicts);
+}
+
+/* The pairs that collided most often come first from now on. */
+static void learn(const State *state, loewner_workspace *workspace, size_t n)
+{
+    workspace->seen += (int64_t)n;
+    if (workspace->seen < workspace->next_look)
+        return;
+    workspace->next_look = 2 * workspace->seen;
+    /* A stable sort by insertion: few pairs ever collide, and they soon are in front. */
+    for (int64_t k = 0; k < state->pairs; k++)
+        workspace->order[k] = k;
+    for (int64_t k = 1; k < state->pairs; k++) {
+        int64_t pair = workspace->order[k], at = k;
+        if (workspace->hits[pair] == 0)
+            continue;
+        while (at > 0 && workspace->hits[workspace->order[at - 1]] < workspace->hits[pair])
+            at--;
+        memmove(workspace->order + at + 1, workspace->order + at, (size_t)(k - at) * 8);
+        workspace->order[at] = pair;
+    }
+}
+
+loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
+                       const double *configurations, size_t n, int8_t *verdicts)
+{
+    const State *state = &checker->state;
+    int64_t dof = checker->file->dof;
+    for (size_t first = 0; first < n; first += CHUNK) {
+        int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK), nothing;
+        const double *rows = configurations + first * (size_t)dof;
+        struct {
+            int64_t mode, first, last;
+            Array2 configurations;
+            int64_t pack, problem;
+            Array1 out, tiers, hits;
+            void *memory;
+        } arguments = {
+            mode, 0, count, {rows, count, dof}, workspace->pack, (int64_t)workspace->table, {verdicts + first, count},
+            {workspace->tiers, count}, {workspace->hits, state->pairs}, workspace->memory,
+        };
+        TRY(call(kernels()->check_configurations, &arguments, &nothing));
+        for (int64_t k = 0; mode == EXACT && k < count; k++)
+            if (verdicts[first + (size_t)k] == LOEWNER_AMBIGUOUS) {
+                TRY(settle_one(checker, workspace, rows + k * dof, workspace->pair_verdicts));
+                verdicts[first + (size_t)k] = worst(workspace->pair_verdicts, state->pairs);
+            }
+        learn(state, workspace, (size_t)count);
+    }
+    return LOEWNER_OK;
+}
+
+static loewner_status asked(const loewner_checker *checker, loewner_workspace *workspace, int mode,
+                            const double *configurations, size_t n, int8_t *verdicts)
+{
+    TRY(prepare(checker, workspace));
+    TRY(check_configurations(checker, configurations, n, "configurations"));
+    if (verdicts == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
+    return collide(checker, workspace, mode, configurations, n, verdicts);
+}
+
+loewner_status loewner_checker_classify(const loewner_checker *checker, loewner_workspace *workspace,
+                                        const double *configurations, size_t n, int8_t *verdicts)
+{
+    return asked(checker, workspace, CERTIFY, configurations, n, verdicts);
+}
+
+loewner_status loewner_checker_collide(const loewner_checker *checker, loewner_workspace *workspace,
+                                       const double *configurations, size_t n, int8_t *verdicts)
+{
+    return asked(checker, workspace, EXACT, configurations, n, verdicts);
+}
+
+loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
+                                               const double *configuration, int8_t *verdicts)
+{
+    TRY(prepare(checker, workspace));
+    TRY(check_configurations(checker, configuration, 1, "configuration"));
+    if (verdicts == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
+    return settle_one(checker, workspace, configuration, verdicts);
+}
+
+loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
+                                              const double *link_poses, int8_t *verdict, int8_t *verdicts)
+{
+    TRY(prepare(checker, workspace));
+    const State *state = &checker->state;
+    const Tree *tree = &state->tree;
+    int64_t links = checker->file->links;
+    TRY(check_poses(link_poses, (size_t)links, "link_poses"));
+    if (verdict == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT, "verdict: expected a pointer, found NULL");
+    memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
+    for (int64_t k = links; k < tree->links; k++) { /* of attached bodies, in the frame of a link or of the world */
+        static const double world[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+        const double *own = tree->constants + LINK_CONSTANTS * k;
+        const double *above = tree->parent[k] >= 0 ? workspace->link_poses + 16 * tree->parent[k] : world;
+        double *made = workspace->link_poses + 16 * k;
+        memcpy(made, world, sizeof world);
+        for (int r = 0; r < 3; r++) {
+            made[4 * r + 3] = above[4 * r + 3];
+            for (int c = 0; c < 3; c++) {
+                made[4 * r + c] = 0;
+                for (int m = 0; m < 3; m++)
+                    made[4 * r + c] += above[4 * r + m] * own[3 * m + c];
+                made[4 * r + 3] += above[4 * r + c] * own[TRANSLATION + c];
+            }
+        }
+    }
+    int8_t *out = verdicts != NULL ? verdicts : workspace->pair_verdicts;
+    place_bodies(state, workspace->link_poses, workspace->poses);
+    TRY(settle_pairs(state, workspace, workspace->poses, out));
+    *verdict = worst(out, state->pairs);
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_link_poses(const loewner_checker *checker, const double *configurations, size_t n,
+                                          double *poses)
+{
+    if (checker == NULL || (n > 0 && poses == NULL))
+        return fail(LOEWNER_BAD_ARGUMENT, "checker, poses: expected pointers, found NULL");
+    TRY(check_configurations(checker, configurations, n, "configurations"));
+    return place_links(&checker->file->tree, configurations, (int64_t)n, checker->file->dof, poses);
+}
+
+/* -- distances ------------------------------------------------------------------------------------------------------- */
+
+/* The body of a piece of a pack. */
+static int64_t owner(const Pack *pack, int64_t piece)
+{
+    int64_t low = 0, high = pack->bodies;
+    while (high - low > 1) {
+        int64_t middle = (low + high) / 2;
+        if (pack->piece_start[middle] <= piece)
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+static loewner_status differentiate(const loewner_checker *checker, loewner_workspace *workspace, const double *rows,
+                                    int64_t count, double *gradients)
+{
+    int64_t dof = checker->file->dof, nothing;
+    struct {
+        int64_t first, last;
+        Array2 configurations;
+        int64_t pack, problem;
+        void *memory;
+        Array2 bodies, normal, witness, slopes;
+    } arguments = {
+        0, count, {rows, count, dof}, workspace->pack, (int64_t)workspace->table, workspace->memory,
+        {workspace->pieces, count, 2}, {workspace->vectors + 6 * count, count, 3}, {workspace->vectors, count, 3},
+        {gradients, count, dof},
+    };
+    return call(kernels()->pair_gradients, &arguments, &nothing);
+}
+
+loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_workspace *workspace,
+                                        const double *configurations, size_t n, loewner_distance *distances,
+                                        double *gradients)
+{
+    TRY(prepare(checker, workspace));
+    TRY(check_configurations(checker, configurations, n, "configurations"));
+    const State *state = &checker->state;
+    int64_t dof = checker->file->dof;
+    if (state->pairs == 0 || (distances == NULL && n > 0))
+        return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for distances, found none");
+    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
+        int64_t count = (int64_t)(n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE), nothing;
+        const double *rows = configurations + first * (size_t)dof;
+        int8_t *status = workspace->found;
+        double *numbers = workspace->numbers, *vectors = workspace->vectors;
+        struct {
+            int64_t wanted, first, last;
+            Array2 configurations;
+            int64_t pack, problem;
+            void *memory;
+            Array2 numbers;
+            Array3 vectors;
+            Array2 pieces;
+            Array1 status;
+        } arguments = {
+            1, 0, count, {rows, count, dof}, workspace->pack, (int64_t)workspace->table, workspace->memory,
+            {numbers, 3, count}, {vectors, 3, count, 3}, {workspace->pieces, count, 2}, {status, count},
+        };
+        TRY(call(kernels()->nearest_pairs, &arguments, &nothing));
+        for (int64_t k = 0; k < count; k++) {
+            loewner_distance *found = distances + first + k;
+            *found = (loewner_distance){numbers[k], numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN}, {NAN, NAN, NAN}, {NAN, NAN, NAN}};
+            for (int side = 0; side < 2; side++) {
+                int64_t *piece = workspace->pieces + 2 * k + side;
+                *piece = status[k] == 0 ? owner(&state->whole.pack, *piece) : state->pair_list[side];
+                found->bodies[side] = state->body[*piece];
+            }
+            if (status[k] != 0)
+                continue;
+            found->distance = fmax(found->lower, fmin(numbers[2 * count + k], found->upper));
+            memcpy(found->witness_a, vectors + 3 * k, 24);
+            memcpy(found->witness_b, vectors + 3 * (count + k), 24);
+            memcpy(found->normal, vectors + 3 * (2 * count + k), 24);
+        }
+        if (gradients == NULL)
+            continue;
+        double *slopes = gradients + first * (size_t)dof;
+        TRY(differentiate(checker, workspace, rows, count, slopes));
+        for (int64_t k = 0; k < count * dof; k++)
+            if (status[k / dof] != 0)
+                slopes[k] = NAN;
+    }
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner_workspace *workspace,
+                                         const double *configurations, size_t n, double softness, double *clearances,
+                                         double *gradients)
+{
+    TRY(prepare(checker, workspace));
+    TRY(check_configurations(checker, configurations, n, "configurations"));
+    const State *state = &checker->state;
+    if (state->pairs == 0 || (clearances == NULL && n > 0))
+        return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for clearances, found none");
+    if (!(softness > 0 && softness < INFINITY))
+        return fail(LOEWNER_BAD_ARGUMENT, "softness: expected a positive number, found %g", softness);
+    /* A solid counts as a whole, not only its surface. */
+    const Half *half = state->starts_matter ? &state->whole : half_of_motions(checker);
+    int64_t dof = checker->file->dof, count = (int64_t)n, nothing;
+    struct {
+        int64_t gradient;
+        double softness;
+        int64_t first, last;
+        Array2 configurations;
+        int64_t pack, problem;
+        void *memory;
+        Array1 lower;
+        Array2 slopes;
+    } arguments = {
+        gradients != NULL, softness, 0, count, {configurations, count, dof}, (int64_t)half->words, half->handle,
+        workspace->memory, {clearances, count}, {gradients, gradients != NULL ? count : 0, dof},
+    };
+    TRY(call(kernels()->clearances, &arguments, &nothing));
+    for (size_t k = 0; k < n; k++)
+        if (!isfinite(clearances[k]))
+            return fail(LOEWNER_OVERFLOW, "positions overflow at configuration %zu", k);
+    return LOEWNER_OK;
+}
+
+/* -- motions --------------------------------------------------------------------------------------------------------- */
+
+void straight(const loewner_checker *checker, const double *a, const double *b, double *course)
+{
+    const File *file = checker->file;
+    size_t size = sizeof(double) * (size_t)file->dof;
+    memcpy(course, a, size);
+    memcpy(course + file->dof, b, size);
+    for (int64_t c = 0; c < file->quaternion_count; c++) { /* the nearer of q and -q */
+        const double *p = a + file->quaternions[c];
+        double *q = course + file->dof + file->quaternions[c];
+        if (p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] < 0)
+            for (int k = 0; k < 4; k++)
+                q[k] = -q[k];
+    }
+}
+
+/* An orientation on the shorter arc from p to q, as `Robot.between` has it. */
+static void slerp(const double *p, const double *q, double t, double *made)
+{
+    double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0), angle = acos(cosine);
+    double sine = fmax(sin(angle), 1e-12), of_p = 1 - t, of_q = t, norm = 0;
+    if (angle >= 1e-6) {
+        of_p = sin((1 - t) * angle) / sine;
+        of_q = sin(t * angle) / sine;
+    }
+    for (int k = 0; k < 4; k++)
+        made[k] = of_p * p[k] + of_q * q[k];
+    for (int k = 0; k < 4; k++)
+        norm += made[k] * made[k];
+    for (int k = 0; k < 4; k++)
+        made[k] /= sqrt(norm);
+}
+
+/* The configuration of a course at a fraction. */
+static void evaluate(const File *file, const double *course, int32_t degree, double t, double *q)
+{
+    int64_t dof = file->dof;
+    if (degree == 1) {
+        for (int64_t k = 0; k < dof; k++)
+            q[k] = t == 1 ? course[dof + k] : course[k] + t * (course[dof + k] - course[k]);
+        for (int64_t c = 0; c < file->quaternion_count; c++)
+            slerp(course + file->quaternions[c], course + dof + file->quaternions[c], t, q + file->quaternions[c]);
+        return;
+    }
+    memset(q, 0, (size_t)dof * sizeof *q);
+    double choices = 1;
+    for (int32_t k = 0; k <= degree; k++) {
+        double weight = choices * pow(t, k) * pow(1 - t, degree - k);
+        for (int64_t c = 0; c < dof; c++)
+            q[c] += weight * course[dof * k + c];
+        choices = choices * (degree - k) / (k + 1);
+    }
+    for (int64_t c = 0; c < file->quaternion_count; c++) {
+        double *its = q + file->quaternions[c], norm = 0;
+        for (int k = 0; k < 4; k++)
+            norm += its[k] * its[k];
+        for (int k = 0; k < 4; k++)
+            its[k] /= sqrt(norm);
+    }
+}
+
+loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
+                     int32_t degree, double tolerance, const double *joint_error, int8_t *verdicts, double *fractions,
+                     int64_t *pairs)
+{
+    const State *state = &checker->state;
+    const File *file = checker->file;
+    const Half *half = half_of_motions(checker);
+    int64_t dof = file->dof, count = (int64_t)n, points = degree + 1, nothing;
+    int is_off = 0;
+    for (int64_t c = 0; joint_error != NULL && c < dof; c++)
+        is_off |= joint_error[c] > 0;
+    for (int64_t k = 0; is_off && k < count; k++)
+        for (int64_t c = 0; c < dof; c++) {
+            double most = 0;
+            for (int64_t p = 0; p < points; p++)
+                most = fmax(most, fabs(courses[(k * points + p) * dof + c]));
+            workspace->off[k * dof + c] = joint_error[c] + ROUNDED_VALUES * most;
+        }
+    struct {
+        int64_t first, last;
+        Array3 courses;
+        Array2 off;
+        double tolerance;
+        int64_t pack, problem, tables;
+        Array1 out, fractions, pairs;
+        Array2 work;
+        void *memory;
+    } arguments = {
+        0, count, {courses, count, points, dof}, {workspace->off, is_off ? count : 0, is_off ? dof : 0}, tolerance,
+        (int64_t)half->words, half->handle, half->motions, {verdicts, count}, {fractions, count}, {pairs, count},
+        {workspace->work, count, 2}, workspace->memory,
+    };
+    TRY(call(kernels()->certify_motions, &arguments, &nothing));
+    double *q = workspace->slopes;
+    for (int64_t k = 0; k < count; k++) {
+        const double *course = courses + k * points * dof;
+        if (verdicts[k] == CODE_TOO_LONG) {
+            verdicts[k] = LOEWNER_AMBIGUOUS;
+            fractions[k] = 0;
+            pairs[k] = -1;
+        } else if (verdicts[k] == CODE_BY_CARE ||
+                   (verdicts[k] == LOEWNER_COLLIDING && (degree > 1 || file->quaternion_count > 0))) {
+            /* COLLIDING only if the configuration that a user computes from the fraction collides. */
+            int8_t found;
+            evaluate(file, course, degree, fractions[k], q);
+            TRY(collide(checker, workspace, EXACT, q, 1, &found));
+            verdicts[k] = found == LOEWNER_COLLIDING ? LOEWNER_COLLIDING : LOEWNER_AMBIGUOUS;
+        } else if (verdicts[k] == LOEWNER_FREE && state->starts_matter) {
+            int8_t found;
+            TRY(collide(checker, workspace, EXACT, course, 1, &found));
+            if (found == LOEWNER_FREE)
+                continue;
+            TRY(settle_one(checker, workspace, course, workspace->pair_verdicts));
+            verdicts[k] = worst(workspace->pair_verdicts, state->pairs);
+            verdicts[k] = verdicts[k] == LOEWNER_FREE ? LOEWNER_AMBIGUOUS : verdicts[k];
+            fractions[k] = 0;
+            pairs[k] = -1;
+            for (int64_t p = state->pairs - 1; p >= 0; p--)
+                if (workspace->pair_verdicts[p] == verdicts[k])
+                    pairs[k] = p;
+        }
+    }
+    return LOEWNER_OK;
+}
+
+static loewner_status check_options(const loewner_checker *checker, const loewner_proof_options *options)
+{
+    if (options == NULL)
+        return LOEWNER_OK;
+    if (!(options->tolerance >= 0 && options->tolerance < INFINITY))
+        return fail(LOEWNER_BAD_ARGUMENT, "tolerance: expected a number >= 0, found %g", options->tolerance);
+    for (int64_t c = 0; options->joint_error != NULL && c < checker->file->dof; c++)
+        if (!(options->joint_error[c] >= 0 && options->joint_error[c] < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", options->joint_error[c]);
+    return LOEWNER_OK;
+}
+
+/* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
+static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t count,
+                                  int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
+                                  double *fractions, int32_t (*bodies)[2])
+{
+    TRY(prove(checker, workspace, workspace->courses, count, degree, options != NULL && options->tolerance > 0 ? options->tolerance : 1e-5,
+              options != NULL ? options->joint_error : NULL, verdicts, workspace->fractions, workspace->found_pairs));
+    if (fractions != NULL)
+        memcpy(fractions, workspace->fractions, count * sizeof *fractions);
+    for (size_t k = 0; bodies != NULL && k < count; k++)
+        for (int side = 0; side < 2; side++) {
+            int64_t pair = workspace->found_pairs[k];
+            bodies[k][side] = pair < 0 ? -1 : checker->state.body[checker->state.pair_list[2 * pair + side]];
+        }
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loewner_workspace *workspace,
+                                             const double *starts, const double *ends, size_t n,
+                                             const loewner_proof_options *options, int8_t *verdicts, double *fractions,
+                                             int32_t (*bodies)[2])
+{
+    TRY(prepare(checker, workspace));
+    TRY(check_configurations(checker, starts, n, "starts"));
+    TRY(check_configurations(checker, ends, n, "ends"));
+    TRY(check_options(checker, options));
+    if (verdicts == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
+    size_t dof = (size_t)checker->file->dof;
+    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
+        size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
+        for (size_t k = 0; k < count; k++)
+            straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
+        TRY(prove_block(checker, workspace, count, 1, options, verdicts + first, fractions == NULL ? NULL : fractions + first,
+                        bodies == NULL ? NULL : bodies + first));
+    }
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
+                                              const double *points, size_t n, int32_t degree,
+                                              const loewner_proof_options *options, int8_t *verdicts, double *fractions,
+                                              int32_t (*bodies)[2])
+{
+    TRY(prepare(checker, workspace));
+    if (degree < 1 || degree >= CODE_MOST_POINTS)
+        return fail(LOEWNER_BAD_ARGUMENT, "degree: expected 1 to %d, found %d", CODE_MOST_POINTS - 1, degree);
+    size_t each = (size_t)checker->file->dof * (size_t)(degree + 1);
+    if (checker->file->quaternion_count > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "expected a robot without quaternions: curves of orientations are Python's");
+    TRY(check_configurations(checker, points, n * (size_t)(degree + 1), "points"));
+    TRY(check_options(checker, options));
+    if (verdicts == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
+    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
+        size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
+        memcpy(workspace->courses, points + first * each, count * each * sizeof *points);
+        TRY(prove_block(checker, workspace, count, degree, options, verdicts + first,
+                        fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
+    }
+    return LOEWNER_OK;
+}

@@ -1,0 +1,141 @@
+"""Flat files of arrays for programs without Python: `native/capi/files.c` maps them, and checks all that they contain.
+
+A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. Kernels take these arrays
+as they are, except for addresses, which the reader fills in. The layout of the arrays belongs to one version of the
+kernels, so the header names the version, and no other version reads the file.
+
+The header is the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after it, the
+hash of the kernels' sources, and eight counts: arrays, values of a configuration, links, moving bodies, static bodies,
+1 if surfaces are also given in parts, surfaces, 0. A row of the directory is a type (0 int64, 1 float64, 2 float32,
+3 bytes), rows, columns and an offset in bytes.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loewner import _validate
+from loewner._files import replacing
+from loewner._kernels import columns
+from loewner._kernels._sources import source_hash
+from loewner.bodies.pack import Packed, join, take
+from loewner.bodies.parts import in_parts
+from loewner.errors import InputError
+
+SUFFIX = ".lwn"
+
+MAGIC, FORMAT = b"lwn file", 1
+HEADER = struct.Struct("<8sQQQ64s8q")
+BEHIND_CHECKSUM = 32  # bytes
+LINE = columns.CACHE_LINE
+
+TYPES = {np.dtype(np.int64): 0, np.dtype(np.float64): 1, np.dtype(np.float32): 2, np.dtype(np.uint8): 3}
+
+# Odd multiples of this number, the golden ratio in 64 bits, are the factors of the words in the checksum.
+GOLDEN = 0x9E3779B97F4A7C15
+
+# Arrays before the packs; a file of bodies alone has only the first and the last two.
+BEFORE = (
+    "names", "parent", "kind", "column", "multiplier", "offset", "constants", "limits", "joints",
+    "quaternions", "link", "pairs", "margins", "order", "margin", "poses",
+)  # fmt: skip
+_NO_INTEGERS, _NO_NUMBERS = np.zeros(0, dtype=np.int64), np.zeros(0)
+
+
+def save(path: str | os.PathLike[str], packed: Packed) -> None:
+    """Write bodies alone, see `write`; their names are their numbers."""
+    count = len(packed.piece_start) - 1
+    packs = [packed]
+    if packed.trees:
+        cut = in_parts([take(packed, np.array([k])) for k in range(count)], np.ones(count, dtype=bool))
+        packs.append(join(cut))
+    write(path, [[str(k) for k in range(count)]], {}, packs, (0, 0, 0))
+
+
+def write(
+    path: str | os.PathLike[str],
+    names: Sequence[Sequence[str]],
+    arrays: dict[str, Any],
+    packs: Sequence[Packed],
+    counts: tuple[int, int, int],
+) -> None:
+    """Write a file.
+
+    Parameters
+    ----------
+    path : path
+        Must end in ``.lwn``.
+    names : sequence of sequences of str
+        Names of bodies, of links, and of the values of a configuration.
+    arrays : dict
+        Arrays by their names in `BEFORE`; missing ones are empty.
+    packs : sequence of Packed
+        The bodies; and once more with surfaces in parts, if there are surfaces that can be cut.
+    counts : tuple of int
+        Values of a configuration, links, and moving bodies.
+
+    Raises
+    ------
+    InputError
+        If the path does not end in ``.lwn``.
+    FileError
+        If the file cannot be written; an older file is then unchanged.
+    """
+    target = _validate.path(path, "path")
+    if target.suffix != SUFFIX:
+        raise InputError(f"path: expected a name that ends in {SUFFIX}, found {target.name!r}")
+    _write(target, names, arrays, packs, counts)
+
+
+def _write(target: Path, names: Any, arrays: dict[str, Any], packs: Sequence[Packed], counts: Any) -> None:
+    text = "".join(f"{name}\0" for group in names for name in group).encode()
+    held = {"names": np.frombuffer(text, np.uint8), **arrays}
+    listed = [held.get(name, _NO_INTEGERS if name in ("link", "joints") else _NO_NUMBERS) for name in BEFORE]
+    surfaces = {tree.table.ctypes.data: tree for pack in packs for tree in pack.trees.values()}
+    numbers = {address: number for number, address in enumerate(surfaces, 1)}
+    for pack in packs:
+        layout = pack.kernel.layout.copy()
+        layout[:, columns.SURFACE_AT] = [numbers.get(at, 0) for at in layout[:, columns.SURFACE_AT].tolist()]
+        listed += pack.kernel._replace(layout=layout)
+    for tree in surfaces.values():
+        listed += [tree.boxes, tree.children, tree.blocks, tree.parts, tree.diagonals]
+    content, directory = bytearray(), []
+    begin = _lines(HEADER.size + 32 * len(listed))
+    places: dict[tuple[int, int], int] = {}  # packs share many arrays
+    for array in listed:
+        array = np.ascontiguousarray(array)
+        key = array.ctypes.data, array.nbytes
+        if key not in places:
+            places[key] = begin + len(content)
+            content += array.tobytes()
+            content += bytes(_lines(len(content)) - len(content))
+        columns_of = array.shape[1] if array.ndim == 2 else 1
+        directory.append((TYPES[array.dtype], array.shape[0], columns_of, places[key]))
+    rows = np.array(directory, dtype=np.int64).tobytes()
+    dof, links, moving = counts
+    static = len(packs[0].piece_start) - 1 - moving
+    head = [len(listed), dof, links, moving, static, len(packs) - 1, len(surfaces), 0]
+    size = begin + len(content)
+    whole = bytearray(HEADER.pack(MAGIC, FORMAT, size, 0, source_hash().encode(), *head)) + rows
+    whole += bytes(begin - len(whole)) + content
+    struct.pack_into("<Q", whole, BEHIND_CHECKSUM - 8, checksum(bytes(whole[BEHIND_CHECKSUM:])))
+    with replacing(target) as temporary, open(temporary, "xb") as stream:
+        stream.write(whole)
+
+
+def _lines(size: int) -> int:
+    return -(-size // LINE) * LINE
+
+
+def checksum(content: bytes) -> int:
+    """Sum 64-bit words, each times an odd number that depends on its place; any change of one word changes the sum."""
+    words = np.frombuffer(content, dtype="<u8")
+    with np.errstate(over="ignore"):
+        factors = np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(GOLDEN) | np.uint64(1)
+        return int((words * factors).sum(dtype=np.uint64))

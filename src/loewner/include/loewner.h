@@ -1,0 +1,249 @@
+/* loewner.h: certified collision detection from C, without Python in the process.
+
+   Python prepares, C asks: `CollisionChecker.save("cell.lwn")` writes a robot in its scene to a file, and
+   `loewner_checker_open` maps it. The answers are those of Python, from the same machine code.
+
+   VERDICTS. FREE and COLLIDING are proven, including all rounding. AMBIGUOUS means that nothing is proven; treat it as
+   not free. `loewner_checker_classify` looks at ellipsoids only and is often AMBIGUOUS; `..._collide` is exact, and
+   AMBIGUOUS only where arithmetic could not settle a configuration.
+
+   UNITS are metres and radians. ARRAYS are in C order. A pose is 16 doubles: a 4x4 matrix in row order, which maps points
+   of a body to the world, with an orthonormal rotation and the last row 0 0 0 1. A configuration has `dof` doubles, in the
+   order of `Robot.configuration_names`; orientations are quaternions wxyz of norm 1.
+
+   OWNERSHIP. What a function makes belongs to the caller, who passes it to `..._close` or `..._free` once; both accept
+   NULL. No function keeps a pointer to an argument. Texts that functions return belong to the library.
+
+   THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own. A
+   function that takes a `loewner_checker *` that is not const changes it: no other thread may then use this checker.
+
+   ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
+   one. After an error, outputs have no meaning. Queries check their arguments: sizes, finite numbers, rigid poses.
+
+   MEMORY. A workspace grows when it is first used with a state of a checker. After that, no query allocates memory,
+   except for `loewner_checker_plan` and `loewner_checker_shorten`, and for pairs of bodies with many pieces. */
+
+#ifndef LOEWNER_H
+#define LOEWNER_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#if defined(_WIN32)
+#define LOEWNER_API
+#else
+#define LOEWNER_API __attribute__((visibility("default")))
+#endif
+
+typedef enum {
+    LOEWNER_OK = 0,
+    LOEWNER_BAD_ARGUMENT = 1,  /* a size, a number, a pose or an index that cannot be */
+    LOEWNER_BAD_FILE = 2,      /* no such file, not written by loewner, or damaged */
+    LOEWNER_OTHER_VERSION = 3, /* the file belongs to another version of loewner: save it again */
+    LOEWNER_NO_KERNELS = 4,    /* the machine code is missing, or not for this processor */
+    LOEWNER_NO_MEMORY = 5,
+    LOEWNER_UNKNOWN_NAME = 6,
+    LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path collide or are not proven free */
+    LOEWNER_NO_PATH = 8,  /* none was found within the iterations or in time */
+    LOEWNER_OVERFLOW = 9  /* positions overflow at a configuration */
+} loewner_status;
+
+enum { LOEWNER_FREE = 0, LOEWNER_COLLIDING = 1, LOEWNER_AMBIGUOUS = 2 };
+
+typedef struct loewner_checker loewner_checker;
+typedef struct loewner_bodies loewner_bodies;
+typedef struct loewner_workspace loewner_workspace;
+
+/* Name of a status, such as "bad file". */
+LOEWNER_API const char *loewner_status_name(loewner_status status);
+
+/* What was expected and what was found at this thread's last error; valid until its next one. */
+LOEWNER_API const char *loewner_error_text(void);
+
+/* Level of the processor whose machine code is in use, such as "x86-64-v3"; NULL if there is none, with an error text. */
+LOEWNER_API const char *loewner_level(void);
+
+/* -- workspaces ---------------------------------------------------------------------------------------------------- */
+
+/* Memory for the queries of one thread at a time, of any checkers and bodies. */
+LOEWNER_API loewner_status loewner_workspace_new(loewner_workspace **workspace);
+LOEWNER_API void loewner_workspace_free(loewner_workspace *workspace);
+
+/* -- checkers: a robot in a scene ---------------------------------------------------------------------------------- */
+
+/* Open a file that `CollisionChecker.save` wrote.
+
+   The file is mapped into memory and must not change while the checker is open; replacing it by a new file of the same
+   name is fine. Sizes, indices and numbers are checked, so that no file can lead to accesses outside it; whether the
+   ellipsoids in it belong to the shapes in it is not checked. */
+LOEWNER_API loewner_status loewner_checker_open(const char *path, loewner_checker **checker);
+LOEWNER_API void loewner_checker_close(loewner_checker *checker);
+
+/* Values of a configuration, links, bodies (those of links first), and pairs of bodies that are checked. */
+LOEWNER_API int32_t loewner_checker_dof(const loewner_checker *checker);
+LOEWNER_API int32_t loewner_checker_link_count(const loewner_checker *checker);
+LOEWNER_API int32_t loewner_checker_body_count(const loewner_checker *checker);
+LOEWNER_API int64_t loewner_checker_pair_count(const loewner_checker *checker);
+
+/* Names, by number; NULL if there is no such number. Valid until the checker is closed. */
+LOEWNER_API const char *loewner_checker_value_name(const loewner_checker *checker, int32_t value);
+LOEWNER_API const char *loewner_checker_link_name(const loewner_checker *checker, int32_t link);
+LOEWNER_API const char *loewner_checker_body_name(const loewner_checker *checker, int32_t body);
+
+/* Numbers, by name; -1 if there is no such name. A body on a link has the link's name. */
+LOEWNER_API int32_t loewner_checker_find_link(const loewner_checker *checker, const char *name);
+LOEWNER_API int32_t loewner_checker_find_body(const loewner_checker *checker, const char *name);
+
+/* Limits of the values, shape (dof,) each; infinite where there are none. */
+LOEWNER_API loewner_status loewner_checker_limits(const loewner_checker *checker, double *lower, double *upper);
+
+/* The bodies of the checked pair number `pair`. */
+LOEWNER_API loewner_status loewner_checker_pair(const loewner_checker *checker, int64_t pair, int32_t bodies[2]);
+
+/* -- queries of configurations ------------------------------------------------------------------------------------- */
+
+/* Verdicts of n configurations, shape (n, dof), from the ellipsoids alone, or exact; `verdicts` has shape (n,). */
+LOEWNER_API loewner_status loewner_checker_classify(const loewner_checker *checker, loewner_workspace *workspace,
+                                                    const double *configurations, size_t n, int8_t *verdicts);
+LOEWNER_API loewner_status loewner_checker_collide(const loewner_checker *checker, loewner_workspace *workspace,
+                                                   const double *configurations, size_t n, int8_t *verdicts);
+
+/* Exact verdict of every checked pair at one configuration; `verdicts` has shape (pairs,). */
+LOEWNER_API loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
+                                                           const double *configuration, int8_t *verdicts);
+
+/* The same for poses of all links in the world, shape (links, 16), that somebody else computed. `verdict` receives the
+   verdict of all pairs together; `verdicts` may be NULL. */
+LOEWNER_API loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
+                                                          const double *link_poses, int8_t *verdict, int8_t *verdicts);
+
+/* Poses of all links at n configurations, shape (n, links, 16). */
+LOEWNER_API loewner_status loewner_checker_link_poses(const loewner_checker *checker, const double *configurations,
+                                                      size_t n, double *poses);
+
+typedef struct {
+    double lower, upper; /* certified bounds on the distance */
+    double distance;     /* of the nearest pair, or minus the depth of the deepest one; NaN if it was not settled */
+    int32_t bodies[2];
+    double witness_a[3], witness_b[3]; /* the nearest points of the two bodies, in the world */
+    double normal[3];                  /* of length 1, from the first body to the second one */
+} loewner_distance;
+
+/* Signed distance of the nearest checked pair at n configurations; margins are ignored. `gradients`, shape (n, dof), may
+   be NULL: derivatives of the distance in metres per radian or metre. If `distance` is NaN, so is the gradient, and the
+   bounds hold. There must be a pair. */
+LOEWNER_API loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_workspace *workspace,
+                                                    const double *configurations, size_t n, loewner_distance *distances,
+                                                    double *gradients);
+
+/* A smooth certified lower bound on the distance of the nearest pair at n configurations, shape (n,), and its gradients,
+   shape (n, dof), which may be NULL. `softness` is in metres, such as 0.005; see `CollisionChecker.clearance`. */
+LOEWNER_API loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner_workspace *workspace,
+                                                     const double *configurations, size_t n, double softness,
+                                                     double *clearances, double *gradients);
+
+/* -- motions ------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    double tolerance;          /* motions that come nearer than this to contact may be AMBIGUOUS [m]; 0: 1e-5 */
+    const double *joint_error; /* shape (dof,), or NULL: FREE then holds for all deviations up to these */
+} loewner_proof_options;
+
+/* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
+   take the shorter way. FREE holds at every real fraction of the motion; COLLIDING at the fraction that `fractions`,
+   shape (n,), receives (NaN for FREE). `bodies`, shape (n, 2), receives the pair in question, or -1. `fractions`, `bodies`
+   and `options` may be NULL. Motions longer than some 450,000 intervals of the proof are AMBIGUOUS. */
+LOEWNER_API loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loewner_workspace *workspace,
+                                                         const double *starts, const double *ends, size_t n,
+                                                         const loewner_proof_options *options, int8_t *verdicts,
+                                                         double *fractions, int32_t (*bodies)[2]);
+
+/* The same for n curves: polynomials of a degree from 1 to 7, by their Bezier points, shape (n, degree + 1, dof). */
+LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
+                                                          const double *points, size_t n, int32_t degree,
+                                                          const loewner_proof_options *options, int8_t *verdicts,
+                                                          double *fractions, int32_t (*bodies)[2]);
+
+typedef struct {
+    const uint8_t *joints;     /* shape (dof,): 1 for values that may change; NULL: all */
+    const double *joint_error; /* shape (dof,), or NULL */
+    int64_t max_iterations;    /* random configurations to draw; 0: 100,000 */
+    double timeout;            /* seconds; 0: 10 */
+    int64_t cuts;              /* attempts to shorten the path; 0: 60; -1: none */
+    uint32_t seed;             /* equal seeds give equal paths, the same as in Python */
+} loewner_plan_options;
+
+/* Find a path from `start`, shape (dof,), to one of several goals, shape (goals, dof), whose motions are all proven free,
+   as `loewner.planners.plan` does. `path` receives `count` configurations, which belong to the workspace and are valid
+   until its next use. `options` may be NULL. */
+LOEWNER_API loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_workspace *workspace,
+                                                const double *start, const double *goals, size_t goal_count,
+                                                const loewner_plan_options *options, const double **path, size_t *count);
+
+/* Shorten a path of `n` configurations whose motions are all free; its other arguments are those of `..._plan`. */
+LOEWNER_API loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_workspace *workspace,
+                                                   const double *path, size_t n, const loewner_plan_options *options,
+                                                   const double **shorter, size_t *count);
+
+/* -- changes of the scene ------------------------------------------------------------------------------------------ */
+
+/* Move n bodies of the scene, by their numbers, to `poses`, shape (n, 16). The next query takes the changes over, which
+   costs some microseconds for each body that moved. */
+LOEWNER_API loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bodies, const double *poses,
+                                                size_t n);
+
+/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. `body` receives its number and
+   may be NULL. The bodies may be closed afterwards. */
+LOEWNER_API loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
+                                               int64_t which, const double *pose, int32_t *body);
+
+/* Take a body of the scene, or of a link, out of all checks, or back; numbers of bodies do not change. */
+LOEWNER_API loewner_status loewner_checker_set_present(loewner_checker *checker, int32_t body, int present);
+
+/* Attach a body of the scene to a link, at a pose in the frame of the link. It is then checked against the scene and the
+   robot, except for `touch_count` links, and links that are rigidly joined with its link. */
+LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, int32_t link,
+                                                  const double *pose_in_link, const int32_t *touch_links,
+                                                  size_t touch_count);
+
+/* Let an attached body stand in the scene again, at a pose in the world. */
+LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, const double *pose);
+
+/* Allow two bodies to touch, or not; and set the distance in metres, >= 0, that they have to keep. */
+LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
+LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
+
+/* -- pairs of bodies ----------------------------------------------------------------------------------------------- */
+
+/* Open a file of bodies, which `Body.save` or `Bodies.save` wrote under a name that ends in .lwn. */
+LOEWNER_API loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies);
+LOEWNER_API void loewner_bodies_close(loewner_bodies *bodies);
+LOEWNER_API int64_t loewner_bodies_count(const loewner_bodies *bodies);
+
+/* One side of a query of n pairs: pair k is body `body` (or body k, if it is -1) at pose k (or at the only pose). */
+typedef struct {
+    const loewner_bodies *bodies;
+    int64_t body;
+    const double *poses; /* shape (pose_count, 16); NULL for the identity */
+    size_t pose_count;   /* n or 1 */
+} loewner_side;
+
+/* Verdicts of n pairs, shape (n,). They have to keep `margin` metres apart to be FREE. */
+LOEWNER_API loewner_status loewner_classify(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
+                                            size_t n, double margin, int8_t *verdicts);
+LOEWNER_API loewner_status loewner_collide(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
+                                           size_t n, double margin, int8_t *verdicts);
+
+/* Signed distances of n pairs; `bodies` of the results are the numbers of the bodies in their files. */
+LOEWNER_API loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
+                                           size_t n, loewner_distance *distances);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

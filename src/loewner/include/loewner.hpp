@@ -1,0 +1,271 @@
+/* loewner.hpp: `loewner.h` for C++17, with owners that close what they hold, and vectors and views instead of pointers.
+
+   Everything here is inline, in the program's own code: the library throws nothing. A status other than OK becomes a
+   `loewner::Error`. What `loewner.h` says of units, shapes, ownership and threads holds here. */
+
+#ifndef LOEWNER_HPP
+#define LOEWNER_HPP
+
+#include "loewner.h"
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace loewner {
+
+class Error : public std::runtime_error {
+public:
+    Error(loewner_status status, const std::string &text) : std::runtime_error(text), status_(status) {}
+    loewner_status status() const noexcept { return status_; }
+
+private:
+    loewner_status status_;
+};
+
+inline void expect(loewner_status status)
+{
+    if (status != LOEWNER_OK)
+        throw Error(status, loewner_error_text());
+}
+
+enum class Verdict : std::int8_t { Free = LOEWNER_FREE, Colliding = LOEWNER_COLLIDING, Ambiguous = LOEWNER_AMBIGUOUS };
+
+/* A view of numbers that somebody else owns: of a vector, an array, or a pointer and a length. */
+template <class T> class View {
+public:
+    View() = default;
+    View(T *data, std::size_t size) : data_(data), size_(size) {}
+    template <class Container, class = decltype(std::declval<Container &>().data())>
+    View(Container &&container) : data_(container.data()), size_(container.size()) {}
+    T *data() const noexcept { return data_; }
+    std::size_t size() const noexcept { return size_; }
+    T *begin() const noexcept { return data_; }
+    T *end() const noexcept { return data_ + size_; }
+    T &operator[](std::size_t k) const { return data_[k]; }
+
+private:
+    T *data_ = nullptr;
+    std::size_t size_ = 0;
+};
+
+using Numbers = View<const double>;
+using Pose = std::array<double, 16>; /* a 4x4 matrix in row order */
+
+/* Memory for the queries of one thread at a time. */
+class Workspace {
+public:
+    Workspace()
+    {
+        loewner_workspace *made = nullptr;
+        expect(loewner_workspace_new(&made));
+        held_.reset(made);
+    }
+    loewner_workspace *get() const noexcept { return held_.get(); }
+
+private:
+    struct Leave {
+        void operator()(loewner_workspace *held) const noexcept { loewner_workspace_free(held); }
+    };
+    std::unique_ptr<loewner_workspace, Leave> held_;
+};
+
+/* Bodies of a file that `Body.save` or `Bodies.save` wrote. */
+class Bodies {
+public:
+    explicit Bodies(const std::string &path)
+    {
+        loewner_bodies *made = nullptr;
+        expect(loewner_bodies_open(path.c_str(), &made));
+        held_.reset(made);
+    }
+    std::size_t size() const noexcept { return static_cast<std::size_t>(loewner_bodies_count(held_.get())); }
+    const loewner_bodies *get() const noexcept { return held_.get(); }
+
+private:
+    struct Leave {
+        void operator()(loewner_bodies *held) const noexcept { loewner_bodies_close(held); }
+    };
+    std::unique_ptr<loewner_bodies, Leave> held_;
+};
+
+struct Motion {
+    Verdict verdict;
+    double fraction;                    /* NaN for Free */
+    std::array<std::int32_t, 2> bodies; /* -1 for none */
+};
+
+/* A robot in a scene, from a file that `CollisionChecker.save` wrote. */
+class Checker {
+public:
+    explicit Checker(const std::string &path)
+    {
+        loewner_checker *made = nullptr;
+        expect(loewner_checker_open(path.c_str(), &made));
+        held_.reset(made);
+    }
+
+    std::size_t dof() const noexcept { return static_cast<std::size_t>(loewner_checker_dof(get())); }
+    std::size_t link_count() const noexcept { return static_cast<std::size_t>(loewner_checker_link_count(get())); }
+    std::size_t body_count() const noexcept { return static_cast<std::size_t>(loewner_checker_body_count(get())); }
+    std::size_t pair_count() const noexcept { return static_cast<std::size_t>(loewner_checker_pair_count(get())); }
+    std::int32_t link(const std::string &name) const { return known(loewner_checker_find_link(get(), name.c_str()), name); }
+    std::int32_t body(const std::string &name) const { return known(loewner_checker_find_body(get(), name.c_str()), name); }
+    std::string body_name(std::int32_t body) const { return text(loewner_checker_body_name(get(), body)); }
+    std::string link_name(std::int32_t link) const { return text(loewner_checker_link_name(get(), link)); }
+    std::string value_name(std::int32_t value) const { return text(loewner_checker_value_name(get(), value)); }
+
+    /* Limits of the values: lower, then upper. */
+    std::pair<std::vector<double>, std::vector<double>> limits() const
+    {
+        std::vector<double> lower(dof()), upper(dof());
+        expect(loewner_checker_limits(get(), lower.data(), upper.data()));
+        return {std::move(lower), std::move(upper)};
+    }
+
+    /* Verdict of one configuration. */
+    Verdict classify(Workspace &workspace, Numbers q) const
+    {
+        std::int8_t found = LOEWNER_AMBIGUOUS;
+        expect_rows(q, 1);
+        expect(loewner_checker_classify(get(), workspace.get(), q.data(), 1, &found));
+        return static_cast<Verdict>(found);
+    }
+    Verdict collide(Workspace &workspace, Numbers q) const
+    {
+        std::int8_t found = LOEWNER_AMBIGUOUS;
+        expect_rows(q, 1);
+        expect(loewner_checker_collide(get(), workspace.get(), q.data(), 1, &found));
+        return static_cast<Verdict>(found);
+    }
+
+    /* Verdicts of configurations that follow each other. */
+    void collide(Workspace &workspace, Numbers configurations, View<std::int8_t> verdicts) const
+    {
+        expect_rows(configurations, verdicts.size());
+        expect(loewner_checker_collide(get(), workspace.get(), configurations.data(), verdicts.size(), verdicts.data()));
+    }
+    Verdict collide_placed(Workspace &workspace, Numbers link_poses) const
+    {
+        std::int8_t found = LOEWNER_AMBIGUOUS;
+        if (link_poses.size() != 16 * link_count())
+            throw Error(LOEWNER_BAD_ARGUMENT, "link_poses: expected 16 numbers for each link");
+        expect(loewner_checker_collide_placed(get(), workspace.get(), link_poses.data(), &found, nullptr));
+        return static_cast<Verdict>(found);
+    }
+
+    /* The nearest pair at one configuration, and on request the gradient of its distance. */
+    loewner_distance distance(Workspace &workspace, Numbers q, View<double> gradient = {}) const
+    {
+        loewner_distance found;
+        expect_rows(q, 1);
+        expect_gradient(gradient);
+        expect(loewner_checker_distance(get(), workspace.get(), q.data(), 1, &found, gradient.data()));
+        return found;
+    }
+    double clearance(Workspace &workspace, Numbers q, double softness = 0.005, View<double> gradient = {}) const
+    {
+        double found = 0;
+        expect_rows(q, 1);
+        expect_gradient(gradient);
+        expect(loewner_checker_clearance(get(), workspace.get(), q.data(), 1, softness, &found, gradient.data()));
+        return found;
+    }
+
+    /* Prove one straight motion. */
+    Motion certify_edge(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5,
+                        Numbers joint_error = {}) const
+    {
+        std::int8_t found = LOEWNER_AMBIGUOUS;
+        std::int32_t bodies[1][2] = {{-1, -1}};
+        double fraction = NAN;
+        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data()};
+        expect_rows(start, 1);
+        expect_rows(end, 1);
+        if (joint_error.size() != 0)
+            expect_rows(joint_error, 1);
+        expect(loewner_checker_certify_edges(get(), workspace.get(), start.data(), end.data(), 1, &options, &found,
+                                             &fraction, bodies));
+        return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}};
+    }
+
+    /* A path from a configuration to one of several goals, as rows of a flat vector. */
+    std::vector<double> plan(Workspace &workspace, Numbers start, Numbers goals,
+                             const loewner_plan_options &options = {}) const
+    {
+        const double *path = nullptr;
+        std::size_t count = 0;
+        expect_rows(start, 1);
+        expect_rows(goals, goals.size() / (dof() == 0 ? 1 : dof()));
+        expect(loewner_checker_plan(get(), workspace.get(), start.data(), goals.data(), goals.size() / dof(), &options,
+                                    &path, &count));
+        return std::vector<double>(path, path + count * dof());
+    }
+
+    void move(std::int32_t body, const Pose &pose) { expect(loewner_checker_move(held_.get(), &body, pose.data(), 1)); }
+    std::int32_t add(const std::string &name, const Bodies &bodies, std::int64_t which, const Pose &pose)
+    {
+        std::int32_t made = -1;
+        expect(loewner_checker_add(held_.get(), name.c_str(), bodies.get(), which, pose.data(), &made));
+        return made;
+    }
+    void set_present(std::int32_t body, bool present) { expect(loewner_checker_set_present(held_.get(), body, present)); }
+    void attach(std::int32_t body, std::int32_t link, const Pose &pose_in_link, View<const std::int32_t> touch_links = {})
+    {
+        expect(loewner_checker_attach(held_.get(), body, link, pose_in_link.data(), touch_links.data(), touch_links.size()));
+    }
+    void detach(std::int32_t body, const Pose &pose) { expect(loewner_checker_detach(held_.get(), body, pose.data())); }
+    void allow(std::int32_t a, std::int32_t b, bool allowed = true)
+    {
+        expect(loewner_checker_allow(held_.get(), a, b, allowed));
+    }
+    void set_margin(std::int32_t a, std::int32_t b, double margin)
+    {
+        expect(loewner_checker_set_margin(held_.get(), a, b, margin));
+    }
+
+    /* For the rest of `loewner.h`. */
+    const loewner_checker *get() const noexcept { return held_.get(); }
+    loewner_checker *get() noexcept { return held_.get(); }
+
+private:
+    struct Leave {
+        void operator()(loewner_checker *held) const noexcept { loewner_checker_close(held); }
+    };
+
+    static std::string text(const char *name)
+    {
+        if (name == nullptr)
+            throw Error(LOEWNER_BAD_ARGUMENT, "expected a number with a name, found another");
+        return name;
+    }
+    static std::int32_t known(std::int32_t number, const std::string &name)
+    {
+        if (number < 0)
+            throw Error(LOEWNER_UNKNOWN_NAME, "expected a name of the file, found " + name);
+        return number;
+    }
+    void expect_rows(Numbers numbers, std::size_t rows) const
+    {
+        if (numbers.size() != rows * dof())
+            throw Error(LOEWNER_BAD_ARGUMENT, "expected " + std::to_string(rows * dof()) + " numbers, found " +
+                                                  std::to_string(numbers.size()));
+    }
+    void expect_gradient(View<double> gradient) const
+    {
+        if (gradient.size() != 0 && gradient.size() != dof())
+            throw Error(LOEWNER_BAD_ARGUMENT, "gradient: expected room for a configuration");
+    }
+
+    std::unique_ptr<loewner_checker, Leave> held_;
+};
+
+} // namespace loewner
+
+#endif
