@@ -72,6 +72,7 @@ DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEA
 
 # `libloewner`, which programs in C and C++ link with, and the constants of Python that it knows.
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "pairs.c")
+FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
 API_CODES = (*CODES, "INEXACT", "TOO_LONG", "BY_CARE", "MOST_POINTS", "MET", "SPENT", "FULL")
 API_COLUMNS = (
@@ -147,7 +148,7 @@ def is_built(levels: list[str], home: Path = HOME) -> bool:
     """Tell whether the library is there for these levels, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
-        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME, LIBRARY]
+        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME, *FOR_C]
         return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
@@ -193,7 +194,8 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
         work = Path(folder)
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
-        compile_api(work / LIBRARY)
+        for name in FOR_C:
+            compile_api(work / name)
         run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
         # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
         halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
@@ -303,7 +305,8 @@ def api_flags() -> list[str]:
 def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the library for programs in C and C++."""
     sources = [HERE / "capi" / name for name in API]
-    compile_c([*sources, *api_flags(), f"-Wl,-soname,{LIBRARY}", "-pthread", "-ldl", "-lm"], to, flags)
+    name = f"-Wl,-install_name,@rpath/{LIBRARY}" if MAC else f"-Wl,-soname,{LIBRARY}"
+    compile_c([*sources, *api_flags(), name, "-pthread", "-ldl", "-lm"], to, flags)
 
 
 def link(code: Path, level: str, to: Path) -> None:

@@ -12,7 +12,7 @@ from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 
-from build import CALL, LEVELS, LIBRARY, architecture  # type: ignore[attr-defined]  # the file beside this one
+from build import CALL, FOR_C, LEVELS, architecture  # type: ignore[attr-defined]  # the file beside this one
 from elftools.elf.dynamic import DynamicSection
 from elftools.elf.elffile import ELFFile
 
@@ -32,7 +32,7 @@ def faults(path: Path) -> list[str]:
         found.append(f"expected nothing but the package, found {', '.join(foreign)}")
     if not any(name.endswith("/licenses/LICENSE") for name in names):
         found.append("expected a LICENSE, found none")
-    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {CALL, LIBRARY}
+    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {CALL, *FOR_C}
     libraries = {name.removeprefix(HOME) for name in names if name.endswith(".so")}
     if libraries != wanted:
         found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
