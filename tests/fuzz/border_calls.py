@@ -1060,6 +1060,7 @@ CALLS: dict[str, Call] = {
     "CollisionChecker.collide": Call(on(checker_in_time, "collide"), {"Q": CONFIGURATIONS, "t": AT}),
     "CollisionChecker.classify": Call(on(checker_in_time, "classify"), {"Q": CONFIGURATIONS, "t": AT}),
     "CollisionChecker.settle": Call(on(checker, "settle"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.save": Call(on(checker, "save"), {"path": arg("out.lwn", TEXTS)}),
     "CollisionChecker.tiers": Call(on(checker, "tiers"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.valid_edges": Call(
         on(checker, "valid_edges"),
