@@ -34,7 +34,8 @@ static void *ask(void *given)
     Answers *answers = given;
     loewner_workspace *workspace;
     loewner_distance distances[COUNT];
-    double *gradients = malloc(sizeof(double) * COUNT * (size_t)dof), *poses = malloc(sizeof(double) * 16 * (size_t)loewner_checker_link_count(checker));
+    double *gradients = malloc(sizeof(double) * COUNT * (size_t)dof),
+           *poses = malloc(sizeof(double) * 16 * (size_t)loewner_checker_link_count(checker));
     expect(loewner_workspace_new(&workspace));
     expect(loewner_checker_classify(checker, workspace, configurations, COUNT, answers->verdicts[0]));
     expect(loewner_checker_collide(checker, workspace, configurations, COUNT, answers->verdicts[1]));
@@ -57,8 +58,8 @@ static void *ask(void *given)
     size_t rows = 0;
     loewner_plan_options options = {.max_iterations = 300};
     if (free_ones[1] >= 0)
-        loewner_checker_plan(checker, workspace, configurations + dof * free_ones[0], configurations + dof * free_ones[1], 1,
-                             &options, &path, &rows);
+        loewner_checker_plan(checker, workspace, configurations + dof * free_ones[0],
+                             configurations + dof * free_ones[1], 1, &options, &path, &rows);
     answers->length = (double)rows;
     loewner_workspace_free(workspace);
     free(gradients);

@@ -1,7 +1,7 @@
 /* Maps the files that `loewner/bodies/native_files.py` describes.
 
-   A file is untrusted: its checksum finds damage, but anybody can compute one. So every size, index and number is checked
-   before a kernel uses it. A check that fails ends with the name of the array. */
+   A file is untrusted: its checksum finds damage, but anybody can compute one. So every size, index and number is
+   checked before a kernel uses it. A check that fails ends with the name of the array. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -48,8 +48,27 @@ static const int64_t item_sizes[] = {8, 8, 4, 1};
 
 /* The arrays before the packs, in order. */
 enum {
-    NAMES, PARENT, KIND, COLUMN, MULTIPLIER, OFFSET, CONSTANTS, LIMITS, JOINTS, QUATERNIONS, LINK, PAIRS, MARGINS, ORDER,
-    MARGIN, POSES, BEFORE,
+    NAMES,
+    PARENT,
+    KIND,
+    COLUMN,
+    MULTIPLIER,
+    OFFSET,
+    CONSTANTS,
+    LIMITS,
+    JOINTS,
+    QUATERNIONS,
+    LINK,
+    PAIRS,
+    MARGINS,
+    ORDER,
+    MARGIN,
+    POSES,
+    OWN,
+    LOWERED,
+    RULES,
+    RULE_MARGINS,
+    BEFORE,
 };
 
 static loewner_status damaged(const char *what)
@@ -63,7 +82,7 @@ static loewner_status damaged(const char *what)
             return damaged(what);                                                                                      \
     } while (0)
 
-/* -- the container --------------------------------------------------------------------------------------------------- */
+/* -- the container ------------------------------------------------------------------------------------------------- */
 
 static uint64_t checksum(const char *content, size_t size)
 {
@@ -109,10 +128,13 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     memcpy(&header->format, content + 8, 24);
     memcpy(numbers, content + 32 + SOURCES_LENGTH, sizeof numbers);
     if (header->format != FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
-        return fail(LOEWNER_OTHER_VERSION, "%.300s: expected a file of this version of loewner, found one of another; "
-                    "save it again", path);
-    EXPECT(header->size == file->size, "its size is not the one in its header");
-    EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM), "its checksum differs");
+        return fail(LOEWNER_OTHER_VERSION,
+                    "%.300s: expected a file of this version of loewner, found one of another; "
+                    "save it again",
+                    path);
+    EXPECT(header->size == file->size && file->size % CACHE_LINE == 0, "its size is not the one in its header");
+    EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
+           "its checksum differs");
     for (int k = 0; k < 8; k++)
         EXPECT(numbers[k] < (uint64_t)MOST, "a count in its header");
     header->arrays = (int64_t)numbers[0];
@@ -122,8 +144,8 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     header->standing = (int64_t)numbers[4];
     header->has_cut = (int64_t)numbers[5];
     header->surfaces = (int64_t)numbers[6];
-    EXPECT(header->has_cut <= 1 && header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) +
-                                                         SURFACE_ARRAYS * header->surfaces,
+    EXPECT(header->has_cut <= 1 &&
+               header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) + SURFACE_ARRAYS * header->surfaces,
            "the number of its arrays");
     EXPECT(header->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
     EXPECT(HEADER + 32 * header->arrays <= (int64_t)file->size, "its directory");
@@ -135,10 +157,12 @@ static loewner_status look_up(const File *file, int64_t number, Found *found)
 {
     int64_t row[4];
     memcpy(row, (const char *)file->map + HEADER + 32 * number, sizeof row);
-    EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST, "its directory");
+    EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST,
+           "its directory");
     EXPECT(row[2] == 0 || row[1] <= MOST / row[2], "its directory");
     int64_t bytes = row[1] * row[2] * item_sizes[row[0]], size = (int64_t)file->size;
-    EXPECT(row[3] % CACHE_LINE == 0 && HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3], "its directory");
+    EXPECT(row[3] % CACHE_LINE == 0 && HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3],
+           "its directory");
     *found = (Found){row[0], row[1], row[2], (const char *)file->map + row[3]};
     return LOEWNER_OK;
 }
@@ -189,9 +213,10 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
     return is;
 }
 
-/* -- packs ----------------------------------------------------------------------------------------------------------- */
+/* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take two. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take
+ * two. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -246,7 +271,7 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
 static loewner_status check_trees(const Pack *pack)
 {
     int64_t begin = 0;
-    int8_t *height = calloc((size_t)pack->groups + 1, 1);
+    int8_t *height = calloc(2 * (size_t)pack->groups + 1, 1), *has_parent = height + pack->groups;
     if (height == NULL)
         return no_memory();
     int is_sound = 1;
@@ -254,12 +279,14 @@ static loewner_status check_trees(const Pack *pack)
         int64_t root = pack->roots[b], first = pack->piece_start[b], last = pack->piece_start[b + 1];
         if (root == -1)
             continue;
-        is_sound = root < pack->groups && root == begin + groups_of(last - first) - 1;
+        is_sound = last - first > 1 && root < pack->groups && root == begin + groups_of(last - first) - 1;
         for (int64_t g = begin; is_sound && g <= root; g++)
             for (int64_t c = WIDE * g; c < WIDE * (g + 1); c++) {
                 int64_t child = pack->children[c];
                 if (child >= 0) {
-                    is_sound &= begin <= child && child < g;
+                    is_sound &= begin <= child && child < g && !has_parent[child];
+                    if (is_sound)
+                        has_parent[child] = 1; /* a tree, not a net of which a walk sees every way */
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
                 } else /* an unused place says -1 whatever the piece */
@@ -301,6 +328,8 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, in
     EXPECT(vertices == (pack->is_single ? numbers : 0), "vertices");
     EXPECT(starts == 0 || starts == PARTS * pack->pieces, "part_start");
     EXPECT(rises(pack->piece_start, bodies + 1, pack->pieces), "piece_start");
+    for (int64_t b = 0; b < bodies; b++)
+        EXPECT(pack->piece_start[b] < pack->piece_start[b + 1], "a body without pieces");
     EXPECT(are_finite(pack->table, COLUMNS * pack->pieces) && are_finite(pack->hot, HOT * pack->pieces) &&
                are_finite(pack->points, numbers) && are_finite(pack->part_rows, HOT * pack->parts) &&
                are_finite_singles(pack->single, HOT * singles) && are_finite_singles(pack->vertices, vertices),
@@ -308,7 +337,7 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, in
     for (int64_t p = 0; p < starts / PARTS; p++) {
         const int64_t *row = pack->part_start + PARTS * p;
         EXPECT(0 <= row[0] && row[0] <= row[1] && row[1] <= row[2] && row[2] <= pack->parts, "part_start");
-        EXPECT(pack->layout[LAYOUT * p + KIND_OF] <= SURFACE || row[0] == row[2], "part_start");
+        EXPECT(pack->layout[LAYOUT * p + KIND_OF] <= SURFACE ? row[0] < row[2] : row[2] == 0, "part_start");
     }
     EXPECT(surfaces == 0 || starts > 0 || pack->pieces == 0 || !pack->has_parts, "part_start");
     TRY(check_pieces(pack, surfaces));
@@ -329,7 +358,8 @@ static loewner_status take_surface(const File *file, int64_t at, int64_t words[S
     TRY(take(file, at + 4, SINGLES, -1, 1, "diagonals of a surface", &diagonals, &sizes[4]));
     int64_t nodes = sizes[1] / WIDE_SURFACE, leaves = sizes[2] / BLOCK_NUMBERS;
     EXPECT(nodes >= 1 && leaves >= 1 && sizes[1] % WIDE_SURFACE == 0 && sizes[2] % BLOCK_NUMBERS == 0, "a surface");
-    EXPECT(sizes[0] == 6 * WIDE_SURFACE * nodes && sizes[4] == DIAGONAL_NUMBERS * nodes && sizes[3] % 3 == 0, "a surface");
+    EXPECT(sizes[0] == 6 * WIDE_SURFACE * nodes && sizes[4] == DIAGONAL_NUMBERS * nodes && sizes[3] % 3 == 0,
+           "a surface");
     for (int64_t k = 0; k < sizes[0]; k++)
         EXPECT(!isnan(boxes[k]), "boxes of a surface");
     for (int64_t k = 0; k < sizes[4]; k++)
@@ -350,8 +380,8 @@ static loewner_status take_surface(const File *file, int64_t at, int64_t words[S
             is_sound = half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY;
             continue;
         }
-        is_sound = node < child && child < nodes && depth[node] < SURFACE_LEVELS;
-        if (is_sound && depth[child] <= depth[node])
+        is_sound = node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS;
+        if (is_sound) /* its only parent */
             depth[child] = (int8_t)(depth[node] + 1);
     }
     free(depth);
@@ -384,7 +414,7 @@ static loewner_status link_surfaces(File *file, Pack *pack, int which)
     return LOEWNER_OK;
 }
 
-/* -- robots ---------------------------------------------------------------------------------------------------------- */
+/* -- robots -------------------------------------------------------------------------------------------------------- */
 
 static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* values of a joint, by its kind in `columns.py` */
 
@@ -406,6 +436,17 @@ static loewner_status take_robot(File *file, const Header *header)
     TRY(take(file, MARGINS, DOUBLES, file->pairs, 1, "margins", &file->margins, NULL));
     TRY(take(file, ORDER, INTEGERS, file->pairs, 1, "order", &file->order, NULL));
     TRY(take(file, POSES, DOUBLES, header->standing, 16, "poses", &file->poses, NULL));
+    TRY(take(file, OWN, DOUBLES, bodies, 1, "own", &file->own, NULL));
+    TRY(take(file, LOWERED, INTEGERS, bodies, 1, "lowered", &file->lowered, NULL));
+    TRY(take(file, RULES, INTEGERS, -1, 3, "rules", &file->rules, &file->rule_count));
+    TRY(take(file, RULE_MARGINS, DOUBLES, file->rule_count, 1, "rule_margins", &file->rule_margins, NULL));
+    for (int64_t k = 0; k < bodies; k++)
+        EXPECT(file->own[k] >= 0 && file->own[k] <= 1e30, "own");
+    for (int64_t k = 0; k < file->rule_count; k++) {
+        const int64_t *rule = file->rules + 3 * k;
+        EXPECT(moving <= rule[0] && rule[0] < rule[1] && rule[1] < bodies && (rule[2] == 0 || rule[2] == 1), "rules");
+        EXPECT(file->rule_margins[k] == -1 || (file->rule_margins[k] >= 0 && file->rule_margins[k] <= 1e30), "rules");
+    }
     tree->links = links;
     for (int64_t k = 0; k < links; k++) {
         int64_t kind = tree->kind[k];
@@ -417,7 +458,7 @@ static loewner_status take_robot(File *file, const Header *header)
            "numbers that are not finite");
     for (int64_t k = 0; k < dof; k++)
         EXPECT(!isnan(file->limits[k]) && !isnan(file->limits[dof + k]), "limits");
-    EXPECT(dof < 4096 && links < 1 << 20, "the size of the robot");
+    EXPECT(dof < 4096 && links < 4096, "the size of the robot");
     EXPECT(is_within(file->joints, dof, 0, 16) && is_within(file->quaternions, file->quaternion_count, 0, dof - 3) &&
                is_within(file->link, moving, 0, links) && is_within(file->order, file->pairs, 0, file->pairs),
            "indices");
@@ -484,7 +525,7 @@ static loewner_status take_all(File *file, const Header *header)
     return link_surfaces(file, &file->cut, 1);
 }
 
-/* -- files ----------------------------------------------------------------------------------------------------------- */
+/* -- files --------------------------------------------------------------------------------------------------------- */
 
 loewner_status open_file(const char *path, File **made)
 {
@@ -522,17 +563,47 @@ void write_words(const Pack *pack, int64_t words[PACK_WORDS])
 {
     int64_t singles = pack->is_single ? pack->pieces : 0, starts = pack->has_parts ? PARTS * pack->pieces : 0;
     const int64_t rows[PACK_WORDS] = {
-        (int64_t)pack->table,       pack->pieces,                COLUMNS, (int64_t)pack->layout,     pack->pieces, LAYOUT,
-        (int64_t)pack->points,      pack->numbers,               1,       (int64_t)pack->piece_start, pack->bodies + 1, 1,
-        (int64_t)pack->hot,         pack->pieces,                HOT,     (int64_t)pack->single,     singles, HOT,
-        (int64_t)pack->tree_groups, GROUP_NUMBERS * pack->groups, 1,      (int64_t)pack->children,   WIDE * pack->groups, 1,
-        (int64_t)pack->roots,       pack->bodies,                1,       (int64_t)pack->vertices,
-        pack->is_single ? pack->numbers : 0, 1, (int64_t)pack->part_rows, pack->parts, HOT, (int64_t)pack->part_start, starts, 1,
+        (int64_t)pack->table,
+        pack->pieces,
+        COLUMNS,
+        (int64_t)pack->layout,
+        pack->pieces,
+        LAYOUT,
+        (int64_t)pack->points,
+        pack->numbers,
+        1,
+        (int64_t)pack->piece_start,
+        pack->bodies + 1,
+        1,
+        (int64_t)pack->hot,
+        pack->pieces,
+        HOT,
+        (int64_t)pack->single,
+        singles,
+        HOT,
+        (int64_t)pack->tree_groups,
+        GROUP_NUMBERS * pack->groups,
+        1,
+        (int64_t)pack->children,
+        WIDE * pack->groups,
+        1,
+        (int64_t)pack->roots,
+        pack->bodies,
+        1,
+        (int64_t)pack->vertices,
+        pack->is_single ? pack->numbers : 0,
+        1,
+        (int64_t)pack->part_rows,
+        pack->parts,
+        HOT,
+        (int64_t)pack->part_start,
+        starts,
+        1,
     };
     memcpy(words, rows, sizeof rows);
 }
 
-/* -- bodies ---------------------------------------------------------------------------------------------------------- */
+/* -- bodies -------------------------------------------------------------------------------------------------------- */
 
 loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
 {

@@ -28,7 +28,7 @@ loewner_status no_memory(void);
             return tried;                                                                                              \
     } while (0)
 
-/* -- kernels: see `loewner/_native/entries.py` ----------------------------------------------------------------------- */
+/* -- kernels: see `loewner/_native/entries.py` --------------------------------------------------------------------- */
 
 typedef int32_t (*Kernel)(const int64_t *, int64_t *);
 
@@ -91,7 +91,7 @@ typedef struct {
     int64_t count, links, rows, columns;
 } Array4;
 
-/* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ------------------------------------- */
+/* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
 
 enum { PACK_ARRAYS = 12, PACK_WORDS = 3 * PACK_ARRAYS };
 
@@ -125,7 +125,7 @@ static inline int64_t groups_of(int64_t pieces)
 /* Write the table of addresses to which a handle points. */
 void write_words(const Pack *pack, int64_t words[PACK_WORDS]);
 
-/* -- files ----------------------------------------------------------------------------------------------------------- */
+/* -- files --------------------------------------------------------------------------------------------------------- */
 
 typedef struct {
     int64_t links;
@@ -139,8 +139,8 @@ typedef struct {
     atomic_int users;
     void *map;
     size_t size;
-    void *owned[2];       /* copies of layouts, with addresses of surfaces */
-    int64_t *surfaces;    /* tables of their addresses */
+    void *owned[2];    /* copies of layouts, with addresses of surfaces */
+    int64_t *surfaces; /* tables of their addresses */
     int64_t dof, links, moving, bodies, pairs;
     int has_cut;
     const char **names; /* of bodies, links and values */
@@ -152,6 +152,10 @@ typedef struct {
     const int64_t *link, *pair_list, *order;
     const double *margins, *poses;
     double margin;
+    const double *own;              /* margins of single bodies */
+    const int64_t *lowered, *rules; /* rules of pairs of static bodies: two bodies, and whether they may touch */
+    const double *rule_margins;     /* -1 for none */
+    int64_t rule_count;
     Pack whole, cut;
 } File;
 
@@ -164,7 +168,7 @@ struct loewner_bodies {
     File *file;
 };
 
-/* -- checkers -------------------------------------------------------------------------------------------------------- */
+/* -- checkers ------------------------------------------------------------------------------------------------------ */
 
 enum { TABLE_ROWS = 24, TABLE_WORDS = 3 * TABLE_ROWS, ORDER_ROW = 10 };
 

@@ -35,7 +35,7 @@ const char *loewner_error_text(void)
 const char *loewner_status_name(loewner_status status)
 {
     static const char *const names[] = {
-        "ok",           "bad argument", "bad file", "other version", "no kernels",
+        "ok",        "bad argument", "bad file", "other version", "no kernels",
         "no memory", "unknown name", "not free", "no path",       "overflow",
     };
     size_t number = (size_t)status;

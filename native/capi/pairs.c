@@ -23,9 +23,11 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     int64_t bodies = side->bodies->file->bodies, all = side->body == -1, which = all ? (int64_t)first : side->body;
     size_t last = first + n;
     if (side->body < -1 || side->body >= bodies || (all && (int64_t)last > bodies))
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies below number %lld, found others", name, (long long)bodies);
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies below number %lld, found others", name,
+                    (long long)bodies);
     if (side->poses != NULL && side->pose_count != 1 && side->pose_count < last)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected one pose or as many as pairs, found %zu", name, side->pose_count);
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected one pose or as many as pairs, found %zu", name,
+                    side->pose_count);
     Pack pack = side->bodies->file->whole;
     pack.piece_start += which;
     pack.roots += which;
@@ -100,8 +102,19 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
         Array1 out, tally;
         void *memory;
     } fast = {
-        mode, margin, 0, count, {plan, 5, 1}, {no_rows, 2, 0}, (int64_t)sides[0].words, sides[0].poses,
-        (int64_t)sides[1].words, sides[1].poses, {verdicts, count}, {tally, CODE_TIERS}, workspace->block,
+        mode,
+        margin,
+        0,
+        count,
+        {plan, 5, 1},
+        {no_rows, 2, 0},
+        (int64_t)sides[0].words,
+        sides[0].poses,
+        (int64_t)sides[1].words,
+        sides[1].poses,
+        {verdicts, count},
+        {tally, CODE_TIERS},
+        workspace->block,
     };
     TRY(call(kernels()->settle_range, &fast, &are_rigid));
     if (!(are_rigid & 1))
@@ -137,7 +150,7 @@ loewner_status loewner_collide(loewner_workspace *workspace, const loewner_side 
     return settle(workspace, CODE_EXACT, a, b, n, margin, verdicts);
 }
 
-/* -- distances ------------------------------------------------------------------------------------------------------- */
+/* -- distances ----------------------------------------------------------------------------------------------------- */
 
 /* Results of `distance_range`: two arrays with the descriptions of their memory. */
 typedef struct {
@@ -178,8 +191,19 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
             Array3 vectors;
             Array1 status;
         } arguments = {
-            1, 0, count, {plan, 5, 1}, {no_rows, 2, 0}, (int64_t)sides[0].words, sides[0].poses, (int64_t)sides[1].words,
-            sides[1].poses, workspace->block, {numbers, 4, count}, {vectors, 3, count, 3}, {status, count},
+            1,
+            0,
+            count,
+            {plan, 5, 1},
+            {no_rows, 2, 0},
+            (int64_t)sides[0].words,
+            sides[0].poses,
+            (int64_t)sides[1].words,
+            sides[1].poses,
+            workspace->block,
+            {numbers, 4, count},
+            {vectors, 3, count, 3},
+            {status, count},
         };
         struct {
             Given pieces, values;
@@ -195,8 +219,8 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
             Array3 vectors;
             Array1 status;
         } rest = {
-            left.pieces.array, left.values.array, arguments.a, arguments.poses_a, arguments.b, arguments.poses_b,
-            arguments.numbers, arguments.vectors, arguments.status,
+            left.pieces.array, left.values.array, arguments.a,       arguments.poses_a, arguments.b,
+            arguments.poses_b, arguments.numbers, arguments.vectors, arguments.status,
         };
         loewner_status outcome = left.pieces.array.rows == 0 ? LOEWNER_OK : call(known->measure_left, &rest, &nothing);
         known->release(left.pieces.memory);
@@ -204,7 +228,8 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
         TRY(outcome);
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + (size_t)k;
-            *found = (loewner_distance){numbers[k], numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN}, {NAN, NAN, NAN}, {NAN, NAN, NAN}};
+            *found = (loewner_distance){numbers[k],      numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN},
+                                        {NAN, NAN, NAN}, {NAN, NAN, NAN}};
             found->bodies[0] = (int32_t)(a->body == -1 ? (int64_t)first + k : a->body);
             found->bodies[1] = (int32_t)(b->body == -1 ? (int64_t)first + k : b->body);
             if (status[k] != 0 || !isfinite(numbers[3 * count + k]))

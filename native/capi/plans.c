@@ -19,9 +19,9 @@ typedef struct {
 } Judge;
 
 typedef struct {
-    int64_t count, dof;       /* values that move, and all */
-    int64_t *columns;         /* count, then whether they turn */
-    double *limits;           /* lower, upper, strides, shifts and weights */
+    int64_t count, dof; /* values that move, and all */
+    int64_t *columns;   /* count, then whether they turn */
+    double *limits;     /* lower, upper, strides, shifts and weights */
     const double *start;
 } Space;
 
@@ -38,7 +38,9 @@ static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspa
     for (int64_t c = 0; joint_error != NULL && c < checker->file->dof; c++)
         is_off |= joint_error[c] > 0;
     return (Judge){
-        checker, workspace, is_off ? joint_error : NULL,
+        checker,
+        workspace,
+        is_off ? joint_error : NULL,
         {(int64_t)half->words, half->handle, half->motions, (int64_t)workspace->memory, 1,
          is_off ? (int64_t)joint_error : 0, 0},
         {PLAN_TOLERANCE, 0},
@@ -81,7 +83,7 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
     return LOEWNER_OK;
 }
 
-/* -- the space ------------------------------------------------------------------------------------------------------- */
+/* -- the space ----------------------------------------------------------------------------------------------------- */
 
 /* The distance of two points, rounded as Python's `math.dist` rounds it, to the last bit but for rare ties. */
 static double distance_between(const double *a, const double *b, int64_t count)
@@ -92,8 +94,8 @@ static double distance_between(const double *a, const double *b, int64_t count)
     return (double)sqrtl(squares);
 }
 
-static loewner_status space_of(const loewner_checker *checker, const double *start, const double *goals, size_t goal_count,
-                               const uint8_t *joints, uint32_t seed, Space *space)
+static loewner_status space_of(const loewner_checker *checker, const double *start, const double *goals,
+                               size_t goal_count, const uint8_t *joints, uint32_t seed, Space *space)
 {
     const File *file = checker->file;
     int64_t dof = file->dof, count = 0;
@@ -101,13 +103,16 @@ static loewner_status space_of(const loewner_checker *checker, const double *sta
     space->columns = malloc(sizeof(int64_t) * 2 * (size_t)dof);
     space->limits = malloc(sizeof(double) * 5 * (size_t)dof);
     double *bounds = malloc(sizeof(double) * 2 * (size_t)dof);
-    loewner_status outcome = space->columns == NULL || space->limits == NULL || bounds == NULL ? no_memory() : LOEWNER_OK;
+    loewner_status outcome =
+        space->columns == NULL || space->limits == NULL || bounds == NULL ? no_memory() : LOEWNER_OK;
     for (int64_t c = 0; outcome == LOEWNER_OK && c < dof; c++) {
         if (joints != NULL && !joints[c])
             continue;
         if (!(file->joints[c] & JOINT_SINGLE)) {
-            outcome = fail(LOEWNER_BAD_ARGUMENT, "joints: expected joints of one value each, found %s, which has no limits "
-                           "to search within; name the joints that are to move", loewner_checker_value_name(checker, (int32_t)c));
+            outcome = fail(LOEWNER_BAD_ARGUMENT,
+                           "joints: expected joints of one value each, found %s, which has no limits "
+                           "to search within; name the joints that are to move",
+                           loewner_checker_value_name(checker, (int32_t)c));
             break;
         }
         double least = start[c], most = start[c], lower = file->limits[c], upper = file->limits[dof + c];
@@ -156,7 +161,7 @@ static int is_inside(const Space *space, const double *q)
     return is;
 }
 
-/* -- trees ----------------------------------------------------------------------------------------------------------- */
+/* -- trees --------------------------------------------------------------------------------------------------------- */
 
 static void leave_trees(Trees *trees)
 {
@@ -211,9 +216,19 @@ static loewner_status grow_on(const Judge *judge, const Space *space, Trees *tre
             Array2 ends, points;
             Array1 squares;
         } arguments = {
-            most, {reach, 2}, {judge->handles, 7}, {judge->lengths, 2}, {space->columns, 2, joints},
-            {space->limits, 5, joints}, {trees->nodes, 2, joints, trees->capacity}, {trees->parents, 2, trees->capacity},
-            {trees->domains, 2, trees->capacity}, {state, STATE}, {gap, 1}, {ends, 2, dof}, {points, 4, joints},
+            most,
+            {reach, 2},
+            {judge->handles, 7},
+            {judge->lengths, 2},
+            {space->columns, 2, joints},
+            {space->limits, 5, joints},
+            {trees->nodes, 2, joints, trees->capacity},
+            {trees->parents, 2, trees->capacity},
+            {trees->domains, 2, trees->capacity},
+            {state, STATE},
+            {gap, 1},
+            {ends, 2, dof},
+            {points, 4, joints},
             {trees->squares, trees->capacity},
         };
         TRY(call(kernels()->connect_trees, &arguments, outcome));
@@ -268,7 +283,8 @@ static loewner_status write_path(const Judge *judge, const Space *space, const T
     int turned = 0;
     for (int64_t k = 0; k < joints; k++) {
         int64_t c = space->columns[k];
-        double turns = space->columns[joints + k] ? rint((path[first * dof + c] - path[(first - 1) * dof + c]) / (2 * M_PI)) : 0;
+        double turns =
+            space->columns[joints + k] ? rint((path[first * dof + c] - path[(first - 1) * dof + c]) / (2 * M_PI)) : 0;
         for (int64_t row = first; turns != 0 && row < total; row++)
             path[row * dof + c] -= 2 * M_PI * turns;
         turned |= turns != 0;
@@ -278,7 +294,8 @@ static loewner_status write_path(const Judge *judge, const Space *space, const T
         return LOEWNER_OK;
     int64_t found;
     TRY(is_free(judge, path, total, &found));
-    return found < 0 ? LOEWNER_OK : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
+    return found < 0 ? LOEWNER_OK
+                     : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
 }
 
 static loewner_status connect(const Judge *judge, const Space *space, const double *goals, size_t goal_count,
@@ -296,13 +313,15 @@ static loewner_status connect(const Judge *judge, const Space *space, const doub
         }
     double reach[2] = {distance_between(limits, limits + joints, joints) * LONGEST_SHARE, INFINITY};
     if (status == LOEWNER_OK)
-        status = grow(&trees, joints, TREE_CAPACITY > 2 * (int64_t)goal_count ? TREE_CAPACITY : 2 * (int64_t)goal_count);
+        status =
+            grow(&trees, joints, TREE_CAPACITY > 2 * (int64_t)goal_count ? TREE_CAPACITY : 2 * (int64_t)goal_count);
     if (status == LOEWNER_OK) {
         int64_t capacity = trees.capacity;
         for (int64_t k = 0; k < joints; k++) {
             trees.nodes[k * capacity] = space->start[space->columns[k]];
             for (size_t g = 0; g < goal_count; g++)
-                trees.nodes[(joints + k) * capacity + (int64_t)g] = goals[g * (size_t)space->dof + (size_t)space->columns[k]];
+                trees.nodes[(joints + k) * capacity + (int64_t)g] =
+                    goals[g * (size_t)space->dof + (size_t)space->columns[k]];
         }
         trees.parents[0] = -1;
         trees.domains[0] = INFINITY;
@@ -319,13 +338,15 @@ static loewner_status connect(const Judge *judge, const Space *space, const doub
         int64_t done = state[ITERATION], most = done + portion < max_iterations ? done + portion : max_iterations;
         double called = seconds();
         if (done == max_iterations || (done > 0 && called - began > timeout)) {
-            status = fail(LOEWNER_NO_PATH, "expected a path from start to goal, found none within %lld iterations and %.3g s",
+            status = fail(LOEWNER_NO_PATH,
+                          "expected a path from start to goal, found none within %lld iterations and %.3g s",
                           (long long)done, called - began);
             break;
         }
         status = grow_on(judge, space, &trees, reach, state, &gap, ends, points, most, &outcome);
-        portion = seconds() - called >= A_WHILE ? (portion / 2 > 1 ? portion / 2 : 1)
-                  : 2 * portion < MOST_ITERATIONS ? 2 * portion : MOST_ITERATIONS;
+        portion = seconds() - called >= A_WHILE   ? (portion / 2 > 1 ? portion / 2 : 1)
+                  : 2 * portion < MOST_ITERATIONS ? 2 * portion
+                                                  : MOST_ITERATIONS;
     }
     if (status == LOEWNER_OK)
         status = write_path(judge, space, &trees, state, count);
@@ -339,7 +360,8 @@ static loewner_status connect(const Judge *judge, const Space *space, const doub
 static loewner_status cut_corners(const Judge *judge, int64_t *count, int64_t cuts, uint32_t seed)
 {
     loewner_workspace *workspace = judge->workspace;
-    int64_t dof = judge->checker->file->dof, state[STATE] = {0}, done = -1, room = *count + (cuts < MOST_ROOM ? cuts : MOST_ROOM);
+    int64_t dof = judge->checker->file->dof, state[STATE] = {0}, done = -1,
+            room = *count + (cuts < MOST_ROOM ? cuts : MOST_ROOM);
     TRY(make_room(workspace, room, dof));
     state[RANDOM] = seed;
     while (done < cuts && *count > 2 && done != state[ITERATION]) {
@@ -351,20 +373,27 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count, int64_t cu
             Array1 state;
             Array2 ends, points;
         } arguments = {
-            *count, done + MOST_ITERATIONS < cuts ? done + MOST_ITERATIONS : cuts, {judge->handles, 7}, {judge->lengths, 2},
-            {workspace->path, room, dof}, {state, STATE}, {workspace->courses, 2, dof}, {workspace->courses + 2 * dof, 2, dof},
+            *count,
+            done + MOST_ITERATIONS < cuts ? done + MOST_ITERATIONS : cuts,
+            {judge->handles, 7},
+            {judge->lengths, 2},
+            {workspace->path, room, dof},
+            {state, STATE},
+            {workspace->courses, 2, dof},
+            {workspace->courses + 2 * dof, 2, dof},
         };
         TRY(call(kernels()->shorten_path, &arguments, count));
     }
     return LOEWNER_OK;
 }
 
-/* -- what programs call ---------------------------------------------------------------------------------------------- */
+/* -- what programs call -------------------------------------------------------------------------------------------- */
 
 static loewner_status check_plan_options(const loewner_checker *checker, const loewner_plan_options *options)
 {
     if (options->max_iterations < 0 || !(options->timeout >= 0) || options->cuts < -1)
-        return fail(LOEWNER_BAD_ARGUMENT, "options: expected iterations, a time and cuts that are not negative, found others");
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "options: expected iterations, a time and cuts that are not negative, found others");
     for (int64_t c = 0; options->joint_error != NULL && c < checker->file->dof; c++)
         if (!(options->joint_error[c] >= 0 && options->joint_error[c] < INFINITY))
             return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", options->joint_error[c]);
@@ -381,7 +410,8 @@ static loewner_status choose_goals(const Judge *judge, const Space *space, const
         return fail(LOEWNER_NOT_FREE, "start: expected values within the limits, found others");
     TRY(is_free_at(judge, space->start, &is));
     if (!is)
-        return fail(LOEWNER_NOT_FREE, "start: expected a free configuration, found one that collides, or is not proven free");
+        return fail(LOEWNER_NOT_FREE,
+                    "start: expected a free configuration, found one that collides, or is not proven free");
     *count = 0;
     for (size_t g = 0; g < goal_count; g++) {
         const double *goal = goals + g * dof;
@@ -393,7 +423,8 @@ static loewner_status choose_goals(const Judge *judge, const Space *space, const
             while (moved < space->count && space->columns[moved] < (int64_t)c)
                 moved++;
             if (!(moved < space->count && space->columns[moved] == (int64_t)c) && goal[c] != space->start[c])
-                return fail(LOEWNER_BAD_ARGUMENT, "goals: expected the start's value of %s, which does not move, found another",
+                return fail(LOEWNER_BAD_ARGUMENT,
+                            "goals: expected the start's value of %s, which does not move, found another",
                             loewner_checker_value_name(judge->checker, (int32_t)c));
         }
         TRY(is_free_at(judge, goal, &is));
@@ -401,8 +432,10 @@ static loewner_status choose_goals(const Judge *judge, const Space *space, const
             memcpy(good + (*count)++ * dof, goal, dof * sizeof *good);
     }
     return *count > 0 ? LOEWNER_OK
-                      : fail(LOEWNER_NOT_FREE, "goals: expected a free configuration within the limits, found %d within them, "
-                             "none of them proven free", inside);
+                      : fail(LOEWNER_NOT_FREE,
+                             "goals: expected a free configuration within the limits, found %d within them, "
+                             "none of them proven free",
+                             inside);
 }
 
 loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_workspace *workspace, const double *start,
@@ -461,12 +494,14 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
     int64_t at, rows = (int64_t)n;
     TRY(is_free(&judge, path, rows, &at));
     if (at >= 0)
-        return fail(LOEWNER_NOT_FREE, "path: expected free motions, found the one from row %lld, which is not proven free",
+        return fail(LOEWNER_NOT_FREE,
+                    "path: expected free motions, found the one from row %lld, which is not proven free",
                     (long long)at);
-    if (path != workspace->path) {
-        TRY(make_room(workspace, rows, (int64_t)dof));
-        memcpy(workspace->path, path, n * dof * sizeof *path);
-    }
+    /* The path may lie in the workspace, which may move while it grows. */
+    int is_own = workspace->path != NULL && path >= workspace->path && path < workspace->path + workspace->path_room;
+    ptrdiff_t begin = is_own ? path - workspace->path : 0;
+    TRY(make_room(workspace, (is_own ? (int64_t)begin / (int64_t)dof + 1 : 0) + rows, (int64_t)dof));
+    memmove(workspace->path, is_own ? workspace->path + begin : path, n * dof * sizeof *path);
     if (options->cuts >= 0)
         TRY(cut_corners(&judge, &rows, options->cuts > 0 ? options->cuts : USUAL_CUTS, options->seed));
     *shorter = workspace->path;

@@ -11,7 +11,7 @@ enum { CERTIFY = CODE_CERTIFY, EXACT = CODE_EXACT };
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
                "verdicts have the numbers of codes.py");
 
-/* -- arguments ------------------------------------------------------------------------------------------------------- */
+/* -- arguments ----------------------------------------------------------------------------------------------------- */
 
 loewner_status check_poses(const double *poses, size_t n, const char *name)
 {
@@ -24,7 +24,8 @@ loewner_status check_poses(const double *poses, size_t n, const char *name)
     Array3 all = {poses, (int64_t)n, 4, 4};
     TRY(call(kernels()->first_fault, &all, &fault));
     if (fault.row < (int64_t)n)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected rigid motions, found another at %lld", name, (long long)fault.row);
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected rigid motions, found another at %lld", name,
+                    (long long)fault.row);
     return LOEWNER_OK;
 }
 
@@ -45,12 +46,12 @@ loewner_status check_configurations(const loewner_checker *checker, const double
             const double *q = configurations + k * (size_t)file->dof + file->quaternions[c];
             double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
             if (fabs(norm - 1) > QUATERNION_TOLERANCE)
-                return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %g", name, norm);
+                return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %.9g", name, norm);
         }
     return LOEWNER_OK;
 }
 
-/* -- verdicts -------------------------------------------------------------------------------------------------------- */
+/* -- verdicts ------------------------------------------------------------------------------------------------------ */
 
 /* Poses of all links, those of attached bodies included, at configurations that were checked. */
 static loewner_status place_links(const Tree *tree, const double *configurations, int64_t n, int64_t dof, double *poses)
@@ -61,16 +62,24 @@ static loewner_status place_links(const Tree *tree, const double *configurations
         int64_t first, last;
         Array4 out;
     } arguments = {
-        {tree->parent, tree->links}, {tree->kind, tree->links}, {tree->column, tree->links},
-        {tree->multiplier, tree->links}, {tree->offset, tree->links}, {tree->constants, tree->links, LINK_CONSTANTS},
-        {configurations, n, dof}, 0, n, {poses, n, tree->links, 4, 4},
+        {tree->parent, tree->links},
+        {tree->kind, tree->links},
+        {tree->column, tree->links},
+        {tree->multiplier, tree->links},
+        {tree->offset, tree->links},
+        {tree->constants, tree->links, LINK_CONSTANTS},
+        {configurations, n, dof},
+        0,
+        n,
+        {poses, n, tree->links, 4, 4},
     };
     int64_t nothing;
     return call(kernels()->link_poses, &arguments, &nothing);
 }
 
 /* Exact verdicts of all pairs, with all bodies at poses. */
-static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses, int8_t *verdicts)
+static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses,
+                                   int8_t *verdicts)
 {
     static const int64_t ones[5] = {0, 1, 1, 1, 1};
     int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5];
@@ -94,8 +103,19 @@ static loewner_status settle_pairs(const State *state, loewner_workspace *worksp
             Array1 out, tally;
             void *memory;
         } fast = {
-            EXACT, state->margins[first], first, last, {plan, 5, 1}, {state->rows, 2, count}, pack, {poses, bodies, 4, 4},
-            pack, {poses, bodies, 4, 4}, {verdicts, count}, {tally, CODE_TIERS}, workspace->memory,
+            EXACT,
+            state->margins[first],
+            first,
+            last,
+            {plan, 5, 1},
+            {state->rows, 2, count},
+            pack,
+            {poses, bodies, 4, 4},
+            pack,
+            {poses, bodies, 4, 4},
+            {verdicts, count},
+            {tally, CODE_TIERS},
+            workspace->memory,
         };
         TRY(call(kernels()->settle_range, &fast, &are_rigid));
         if (!(are_rigid & 1)) { /* overflow distorted a pose */
@@ -189,8 +209,16 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
             Array1 out, tiers, hits;
             void *memory;
         } arguments = {
-            mode, 0, count, {rows, count, dof}, workspace->pack, (int64_t)workspace->table, {verdicts + first, count},
-            {workspace->tiers, count}, {workspace->hits, state->pairs}, workspace->memory,
+            mode,
+            0,
+            count,
+            {rows, count, dof},
+            workspace->pack,
+            (int64_t)workspace->table,
+            {verdicts + first, count},
+            {workspace->tiers, count},
+            {workspace->hits, state->pairs},
+            workspace->memory,
         };
         TRY(call(kernels()->check_configurations, &arguments, &nothing));
         for (int64_t k = 0; mode == EXACT && k < count; k++)
@@ -235,32 +263,31 @@ loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, l
     return settle_one(checker, workspace, configuration, verdicts);
 }
 
+/* The product of two poses. */
+static void multiply(const double *a, const double *b, double *made)
+{
+    for (int r = 0; r < 4; r++)
+        for (int c = 0; c < 4; c++) {
+            made[4 * r + c] = 0;
+            for (int m = 0; m < 4; m++)
+                made[4 * r + c] += a[4 * r + m] * b[4 * m + c];
+        }
+}
+
 loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
                                               const double *link_poses, int8_t *verdict, int8_t *verdicts)
 {
     TRY(prepare(checker, workspace));
     const State *state = &checker->state;
-    const Tree *tree = &state->tree;
     int64_t links = checker->file->links;
     TRY(check_poses(link_poses, (size_t)links, "link_poses"));
     if (verdict == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "verdict: expected a pointer, found NULL");
     memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
-    for (int64_t k = links; k < tree->links; k++) { /* of attached bodies, in the frame of a link or of the world */
-        static const double world[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-        const double *own = tree->constants + LINK_CONSTANTS * k;
-        const double *above = tree->parent[k] >= 0 ? workspace->link_poses + 16 * tree->parent[k] : world;
-        double *made = workspace->link_poses + 16 * k;
-        memcpy(made, world, sizeof world);
-        for (int r = 0; r < 3; r++) {
-            made[4 * r + 3] = above[4 * r + 3];
-            for (int c = 0; c < 3; c++) {
-                made[4 * r + c] = 0;
-                for (int m = 0; m < 3; m++)
-                    made[4 * r + c] += above[4 * r + m] * own[3 * m + c];
-                made[4 * r + 3] += above[4 * r + c] * own[TRANSLATION + c];
-            }
-        }
+    for (int64_t k = 0; k < state->moving; k++) { /* attached bodies have links of their own, behind the robot's */
+        const Body *body = checker->bodies + state->body[k];
+        if (body->is_attached)
+            multiply(link_poses + 16 * body->link, body->pose, workspace->link_poses + 16 * state->link[k]);
     }
     int8_t *out = verdicts != NULL ? verdicts : workspace->pair_verdicts;
     place_bodies(state, workspace->link_poses, workspace->poses);
@@ -278,7 +305,7 @@ loewner_status loewner_checker_link_poses(const loewner_checker *checker, const 
     return place_links(&checker->file->tree, configurations, (int64_t)n, checker->file->dof, poses);
 }
 
-/* -- distances ------------------------------------------------------------------------------------------------------- */
+/* -- distances ----------------------------------------------------------------------------------------------------- */
 
 /* The body of a piece of a pack. */
 static int64_t owner(const Pack *pack, int64_t piece)
@@ -305,8 +332,15 @@ static loewner_status differentiate(const loewner_checker *checker, loewner_work
         void *memory;
         Array2 bodies, normal, witness, slopes;
     } arguments = {
-        0, count, {rows, count, dof}, workspace->pack, (int64_t)workspace->table, workspace->memory,
-        {workspace->pieces, count, 2}, {workspace->vectors + 6 * count, count, 3}, {workspace->vectors, count, 3},
+        0,
+        count,
+        {rows, count, dof},
+        workspace->pack,
+        (int64_t)workspace->table,
+        workspace->memory,
+        {workspace->pieces, count, 2},
+        {workspace->vectors + 6 * count, count, 3},
+        {workspace->vectors, count, 3},
         {gradients, count, dof},
     };
     return call(kernels()->pair_gradients, &arguments, &nothing);
@@ -337,13 +371,23 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
             Array2 pieces;
             Array1 status;
         } arguments = {
-            1, 0, count, {rows, count, dof}, workspace->pack, (int64_t)workspace->table, workspace->memory,
-            {numbers, 3, count}, {vectors, 3, count, 3}, {workspace->pieces, count, 2}, {status, count},
+            1,
+            0,
+            count,
+            {rows, count, dof},
+            workspace->pack,
+            (int64_t)workspace->table,
+            workspace->memory,
+            {numbers, 3, count},
+            {vectors, 3, count, 3},
+            {workspace->pieces, count, 2},
+            {status, count},
         };
         TRY(call(kernels()->nearest_pairs, &arguments, &nothing));
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + k;
-            *found = (loewner_distance){numbers[k], numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN}, {NAN, NAN, NAN}, {NAN, NAN, NAN}};
+            *found = (loewner_distance){numbers[k],      numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN},
+                                        {NAN, NAN, NAN}, {NAN, NAN, NAN}};
             for (int side = 0; side < 2; side++) {
                 int64_t *piece = workspace->pieces + 2 * k + side;
                 *piece = status[k] == 0 ? owner(&state->whole.pack, *piece) : state->pair_list[side];
@@ -391,8 +435,16 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
         Array1 lower;
         Array2 slopes;
     } arguments = {
-        gradients != NULL, softness, 0, count, {configurations, count, dof}, (int64_t)half->words, half->handle,
-        workspace->memory, {clearances, count}, {gradients, gradients != NULL ? count : 0, dof},
+        gradients != NULL,
+        softness,
+        0,
+        count,
+        {configurations, count, dof},
+        (int64_t)half->words,
+        half->handle,
+        workspace->memory,
+        {clearances, count},
+        {gradients, gradients != NULL ? count : 0, dof},
     };
     TRY(call(kernels()->clearances, &arguments, &nothing));
     for (size_t k = 0; k < n; k++)
@@ -401,7 +453,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
     return LOEWNER_OK;
 }
 
-/* -- motions --------------------------------------------------------------------------------------------------------- */
+/* -- motions ------------------------------------------------------------------------------------------------------- */
 
 void straight(const loewner_checker *checker, const double *a, const double *b, double *course)
 {
@@ -491,9 +543,19 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         Array2 work;
         void *memory;
     } arguments = {
-        0, count, {courses, count, points, dof}, {workspace->off, is_off ? count : 0, is_off ? dof : 0}, tolerance,
-        (int64_t)half->words, half->handle, half->motions, {verdicts, count}, {fractions, count}, {pairs, count},
-        {workspace->work, count, 2}, workspace->memory,
+        0,
+        count,
+        {courses, count, points, dof},
+        {workspace->off, is_off ? count : 0, is_off ? dof : 0},
+        tolerance,
+        (int64_t)half->words,
+        half->handle,
+        half->motions,
+        {verdicts, count},
+        {fractions, count},
+        {pairs, count},
+        {workspace->work, count, 2},
+        workspace->memory,
     };
     TRY(call(kernels()->certify_motions, &arguments, &nothing));
     double *q = workspace->slopes;
@@ -545,7 +607,8 @@ static loewner_status prove_block(const loewner_checker *checker, loewner_worksp
                                   int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
                                   double *fractions, int32_t (*bodies)[2])
 {
-    TRY(prove(checker, workspace, workspace->courses, count, degree, options != NULL && options->tolerance > 0 ? options->tolerance : 1e-5,
+    TRY(prove(checker, workspace, workspace->courses, count, degree,
+              options != NULL && options->tolerance > 0 ? options->tolerance : 1e-5,
               options != NULL ? options->joint_error : NULL, verdicts, workspace->fractions, workspace->found_pairs));
     if (fractions != NULL)
         memcpy(fractions, workspace->fractions, count * sizeof *fractions);
@@ -573,8 +636,8 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
         size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
         for (size_t k = 0; k < count; k++)
             straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
-        TRY(prove_block(checker, workspace, count, 1, options, verdicts + first, fractions == NULL ? NULL : fractions + first,
-                        bodies == NULL ? NULL : bodies + first));
+        TRY(prove_block(checker, workspace, count, 1, options, verdicts + first,
+                        fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
     }
     return LOEWNER_OK;
 }

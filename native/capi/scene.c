@@ -9,7 +9,7 @@
 
 static _Atomic uint64_t serials = 1;
 
-/* -- memory of a state ----------------------------------------------------------------------------------------------- */
+/* -- memory of a state --------------------------------------------------------------------------------------------- */
 
 /* Memory that lives as long as the state; NULL if there is none. */
 static void *room(State *state, int64_t count, size_t size)
@@ -41,7 +41,7 @@ static void leave_state(State *state)
     memset(state, 0, sizeof *state);
 }
 
-/* -- packs of chosen bodies ------------------------------------------------------------------------------------------ */
+/* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
 typedef struct {
     int64_t bodies, pieces, numbers, groups, parts;
@@ -99,14 +99,16 @@ static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
             continue;
         const int64_t none[PARTS] = {0, 0, 0}, *rows = pack->has_parts ? pack->part_start + PARTS * (first + p) : none;
         for (int k = 0; k < PARTS; k++)
-            part_start[PARTS * (q + p) + k] = at->parts + rows[k] - rows[0];
-        memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0], sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
+            part_start[PARTS * (q + p) + k] = rows[2] > rows[0] ? at->parts + rows[k] - rows[0] : 0;
+        memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0],
+               sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
         at->parts += rows[2] - rows[0];
     }
     for (int64_t c = 0; c < WIDE * count.groups; c++) {
         int64_t child = pack->children[WIDE * from.groups + c];
-        children[WIDE * at->groups + c] = child >= 0 ? child - from.groups + at->groups
-                                          : child == -1 && first > 0 ? -1 : ~(~child - first + q);
+        children[WIDE * at->groups + c] = child >= 0                 ? child - from.groups + at->groups
+                                          : child == -1 && first > 0 ? -1
+                                                                     : ~(~child - first + q);
     }
     ((int64_t *)made->roots)[at->bodies] = count.groups == 0 ? -1 : at->groups + count.groups - 1;
     at->bodies++;
@@ -114,6 +116,18 @@ static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
     at->numbers += count.numbers;
     at->groups += count.groups;
     ((int64_t *)made->piece_start)[at->bodies] = at->pieces;
+}
+
+/* The first link with which one is rigidly joined; -1 is the world. */
+static int64_t rigid_link(const Tree *tree, int64_t link)
+{
+    return tree->kind[link] == FIXED ? tree->parent[link] : link;
+}
+
+/* Whether the body at a place stands still, whatever the robot does. */
+static int stands(const State *state, int64_t k)
+{
+    return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
 }
 
 /* Make one pack of the bodies of a state. */
@@ -125,7 +139,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     *made = (Pack){.bodies = bodies, .is_single = 1};
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        const Pack *pack = pack_of(body, in_parts && k >= state->moving);
+        const Pack *pack = pack_of(body, in_parts && stands(state, k));
         Counts from, count;
         range_of(pack, body->which, &from, &count);
         total.pieces += count.pieces;
@@ -142,15 +156,16 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     made->parts = total.parts;
     int64_t starts = made->has_parts ? PARTS * total.pieces : 0;
     const void **const arrays[] = {
-        (const void **)&made->table,       (const void **)&made->layout,   (const void **)&made->points,
-        (const void **)&made->piece_start, (const void **)&made->hot,      (const void **)&made->single,
-        (const void **)&made->tree_groups, (const void **)&made->children, (const void **)&made->roots,
+        (const void **)&made->table,       (const void **)&made->layout,    (const void **)&made->points,
+        (const void **)&made->piece_start, (const void **)&made->hot,       (const void **)&made->single,
+        (const void **)&made->tree_groups, (const void **)&made->children,  (const void **)&made->roots,
         (const void **)&made->vertices,    (const void **)&made->part_rows, (const void **)&made->part_start,
     };
     const int64_t sizes[] = {
-        8 * COLUMNS * total.pieces, 8 * LAYOUT * total.pieces, 8 * total.numbers, 8 * (bodies + 1), 8 * HOT * total.pieces,
-        4 * HOT * total.pieces, 8 * 48 * total.groups, 8 * WIDE * total.groups, 8 * bodies, 4 * total.numbers,
-        8 * HOT * total.parts, 8 * starts,
+        8 * COLUMNS * total.pieces, 8 * LAYOUT * total.pieces, 8 * total.numbers,
+        8 * (bodies + 1),           8 * HOT * total.pieces,    4 * HOT * total.pieces,
+        8 * 48 * total.groups,      8 * WIDE * total.groups,   8 * bodies,
+        4 * total.numbers,          8 * HOT * total.parts,     8 * starts,
     };
     int64_t bytes = 0;
     for (int k = 0; k < PACK_ARRAYS; k++)
@@ -165,18 +180,12 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     ((int64_t *)made->piece_start)[0] = 0;
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        append(made, pack_of(body, in_parts && k >= state->moving), body->which, &at);
+        append(made, pack_of(body, in_parts && stands(state, k)), body->which, &at);
     }
     return LOEWNER_OK;
 }
 
-/* -- links ----------------------------------------------------------------------------------------------------------- */
-
-/* The first link with which one is rigidly joined; -1 is the world. */
-static int64_t rigid_link(const Tree *tree, int64_t link)
-{
-    return tree->kind[link] == FIXED ? tree->parent[link] : link;
-}
+/* -- links --------------------------------------------------------------------------------------------------------- */
 
 /* The product of a link's constant pose and a pose, as constants. */
 static void place_link(const double *constants, const double *pose, double *made)
@@ -207,8 +216,9 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
         return LOEWNER_OK;
     state->tree.links = links + more;
     const void **const arrays[] = {
-        (const void **)&state->tree.parent,     (const void **)&state->tree.kind,   (const void **)&state->tree.column,
-        (const void **)&state->tree.multiplier, (const void **)&state->tree.offset, (const void **)&state->tree.constants,
+        (const void **)&state->tree.parent, (const void **)&state->tree.kind,
+        (const void **)&state->tree.column, (const void **)&state->tree.multiplier,
+        (const void **)&state->tree.offset, (const void **)&state->tree.constants,
     };
     for (int k = 0; k < 6; k++) {
         size_t size = k < 5 ? 8 : 8 * LINK_CONSTANTS;
@@ -286,7 +296,7 @@ static double bend_of(const Tree *tree)
     return total;
 }
 
-/* -- pairs ----------------------------------------------------------------------------------------------------------- */
+/* -- pairs --------------------------------------------------------------------------------------------------------- */
 
 static const Rule *rule_of(const loewner_checker *checker, int32_t a, int32_t b)
 {
@@ -312,9 +322,21 @@ static int64_t listed_pair(const File *file, int64_t a, int64_t b)
     return low < file->pairs && pair[0] == a && pair[1] == b ? low : -1;
 }
 
-static int touches(const Body *body, const Body *other)
+/* The number of the file's rule for two static bodies, a < b; -1 if there is none. */
+static int64_t rule_of_file(const File *file, int32_t a, int32_t b)
 {
-    for (size_t k = 0; other->link >= 0 && !other->is_attached && k < body->touch_count; k++)
+    for (int64_t k = 0; k < file->rule_count; k++)
+        if (file->rules[3 * k] == a && file->rules[3 * k + 1] == b)
+            return k;
+    return -1;
+}
+
+/* Whether an attached body may touch another one: the own body of one of its touch links. */
+static int touches(const loewner_checker *checker, const Body *body, const Body *other)
+{
+    int is_of_robot = other->link >= 0 && !other->is_attached;
+    int is_own = is_of_robot && strcmp(other->name, loewner_checker_link_name(checker, (int32_t)other->link)) == 0;
+    for (size_t k = 0; body->is_attached && is_own && k < body->touch_count; k++)
         if (body->touch[k] == other->link)
             return 1;
     return 0;
@@ -327,8 +349,16 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
     const File *file = checker->file;
     const Body *one = checker->bodies + a, *other = checker->bodies + b;
     const Rule *rule = rule_of(checker, a, b);
-    *margin = file->margin;
-    int is = 1;
+    int is = 1, is_lowered = 0;
+    *margin = 0;
+    for (int side = 0; side < 2; side++) { /* `_margins` of checked_pairs.py, for pairs with at most one link */
+        int32_t body = side == 0 ? a : b;
+        if (body < file->bodies) {
+            *margin = fmax(*margin, file->own[body]);
+            is_lowered |= file->lowered[body] != 0;
+        }
+    }
+    *margin = is_lowered ? *margin : fmax(*margin, file->margin);
     /* The file knows the pairs with a body that moves in it. */
     if (a < file->moving && b < file->bodies) {
         int64_t pair = listed_pair(file, a, b);
@@ -336,13 +366,16 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
         if (is)
             *margin = file->margins[pair];
     }
-    if ((one->is_attached && touches(one, other)) || (other->is_attached && touches(other, one)))
-        is = 0;
+    int64_t known = rule_of_file(file, a, b);
+    if (known >= 0) {
+        is = !file->rules[3 * known + 2];
+        *margin = file->rule_margins[known] >= 0 ? file->rule_margins[known] : *margin;
+    }
     if (rule != NULL && rule->has_allowed)
         is = !rule->allowed;
     if (rule != NULL && rule->has_margin)
         *margin = rule->margin;
-    return is;
+    return is && !touches(checker, one, other) && !touches(checker, other, one);
 }
 
 /* Whether the bodies are those of the file, all present, with its pairs. */
@@ -445,17 +478,14 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
     return LOEWNER_OK;
 }
 
-/* -- halves ---------------------------------------------------------------------------------------------------------- */
+/* -- halves -------------------------------------------------------------------------------------------------------- */
 
 /* How long a chain of links is, from the world's origin to the origin of one: at most the sum of its translations. */
 static double length_of(const Tree *tree, int64_t link)
 {
-    double length = 0;
-    for (; link >= 0; link = tree->parent[link]) {
-        const double *shift = tree->constants + LINK_CONSTANTS * link + TRANSLATION;
-        length += sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2]);
-    }
-    return length;
+    const double *shift = tree->constants + LINK_CONSTANTS * link + TRANSLATION;
+    double own = sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2]);
+    return own + (tree->parent[link] >= 0 ? length_of(tree, tree->parent[link]) : 0);
 }
 
 static loewner_status place(const State *state, Half *half, int into)
@@ -465,7 +495,10 @@ static loewner_status place(const State *state, Half *half, int into)
         Array1 block;
         Array2 poses;
     } arguments = {
-        (int64_t)half->words, half->handle, {half->blocks[into], half->block_words}, {state->poses, state->standing, 16},
+        (int64_t)half->words,
+        half->handle,
+        {half->blocks[into], half->block_words},
+        {state->poses, state->standing, 16},
     };
     TRY(call(kernels()->place_static, &arguments, &half->handle));
     half->motions = half->handle + 8 * 3 * (TABLE_ROWS - 10);
@@ -478,7 +511,8 @@ static loewner_status measure(const loewner_checker *checker, Half *half, int is
 {
     const Kernels *known = kernels();
     const int64_t arguments[] = {(int64_t)half->words, half->handle, checker->file->dof};
-    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances, known->motion_memory};
+    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
+                            known->motion_memory};
     half->memory = known->settle_memory;
     for (int k = 0; k < 3 + is_for_motions; k++) {
         int64_t size = 0;
@@ -514,10 +548,11 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
     half->chain[0] = (double)(1 + deepest);
     half->chain[1] = longest * STRETCH;
     half->chain[2] = bend_of(&state->tree);
-    /* The arrays of a block that depend on poses, in words; the last one starts as NaN, which differs from all poses. */
+    /* The arrays of a block that depend on poses, in words; the last one starts as NaN, which differs from all poses.
+     */
     const int64_t sizes[] = {
-        bodies * links,         pieces * HOT,     state->standing,     64 * state->groups,
-        state->standing * BOUNDS / 2, pieces * HOT / 2, 16 * state->standing,
+        bodies * links,   pieces * HOT,         state->standing, 64 * state->groups, state->standing * BOUNDS / 2,
+        pieces * HOT / 2, 16 * state->standing,
     };
     int64_t words = TABLE_WORDS + CACHE_LINE / 8, at[7];
     for (int k = 0; k < 7; k++)
@@ -539,16 +574,79 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
         ((double *)at[6])[k] = NAN;
     const Tree *tree = &state->tree;
     const int64_t paths = state->path_start[links], table[TABLE_WORDS] = {
-        (int64_t)tree->parent, links, 1, (int64_t)tree->kind, links, 1, (int64_t)tree->column, links, 1,
-        (int64_t)tree->multiplier, links, 1, (int64_t)tree->offset, links, 1, (int64_t)tree->constants, links, LINK_CONSTANTS,
-        (int64_t)state->link, state->moving, 1, (int64_t)half->ball, state->moving, 5,
-        (int64_t)state->pair_list, pairs, 2, (int64_t)state->margins, pairs, 1, (int64_t)state->order, pairs, 1,
-        at[4], state->standing, BOUNDS, at[5], pieces, HOT, at[6], state->standing, 16,
-        (int64_t)state->path_start, links + 1, 1, (int64_t)state->path_link, paths, 1,
-        at[0], bodies, links, at[1], pieces, HOT, at[2], state->standing, 1, (int64_t)state->motion_order, pairs, 1,
-        (int64_t)state->group_start, state->moving + 1, 1, (int64_t)state->group_pairs, 8 * state->groups, 1,
-        at[3], 64 * state->groups, 1, (int64_t)half->chain, 3, 1,
-    };
+                                                        (int64_t)tree->parent,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->kind,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->column,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->multiplier,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->offset,
+                                                        links,
+                                                        1,
+                                                        (int64_t)tree->constants,
+                                                        links,
+                                                        LINK_CONSTANTS,
+                                                        (int64_t)state->link,
+                                                        state->moving,
+                                                        1,
+                                                        (int64_t)half->ball,
+                                                        state->moving,
+                                                        5,
+                                                        (int64_t)state->pair_list,
+                                                        pairs,
+                                                        2,
+                                                        (int64_t)state->margins,
+                                                        pairs,
+                                                        1,
+                                                        (int64_t)state->order,
+                                                        pairs,
+                                                        1,
+                                                        at[4],
+                                                        state->standing,
+                                                        BOUNDS,
+                                                        at[5],
+                                                        pieces,
+                                                        HOT,
+                                                        at[6],
+                                                        state->standing,
+                                                        16,
+                                                        (int64_t)state->path_start,
+                                                        links + 1,
+                                                        1,
+                                                        (int64_t)state->path_link,
+                                                        paths,
+                                                        1,
+                                                        at[0],
+                                                        bodies,
+                                                        links,
+                                                        at[1],
+                                                        pieces,
+                                                        HOT,
+                                                        at[2],
+                                                        state->standing,
+                                                        1,
+                                                        (int64_t)state->motion_order,
+                                                        pairs,
+                                                        1,
+                                                        (int64_t)state->group_start,
+                                                        state->moving + 1,
+                                                        1,
+                                                        (int64_t)state->group_pairs,
+                                                        8 * state->groups,
+                                                        1,
+                                                        at[3],
+                                                        64 * state->groups,
+                                                        1,
+                                                        (int64_t)half->chain,
+                                                        3,
+                                                        1,
+                                                    };
     memcpy(block, table, sizeof table);
     half->handle = (int64_t)block;
     const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + 8 * 3 * (TABLE_ROWS - 10)};
@@ -558,7 +656,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
     return measure(checker, half, is_for_motions);
 }
 
-/* -- states ---------------------------------------------------------------------------------------------------------- */
+/* -- states -------------------------------------------------------------------------------------------------------- */
 
 /* Put the moving bodies first: those of the robot, then those that are attached; then those that stand. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
@@ -603,7 +701,7 @@ static void copy_poses(const loewner_checker *checker, State *state)
 static int has_standing_solids(const State *state)
 {
     for (int64_t k = 0; k < state->moving + state->standing; k++) {
-        if (k < state->moving && rigid_link(&state->tree, state->link[k]) != rigid_link(&state->tree, 0))
+        if (!stands(state, k))
             continue;
         for (int64_t p = state->whole.pack.piece_start[k]; p < state->whole.pack.piece_start[k + 1]; p++)
             if (state->whole.pack.layout[LAYOUT * p + KIND_OF] == SOLID)
@@ -663,7 +761,7 @@ const Half *half_of_motions(const loewner_checker *checker)
     return checker->state.cut.words[0] != 0 ? &checker->state.cut : &checker->state.whole;
 }
 
-/* -- workspaces ------------------------------------------------------------------------------------------------------ */
+/* -- workspaces ---------------------------------------------------------------------------------------------------- */
 
 loewner_status loewner_workspace_new(loewner_workspace **workspace)
 {
@@ -691,7 +789,8 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
 {
     const State *state = &checker->state;
     const Half *half = half_of_motions(checker);
-    size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs, bodies = (size_t)(state->moving + state->standing);
+    size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs,
+           bodies = (size_t)(state->moving + state->standing);
     size_t memory = (size_t)(half->memory > state->whole.memory ? half->memory : state->whole.memory);
     const Part parts[] = {
         {(void **)&workspace->memory, memory},
@@ -763,7 +862,7 @@ loewner_status prepare(const loewner_checker *checker, loewner_workspace *worksp
     return workspace->serial == checker->serial ? LOEWNER_OK : bind(checker, workspace);
 }
 
-/* -- checkers -------------------------------------------------------------------------------------------------------- */
+/* -- checkers ------------------------------------------------------------------------------------------------------ */
 
 loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
 {
@@ -781,7 +880,8 @@ loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
     if (made == NULL || made->bodies == NULL)
         outcome = no_memory();
     else if (file->moving == 0 || file->dof == 0)
-        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only", path);
+        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only",
+                       path);
     if (outcome != LOEWNER_OK) {
         if (made != NULL)
             free(made->bodies);
@@ -905,7 +1005,7 @@ loewner_status loewner_checker_limits(const loewner_checker *checker, double *lo
     return LOEWNER_OK;
 }
 
-/* -- changes --------------------------------------------------------------------------------------------------------- */
+/* -- changes ------------------------------------------------------------------------------------------------------- */
 
 static void spoil(loewner_checker *checker, int how)
 {
@@ -930,7 +1030,8 @@ loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bod
     for (size_t k = 0; k < n; k++) {
         TRY(expect_body(checker, bodies[k]));
         if (checker->bodies[bodies[k]].link >= 0)
-            return fail(LOEWNER_BAD_ARGUMENT, "bodies: expected bodies that stand in the scene, found %s, which is on a link",
+            return fail(LOEWNER_BAD_ARGUMENT,
+                        "bodies: expected bodies that stand in the scene, found %s, which is on a link",
                         checker->bodies[bodies[k]].name);
     }
     for (size_t k = 0; k < n; k++)
@@ -943,8 +1044,9 @@ loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bod
 loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                    int64_t which, const double *pose, int32_t *body)
 {
-    if (checker == NULL || name == NULL || bodies == NULL || pose == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker, name, bodies, pose: expected pointers, found NULL");
+    if (checker == NULL || name == NULL || *name == '\0' || bodies == NULL || pose == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "checker, name, bodies, pose: expected a name and pointers, found none or NULL");
     if (which < 0 || which >= bodies->file->bodies)
         return fail(LOEWNER_BAD_ARGUMENT, "which: expected a number below %lld, found %lld",
                     (long long)bodies->file->bodies, (long long)which);
@@ -987,7 +1089,8 @@ loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, in
         return fail(LOEWNER_BAD_ARGUMENT, "pose_in_link, touch_links: expected pointers, found NULL");
     Body *its = checker->bodies + body;
     if (its->link >= 0 && !its->is_attached)
-        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body of the scene, found %s, which belongs to the robot", its->name);
+        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body of the scene, found %s, which belongs to the robot",
+                    its->name);
     TRY(check_poses(pose_in_link, 1, "pose_in_link"));
     for (size_t k = 0; k <= touch_count; k++) {
         int32_t named = k < touch_count ? touch_links[k] : link;
@@ -1050,7 +1153,13 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
 {
     Rule *rule;
     TRY(its_rule(checker, a, b, &rule));
-    rule->has_allowed = 1;
+    const File *file = checker->file;
+    if (!allowed && rule->a < file->moving && rule->b < file->bodies && listed_pair(file, rule->a, rule->b) < 0)
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "expected a pair that was checked when the file was saved, found %.100s and %.100s",
+                    checker->bodies[rule->a].name, checker->bodies[rule->b].name);
+    /* Pairs are checked unless the file says otherwise; so says a rule of the file for two static bodies. */
+    rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
     return LOEWNER_OK;
 }

@@ -43,9 +43,10 @@ GOLDEN = 0x9E3779B97F4A7C15
 # Arrays before the packs; a file of bodies alone has only the first and the last two.
 BEFORE = (
     "names", "parent", "kind", "column", "multiplier", "offset", "constants", "limits", "joints",
-    "quaternions", "link", "pairs", "margins", "order", "margin", "poses",
+    "quaternions", "link", "pairs", "margins", "order", "margin", "poses", "own", "lowered", "rules",
+    "rule_margins",
 )  # fmt: skip
-_NO_INTEGERS, _NO_NUMBERS = np.zeros(0, dtype=np.int64), np.zeros(0)
+_NO_NUMBERS = np.zeros(0)
 
 
 def save(path: str | os.PathLike[str], packed: Packed) -> None:
@@ -94,9 +95,13 @@ def write(
 
 
 def _write(target: Path, names: Any, arrays: dict[str, Any], packs: Sequence[Packed], counts: Any) -> None:
-    text = "".join(f"{name}\0" for group in names for name in group).encode()
+    listed_names = [name for group in names for name in group]
+    for name in listed_names:
+        if "\0" in name:
+            raise InputError(f"expected names without NUL, found {name!r}")
+    text = "".join(f"{name}\0" for name in listed_names).encode(errors="backslashreplace")
     held = {"names": np.frombuffer(text, np.uint8), **arrays}
-    listed = [held.get(name, _NO_INTEGERS if name in ("link", "joints") else _NO_NUMBERS) for name in BEFORE]
+    listed = [held.get(name, _NO_NUMBERS) for name in BEFORE]
     surfaces = {tree.table.ctypes.data: tree for pack in packs for tree in pack.trees.values()}
     numbers = {address: number for number, address in enumerate(surfaces, 1)}
     for pack in packs:

@@ -7,9 +7,9 @@
    not free. `loewner_checker_classify` looks at ellipsoids only and is often AMBIGUOUS; `..._collide` is exact, and
    AMBIGUOUS only where arithmetic could not settle a configuration.
 
-   UNITS are metres and radians. ARRAYS are in C order. A pose is 16 doubles: a 4x4 matrix in row order, which maps points
-   of a body to the world, with an orthonormal rotation and the last row 0 0 0 1. A configuration has `dof` doubles, in the
-   order of `Robot.configuration_names`; orientations are quaternions wxyz of norm 1.
+   UNITS are metres and radians. ARRAYS are in C order. A pose is 16 doubles: a 4x4 matrix in row order, which maps
+   points of a body to the world, with an orthonormal rotation and the last row 0 0 0 1. A configuration has `dof`
+   doubles, in the order of `Robot.configuration_names`; orientations are quaternions wxyz of norm 1.
 
    OWNERSHIP. What a function makes belongs to the caller, who passes it to `..._close` or `..._free` once; both accept
    NULL. No function keeps a pointer to an argument. Texts that functions return belong to the library.
@@ -20,8 +20,8 @@
    ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
    one. After an error, outputs have no meaning. Queries check their arguments: sizes, finite numbers, rigid poses.
 
-   MEMORY. A workspace grows when it is first used with a state of a checker. After that, no query allocates memory,
-   except for `loewner_checker_plan` and `loewner_checker_shorten`, and for pairs of bodies with many pieces. */
+   MEMORY. A workspace grows when it is first used with a state of a checker. After that, classify, collide, clearance
+   and proofs of motions allocate no memory, unless bodies are surfaces or have many pieces. Other queries may. */
 
 #ifndef LOEWNER_H
 #define LOEWNER_H
@@ -46,8 +46,8 @@ typedef enum {
     LOEWNER_OTHER_VERSION = 3, /* the file belongs to another version of loewner: save it again */
     LOEWNER_NO_KERNELS = 4,    /* the machine code is missing, or not for this processor */
     LOEWNER_NO_MEMORY = 5,
-    LOEWNER_UNKNOWN_NAME = 6,
-    LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path collide or are not proven free */
+    LOEWNER_UNKNOWN_NAME = 6, /* of loewner.hpp only: in C, the functions that look names up return -1 */
+    LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path are outside the limits, or not proven free */
     LOEWNER_NO_PATH = 8,  /* none was found within the iterations or in time */
     LOEWNER_OVERFLOW = 9  /* positions overflow at a configuration */
 } loewner_status;
@@ -64,7 +64,8 @@ LOEWNER_API const char *loewner_status_name(loewner_status status);
 /* What was expected and what was found at this thread's last error; valid until its next one. */
 LOEWNER_API const char *loewner_error_text(void);
 
-/* Level of the processor whose machine code is in use, such as "x86-64-v3"; NULL if there is none, with an error text. */
+/* Level of the processor whose machine code is in use, such as "x86-64-v3"; NULL if there is none, with an error text.
+ */
 LOEWNER_API const char *loewner_level(void);
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
@@ -133,15 +134,16 @@ typedef struct {
     double normal[3];                  /* of length 1, from the first body to the second one */
 } loewner_distance;
 
-/* Signed distance of the nearest checked pair at n configurations; margins are ignored. `gradients`, shape (n, dof), may
-   be NULL: derivatives of the distance in metres per radian or metre. If `distance` is NaN, so is the gradient, and the
-   bounds hold. There must be a pair. */
+/* Signed distance of the nearest checked pair at n configurations; margins are ignored. `gradients`, shape (n, dof),
+   may be NULL: derivatives of the distance in metres per radian or metre. If `distance` is NaN, so is the gradient, and
+   the bounds hold. There must be a pair. */
 LOEWNER_API loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_workspace *workspace,
                                                     const double *configurations, size_t n, loewner_distance *distances,
                                                     double *gradients);
 
-/* A smooth certified lower bound on the distance of the nearest pair at n configurations, shape (n,), and its gradients,
-   shape (n, dof), which may be NULL. `softness` is in metres, such as 0.005; see `CollisionChecker.clearance`. */
+/* A smooth certified lower bound on the distance of the nearest pair at n configurations, shape (n,), and its
+   gradients, shape (n, dof), which may be NULL. `softness` is in metres, such as 0.005; see
+   `CollisionChecker.clearance`. */
 LOEWNER_API loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner_workspace *workspace,
                                                      const double *configurations, size_t n, double softness,
                                                      double *clearances, double *gradients);
@@ -155,21 +157,23 @@ typedef struct {
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
    take the shorter way. FREE holds at every real fraction of the motion; COLLIDING at the fraction that `fractions`,
-   shape (n,), receives (NaN for FREE). `bodies`, shape (n, 2), receives the pair in question, or -1. `fractions`, `bodies`
-   and `options` may be NULL. Motions longer than some 450,000 intervals of the proof are AMBIGUOUS. */
+   shape (n,), receives (NaN for FREE). `bodies`, shape (n, 2), receives the pair in question; it is -1 for FREE, and
+   for motions too long to be proven in some 450,000 intervals, which are AMBIGUOUS. `fractions`, `bodies` and `options`
+   may be NULL. */
 LOEWNER_API loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loewner_workspace *workspace,
                                                          const double *starts, const double *ends, size_t n,
                                                          const loewner_proof_options *options, int8_t *verdicts,
                                                          double *fractions, int32_t (*bodies)[2]);
 
-/* The same for n curves: polynomials of a degree from 1 to 7, by their Bezier points, shape (n, degree + 1, dof). */
+/* The same for n curves: polynomials of a degree from 1 to 7, by their Bezier points, shape (n, degree + 1, dof). The
+   robot must have no quaternions. */
 LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
                                                           const double *points, size_t n, int32_t degree,
                                                           const loewner_proof_options *options, int8_t *verdicts,
                                                           double *fractions, int32_t (*bodies)[2]);
 
 typedef struct {
-    const uint8_t *joints;     /* shape (dof,): 1 for values that may change; NULL: all */
+    const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints of one value; NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
     int64_t max_iterations;    /* random configurations to draw; 0: 100,000 */
     double timeout;            /* seconds; 0: 10 */
@@ -177,12 +181,13 @@ typedef struct {
     uint32_t seed;             /* equal seeds give equal paths, the same as in Python */
 } loewner_plan_options;
 
-/* Find a path from `start`, shape (dof,), to one of several goals, shape (goals, dof), whose motions are all proven free,
-   as `loewner.planners.plan` does. `path` receives `count` configurations, which belong to the workspace and are valid
-   until its next use. `options` may be NULL. */
+/* Find a path from `start`, shape (dof,), to one of several goals, shape (goals, dof), whose motions are all proven
+   free, as `loewner.planners.plan` does. `path` receives `count` configurations, which belong to the workspace and are
+   valid until its next use. `options` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_workspace *workspace,
                                                 const double *start, const double *goals, size_t goal_count,
-                                                const loewner_plan_options *options, const double **path, size_t *count);
+                                                const loewner_plan_options *options, const double **path,
+                                                size_t *count);
 
 /* Shorten a path of `n` configurations whose motions are all free; its other arguments are those of `..._plan`. */
 LOEWNER_API loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_workspace *workspace,
@@ -196,16 +201,17 @@ LOEWNER_API loewner_status loewner_checker_shorten(const loewner_checker *checke
 LOEWNER_API loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bodies, const double *poses,
                                                 size_t n);
 
-/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. `body` receives its number and
-   may be NULL. The bodies may be closed afterwards. */
+/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. `body` receives its number
+   and may be NULL. The bodies may be closed afterwards. */
 LOEWNER_API loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                                int64_t which, const double *pose, int32_t *body);
 
 /* Take a body of the scene, or of a link, out of all checks, or back; numbers of bodies do not change. */
 LOEWNER_API loewner_status loewner_checker_set_present(loewner_checker *checker, int32_t body, int present);
 
-/* Attach a body of the scene to a link, at a pose in the frame of the link. It is then checked against the scene and the
-   robot, except for `touch_count` links, and links that are rigidly joined with its link. */
+/* Attach a body of the scene to a link, at a pose in the frame of the link. It is then checked against the scene and
+   the robot, except for `touch_count` links, and links that are rigidly joined with its link. What Python had attached
+   when the file was saved belongs to the robot, and cannot be attached or detached. */
 LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, int32_t link,
                                                   const double *pose_in_link, const int32_t *touch_links,
                                                   size_t touch_count);
@@ -213,7 +219,8 @@ LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int3
 /* Let an attached body stand in the scene again, at a pose in the world. */
 LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, const double *pose);
 
-/* Allow two bodies to touch, or not; and set the distance in metres, >= 0, that they have to keep. */
+/* Allow two bodies to touch, or take that back; and set the distance in metres, >= 0, that they have to keep. A pair
+   that was not checked when the file was saved cannot be checked. */
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
 

@@ -18,9 +18,11 @@
 #include <utility>
 #include <vector>
 
-namespace loewner {
+namespace loewner
+{
 
-class Error : public std::runtime_error {
+class Error : public std::runtime_error
+{
 public:
     Error(loewner_status status, const std::string &text) : std::runtime_error(text), status_(status) {}
     loewner_status status() const noexcept { return status_; }
@@ -38,12 +40,15 @@ inline void expect(loewner_status status)
 enum class Verdict : std::int8_t { Free = LOEWNER_FREE, Colliding = LOEWNER_COLLIDING, Ambiguous = LOEWNER_AMBIGUOUS };
 
 /* A view of numbers that somebody else owns: of a vector, an array, or a pointer and a length. */
-template <class T> class View {
+template <class T> class View
+{
 public:
     View() = default;
     View(T *data, std::size_t size) : data_(data), size_(size) {}
-    template <class Container, class = decltype(std::declval<Container &>().data())>
-    View(Container &&container) : data_(container.data()), size_(container.size()) {}
+    template <class Container, class = decltype(std::declval<Container &>().data())> View(Container &&container)
+        : data_(container.data()), size_(container.size())
+    {
+    }
     T *data() const noexcept { return data_; }
     std::size_t size() const noexcept { return size_; }
     T *begin() const noexcept { return data_; }
@@ -59,7 +64,8 @@ using Numbers = View<const double>;
 using Pose = std::array<double, 16>; /* a 4x4 matrix in row order */
 
 /* Memory for the queries of one thread at a time. */
-class Workspace {
+class Workspace
+{
 public:
     Workspace()
     {
@@ -77,7 +83,8 @@ private:
 };
 
 /* Bodies of a file that `Body.save` or `Bodies.save` wrote. */
-class Bodies {
+class Bodies
+{
 public:
     explicit Bodies(const std::string &path)
     {
@@ -102,7 +109,8 @@ struct Motion {
 };
 
 /* A robot in a scene, from a file that `CollisionChecker.save` wrote. */
-class Checker {
+class Checker
+{
 public:
     explicit Checker(const std::string &path)
     {
@@ -112,11 +120,24 @@ public:
     }
 
     std::size_t dof() const noexcept { return static_cast<std::size_t>(loewner_checker_dof(get())); }
+    std::vector<double> link_poses(Numbers q) const
+    {
+        std::vector<double> poses(16 * link_count());
+        expect_rows(q, 1);
+        expect(loewner_checker_link_poses(get(), q.data(), 1, poses.data()));
+        return poses;
+    }
     std::size_t link_count() const noexcept { return static_cast<std::size_t>(loewner_checker_link_count(get())); }
     std::size_t body_count() const noexcept { return static_cast<std::size_t>(loewner_checker_body_count(get())); }
     std::size_t pair_count() const noexcept { return static_cast<std::size_t>(loewner_checker_pair_count(get())); }
-    std::int32_t link(const std::string &name) const { return known(loewner_checker_find_link(get(), name.c_str()), name); }
-    std::int32_t body(const std::string &name) const { return known(loewner_checker_find_body(get(), name.c_str()), name); }
+    std::int32_t link(const std::string &name) const
+    {
+        return known(loewner_checker_find_link(get(), name.c_str()), name);
+    }
+    std::int32_t body(const std::string &name) const
+    {
+        return known(loewner_checker_find_body(get(), name.c_str()), name);
+    }
     std::string body_name(std::int32_t body) const { return text(loewner_checker_body_name(get(), body)); }
     std::string link_name(std::int32_t link) const { return text(loewner_checker_link_name(get(), link)); }
     std::string value_name(std::int32_t value) const { return text(loewner_checker_value_name(get(), value)); }
@@ -149,7 +170,8 @@ public:
     void collide(Workspace &workspace, Numbers configurations, View<std::int8_t> verdicts) const
     {
         expect_rows(configurations, verdicts.size());
-        expect(loewner_checker_collide(get(), workspace.get(), configurations.data(), verdicts.size(), verdicts.data()));
+        expect(
+            loewner_checker_collide(get(), workspace.get(), configurations.data(), verdicts.size(), verdicts.data()));
     }
     Verdict collide_placed(Workspace &workspace, Numbers link_poses) const
     {
@@ -195,17 +217,34 @@ public:
         return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}};
     }
 
+    /* Prove motions, whose starts follow each other, and so do their ends. */
+    void certify_edges(Workspace &workspace, Numbers starts, Numbers ends, View<std::int8_t> verdicts,
+                       double tolerance = 1e-5) const
+    {
+        const loewner_proof_options options = {tolerance, nullptr};
+        expect_rows(starts, verdicts.size());
+        expect_rows(ends, verdicts.size());
+        expect(loewner_checker_certify_edges(get(), workspace.get(), starts.data(), ends.data(), verdicts.size(),
+                                             &options, verdicts.data(), nullptr, nullptr));
+    }
+
     /* A path from a configuration to one of several goals, as rows of a flat vector. */
     std::vector<double> plan(Workspace &workspace, Numbers start, Numbers goals,
                              const loewner_plan_options &options = {}) const
     {
         const double *path = nullptr;
         std::size_t count = 0;
+        const std::size_t rows = rows_of(goals);
         expect_rows(start, 1);
-        expect_rows(goals, goals.size() / (dof() == 0 ? 1 : dof()));
-        expect(loewner_checker_plan(get(), workspace.get(), start.data(), goals.data(), goals.size() / dof(), &options,
-                                    &path, &count));
+        expect(loewner_checker_plan(get(), workspace.get(), start.data(), goals.data(), rows, &options, &path, &count));
         return std::vector<double>(path, path + count * dof());
+    }
+    std::vector<double> shorten(Workspace &workspace, Numbers path, const loewner_plan_options &options = {}) const
+    {
+        const double *shorter = nullptr;
+        std::size_t count = 0;
+        expect(loewner_checker_shorten(get(), workspace.get(), path.data(), rows_of(path), &options, &shorter, &count));
+        return std::vector<double>(shorter, shorter + count * dof());
     }
 
     void move(std::int32_t body, const Pose &pose) { expect(loewner_checker_move(held_.get(), &body, pose.data(), 1)); }
@@ -215,10 +254,15 @@ public:
         expect(loewner_checker_add(held_.get(), name.c_str(), bodies.get(), which, pose.data(), &made));
         return made;
     }
-    void set_present(std::int32_t body, bool present) { expect(loewner_checker_set_present(held_.get(), body, present)); }
-    void attach(std::int32_t body, std::int32_t link, const Pose &pose_in_link, View<const std::int32_t> touch_links = {})
+    void set_present(std::int32_t body, bool present)
     {
-        expect(loewner_checker_attach(held_.get(), body, link, pose_in_link.data(), touch_links.data(), touch_links.size()));
+        expect(loewner_checker_set_present(held_.get(), body, present));
+    }
+    void attach(std::int32_t body, std::int32_t link, const Pose &pose_in_link,
+                View<const std::int32_t> touch_links = {})
+    {
+        expect(loewner_checker_attach(held_.get(), body, link, pose_in_link.data(), touch_links.data(),
+                                      touch_links.size()));
     }
     void detach(std::int32_t body, const Pose &pose) { expect(loewner_checker_detach(held_.get(), body, pose.data())); }
     void allow(std::int32_t a, std::int32_t b, bool allowed = true)
@@ -256,6 +300,13 @@ private:
         if (numbers.size() != rows * dof())
             throw Error(LOEWNER_BAD_ARGUMENT, "expected " + std::to_string(rows * dof()) + " numbers, found " +
                                                   std::to_string(numbers.size()));
+    }
+    std::size_t rows_of(Numbers numbers) const
+    {
+        const std::size_t width = dof();
+        if (width == 0 || numbers.size() % width != 0)
+            throw Error(LOEWNER_BAD_ARGUMENT, "expected whole configurations, found " + std::to_string(numbers.size()));
+        return numbers.size() / width;
     }
     void expect_gradient(View<double> gradient) const
     {

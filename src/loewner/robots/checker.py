@@ -155,7 +155,7 @@ class CollisionChecker:
         >>> CollisionChecker(Robot.from_urdf("arm.urdf")).save("arm.lwn")
         """
         ready = self._ready(timed=True)
-        cells.save(path, self.robot, ready, self._scene.margin)
+        cells.save(path, self.robot, self._scene, ready)
 
     # -- queries ------------------------------------------------------------------------------
 
