@@ -54,7 +54,9 @@ class NativeLibraryHook(BuildHookInterface):
                 if path not in loose:
                     archive.writestr(zipfile.ZipInfo(names[path]), path.read_bytes(), zipfile.ZIP_DEFLATED)
         included[str(home / ARCHIVE)] = f"loewner/_kernels/{ARCHIVE}"
-        build_data.update(pure_python=False, infer_tag=True)
+        # One wheel for all Pythons from 3.11 on: the extension needs their limited API alone.
+        platform = self.build_config.builder.get_best_matching_tag().rpartition("-")[2]
+        build_data.update(pure_python=False, tag=f"cp311-abi3-{platform}")
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the folder."""

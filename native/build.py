@@ -19,7 +19,6 @@ import sys
 import sysconfig
 import tempfile
 import time
-from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -32,7 +31,7 @@ from loewner import _ptx  # noqa: E402
 from loewner._kernels import codes, columns  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
-from loewner._native.library import HOME, LIST  # noqa: E402
+from loewner._native.library import CALL, HOME, LIST  # noqa: E402
 from loewner.planners import compiled as compiled_planner  # noqa: E402
 from loewner.planners import joint_limits, judge  # noqa: E402
 from loewner.robots import checker, contacts, motion_tables, robot, watch  # noqa: E402
@@ -58,8 +57,9 @@ FIRST = (
 )  # fmt: skip
 
 
-# What the C compiler is told of files that people get.
-RELEASE = ("-O2", "-s")
+# What the C compiler is told of files that people get. The linker of macOS knows no -s; Windows is untried.
+MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
+RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
@@ -72,6 +72,7 @@ DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEA
 
 # `libloewner`, which programs in C and C++ link with, and the constants of Python that it knows.
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "pairs.c")
+FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
 API_CODES = (*CODES, "INEXACT", "TOO_LONG", "BY_CARE", "MOST_POINTS", "MET", "SPENT", "FULL")
 API_COLUMNS = (
@@ -107,11 +108,13 @@ API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + 
 
 
 class Command(NamedTuple):
-    """Arguments of Python, variables of its environment, and the file that it makes."""
+    """What is made, arguments of Python, variables of its environment, the file made, and those needed first."""
 
+    what: str
     arguments: list[str]
     environment: dict[str, str]
     to: Path
+    needed: tuple[Path, ...] = ()
 
 
 class BuildError(Exception):
@@ -125,7 +128,7 @@ def architecture() -> str:
 
 
 def recipe() -> str:
-    """Hash of all that decides what is built, but for the levels and the interpreter."""
+    """Hash of all that decides what is built, but for the levels."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED, API_DEFINED)).encode())
     written = [
@@ -142,10 +145,10 @@ def recipe() -> str:
 
 
 def is_built(levels: list[str], home: Path = HOME) -> bool:
-    """Tell whether the library is there for these levels and this interpreter, and whole."""
+    """Tell whether the library is there for these levels, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
-        wanted = [f"kernels-{level}.so" for level in levels] + [f"_call{EXTENSION_SUFFIXES[0]}", _ptx.NAME, LIBRARY]
+        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME, *FOR_C]
         return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
@@ -163,9 +166,10 @@ def told(level: str) -> dict[str, str]:
 def machine_level() -> str:
     """Level of this machine's processor, asked of the extension."""
     with tempfile.TemporaryDirectory() as folder:
-        extension = Path(folder, f"_call{EXTENSION_SUFFIXES[0]}")
+        extension = Path(folder, CALL)
         compile_extension(extension)
-        ask = f"import sys; sys.path.insert(0, {folder!r}); import _call; print(*_call.levels())"
+        ask = f"import sys; sys.path.insert(0, {str(SOURCES)!r}); from loewner._native.library import loaded; "
+        ask += f"print(*loaded({str(extension)!r}).levels())"
         found = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.split()
     if not found:
         raise BuildError("this processor is older than all levels that are built; Numba compiles for it")
@@ -189,20 +193,18 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
     before = source_hash()
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
         work = Path(folder)
-        compile_extension(work / f"_call{EXTENSION_SUFFIXES[0]}")  # first: it fails at once where there is no compiler
-        compile_api(work / LIBRARY)
+        compile_extension(work / CALL)  # first: it fails at once where there is no compiler
+        for name in FOR_C:
+            compile_api(work / name)
         run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
-        # For one level two processes compile half each, and hand each other what the halves share; several levels
-        # keep processes busy enough, and each file is a ninth smaller.
-        halves = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
-        groups = halves if len(levels) == 1 else {"all": list(ENTRIES)}
-        jobs = [(level, group) for level in levels for group in groups]
-        run_all(
-            [emission(n, level, groups[group], work / f"{level}-{group}.o") for n, (level, group) in enumerate(jobs)]
-            + [ptx(work / _ptx.NAME)]
-        )
+        # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
+        halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
+        codes = [emission(n, "code", levels[0], half, work / f"code-{n}") for n, half in enumerate(halves)]
+        parts = tuple(code.to for code in codes)
+        objects = [emission(2 + n, "object", level, parts, work / f"{level}.o") for n, level in enumerate(levels)]
+        run_all([*codes, *objects, ptx(work / _ptx.NAME)])
         for level in levels:
-            link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
+            link(work / f"{level}.o", level, work / f"kernels-{level}.so")
         # Processes read the sources as they need them: code of two versions may not be called code of one.
         if source_hash.__wrapped__() != before:
             raise BuildError("the kernels' sources changed while they were compiled; build again")
@@ -223,38 +225,47 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         return [home / path.name for path in [*made, work / LIST]]
 
 
-def emission(number: int, level: str, names: list[str], to: Path) -> Command:
-    """Emit an object file for a level; jobs of one build share a cache, and nobody else does.
+def emission(number: int, what: str, level: str, given: tuple[str | Path, ...], to: Path) -> Command:
+    """Emit the code of entries, or the object file of such code; jobs of one build share a cache, and nobody else does.
 
     Object code is only made of functions that these processes numbered.
     """
     environment = told(level) | {"LOEWNER_CACHE_DIR": str(to.parent / "cache")}
-    return Command([str(HERE / "emit.py"), str(to), str(number), *names], environment, to)
+    arguments = [str(HERE / "emit.py"), what, str(to), str(number), *map(str, given)]
+    if what == "code":
+        return Command(f"intermediate code of {len(given)} of {len(ENTRIES)} kernels", arguments, environment, to)
+    return Command(f"machine code for {level}", arguments, environment, to, tuple(map(Path, given)))
 
 
 def ptx(to: Path) -> Command:
     """Write the threads' functions as PTX, which are the same for all processors."""
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return Command(["-m", "loewner._ptx", str(to)], {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}, to)
+    environment = {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}
+    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to)
 
 
 def run_all(commands: list[Command]) -> None:
-    """Run commands, each in a process of its own, as many at a time as there are processors."""
-    waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Path]]()
+    """Run commands, each in a process of its own, as many at a time as there are processors; print what begins."""
+    start, done = time.perf_counter(), set[Path]()
+    waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
     try:
         while waiting or running:
-            while waiting and len(running) < (os.cpu_count() or 1):
-                arguments, variables, to = waiting.pop(0)
-                environment = os.environ | variables | {"LOEWNER_QUIET": "1"}
-                with to.with_suffix(".log").open("wb") as log:
-                    command = [sys.executable, *arguments]
-                    running.append((subprocess.Popen(command, env=environment, stdout=log, stderr=log), to))
+            ready = [command for command in waiting if done.issuperset(command.needed)]
+            for command in ready[: (os.cpu_count() or 1) - len(running)]:
+                waiting.remove(command)
+                elapsed = time.perf_counter() - start
+                print(f"native library: {elapsed:4.0f} s: {command.what} ...", file=sys.stderr, flush=True)
+                environment = os.environ | command.environment | {"LOEWNER_QUIET": "1"}
+                with command.to.with_suffix(".log").open("wb") as log:
+                    call = [sys.executable, *command.arguments]
+                    running.append((subprocess.Popen(call, env=environment, stdout=log, stderr=log), command))
             time.sleep(0.05)
-            for process, to in [one for one in running if one[0].poll() is not None]:
-                running.remove((process, to))
+            for process, command in [one for one in running if one[0].poll() is not None]:
+                running.remove((process, command))
                 if process.returncode:
-                    said = to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
-                    raise BuildError(f"the kernels could not be compiled:\n{said.strip()[-4000:]}")
+                    said = command.to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
+                    raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
+                done.add(command.to)
     finally:
         for process, _ in running:
             process.kill()
@@ -269,15 +280,17 @@ def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
 
 
 def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Compile the extension for this interpreter."""
+    """Compile the extension, which any Python from 3.11 on can load: see `call.h`."""
     import numpy
 
     headers = Path(sysconfig.get_path("include"), "Python.h")
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
-    undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *undefined, "-ldl"], to, flags)
+    python = (
+        ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
+    )
+    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
 
 
 def api_flags() -> list[str]:
@@ -292,19 +305,21 @@ def api_flags() -> list[str]:
 def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the library for programs in C and C++."""
     sources = [HERE / "capi" / name for name in API]
-    compile_c([*sources, *api_flags(), f"-Wl,-soname,{LIBRARY}", "-pthread", "-ldl", "-lm"], to, flags)
+    name = f"-Wl,-install_name,@rpath/{LIBRARY}" if MAC else f"-Wl,-soname,{LIBRARY}"
+    compile_c([*sources, *api_flags(), name, "-pthread", "-ldl", "-lm"], to, flags)
 
 
-def link(objects: list[Path], level: str, to: Path) -> None:
-    """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
-    strict = [] if sys.platform == "darwin" else ["-Wl,-z,defs", "-Wl,--gc-sections"]
-    compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict, "-lm"], to)
+def link(code: Path, level: str, to: Path) -> None:
+    """Link an object file and what it needs of Numba's run time; nothing may be left to be found elsewhere but libm."""
+    strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
+    compile_c([code, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Call the C compiler: that of the environment, or `cc`."""
-    compiler = shlex.split(os.environ.get("CC") or "cc")
-    command = [*compiler, *flags, "-std=gnu11", "-Wall", "-fPIC", "-shared", "-o", str(to), *map(str, what)]
+    """Call the C compiler: that of the environment, or `cc`; on Windows `clang`."""
+    compiler = shlex.split(os.environ.get("CC") or ("clang" if WINDOWS else "cc"))
+    strict = ["-std=gnu11", "-Wall", "-Werror=implicit-function-declaration", *([] if WINDOWS else ["-fPIC"])]
+    command = [*compiler, *flags, *strict, "-shared", "-o", str(to), *map(str, what)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:

@@ -6,12 +6,34 @@
    memory, which is given back by  loewner_release. Nothing here depends on Numba, and the library not on Python. */
 
 #include "call.h"
+#include "system.h"
 
-#include <dlfcn.h>
-#include <stddef.h>
 #include <string.h>
 
 #define MOST_SLOTS 96
+#define PREFIX "loewner_" /* of the names of functions */
+
+/* -- types and objects --------------------------------------------------------------------------------------------- */
+
+PyTypeObject *add_type(PyObject *module, PyType_Spec *spec)
+{
+    PyTypeObject *type = (PyTypeObject *)PyType_FromModuleAndSpec(module, spec, NULL);
+    if (type != NULL && PyModule_AddType(module, type) < 0)
+        Py_CLEAR(type);
+    return type;
+}
+
+void *new_object(PyTypeObject *type)
+{
+    return PyType_GenericAlloc(type, 0);
+}
+
+void free_object(PyObject *object)
+{
+    PyTypeObject *type = Py_TYPE(object);
+    PyObject_Free(object);
+    Py_DECREF(type);
+}
 
 /* -- what a kernel takes and gives ------------------------------------------------------------------------------- */
 
@@ -79,7 +101,7 @@ static int put_array(Kernel *kernel, int n, PyObject *given, int64_t **slot)
 static int put_number(char kind, PyObject *given, int64_t *slot)
 {
     if (kind == 'f') {
-        double number = PyFloat_CheckExact(given) ? PyFloat_AS_DOUBLE(given) : PyFloat_AsDouble(given);
+        double number = PyFloat_AsDouble(given);
         memcpy(slot, &number, sizeof number);
         return number == -1.0 && PyErr_Occurred() ? -1 : 0;
     }
@@ -124,11 +146,10 @@ static PyObject *taken(const Kernel *kernel, const Word *word, const int64_t **s
     return word->kind == 'b' ? PyBool_FromLong(number & 1) : PyLong_FromLongLong(number);
 }
 
-static PyObject *kernel_call(PyObject *self, PyObject *const *given, size_t flags, PyObject *names)
+static PyObject *kernel_call(Kernel *kernel, PyObject *const *given, Py_ssize_t count)
 {
-    Kernel *kernel = (Kernel *)self;
     int64_t arguments[MOST_SLOTS], results[MOST_SLOTS], *slot = arguments;
-    if (PyVectorcall_NARGS(flags) != kernel->arguments || names != NULL)
+    if (count != kernel->arguments)
         return PyErr_Format(PyExc_TypeError, "%U: expected %d arguments by position", kernel->name, kernel->arguments);
     for (int n = 0; n < kernel->arguments; n++) {
         char kind = kernel->argument[n].kind;
@@ -149,10 +170,10 @@ static PyObject *kernel_call(PyObject *self, PyObject *const *given, size_t flag
     PyObject *tuple = PyTuple_New(kernel->results);
     for (int n = 0; n < kernel->results; n++) {
         PyObject *one = taken(kernel, &kernel->result[n], &from);
-        if (tuple != NULL)
-            PyTuple_SET_ITEM(tuple, n, one);
-        else
+        if (tuple == NULL)
             Py_XDECREF(one);
+        else
+            PyTuple_SetItem(tuple, n, one);
     }
     if (PyErr_Occurred())
         Py_CLEAR(tuple);
@@ -164,24 +185,23 @@ static void kernel_free(PyObject *self)
     Kernel *kernel = (Kernel *)self;
     Py_XDECREF(kernel->library);
     Py_XDECREF(kernel->name);
-    Py_TYPE(self)->tp_free(self);
+    free_object(self);
 }
 
-static PyObject *kernel_repr(PyObject *self)
-{
-    return PyUnicode_FromFormat("<native kernel %U>", ((Kernel *)self)->name);
-}
-
-PyTypeObject KernelType = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Kernel",
-    .tp_doc = "A function of the native library; arguments are checked, the interpreter lock is let go.",
-    .tp_basicsize = sizeof(Kernel),
-    .tp_dealloc = kernel_free,
-    .tp_repr = kernel_repr,
-    .tp_call = PyVectorcall_Call,
-    .tp_vectorcall_offset = offsetof(Kernel, vectorcall),
-    .tp_flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_VECTORCALL | Py_TPFLAGS_DISALLOW_INSTANTIATION,
+static PyType_Spec kernel_spec = {
+    .name = "loewner._native._call.Kernel",
+    .basicsize = sizeof(Kernel),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_DISALLOW_INSTANTIATION,
+    .slots = (PyType_Slot[]){{Py_tp_dealloc, kernel_free}, {0, NULL}},
 };
+
+static PyTypeObject *KernelType;
+
+Kernel *kernel_of(PyObject *given)
+{
+    PyObject *self = PyCFunction_Check(given) ? PyCFunction_GetSelf(given) : NULL;
+    return self != NULL && Py_TYPE(self) == KernelType ? (Kernel *)self : NULL;
+}
 
 /* -- Library ------------------------------------------------------------------------------------------------------- */
 
@@ -197,7 +217,7 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     static char *known[] = {"path", "build", NULL};
     if (!PyArg_ParseTupleAndKeywords(arguments, names, "O&s", known, PyUnicode_FSConverter, &path, &build))
         return NULL;
-    void *handle = dlopen(PyBytes_AS_STRING(path), RTLD_NOW | RTLD_LOCAL);
+    void *handle = dlopen(PyBytes_AsString(path), RTLD_NOW | RTLD_LOCAL);
     Py_DECREF(path);
     if (handle == NULL)
         return PyErr_Format(PyExc_OSError, "%s", dlerror());
@@ -207,7 +227,7 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
         dlclose(handle); /* after the message, which quotes the library */
         return NULL;
     }
-    Library *library = (Library *)type->tp_alloc(type, 0);
+    Library *library = new_object(type);
     if (library == NULL)
         return NULL;
     library->handle = handle; /* stays open until the process ends: threads may be in it */
@@ -220,28 +240,26 @@ static PyObject *library_kernel(PyObject *self, PyObject *arguments)
     const char *name, *takes, *gives;
     if (!PyArg_ParseTuple(arguments, "sss", &name, &takes, &gives))
         return NULL;
-    char symbol[128];
-    PyOS_snprintf(symbol, sizeof symbol, "loewner_%s", name);
-    Kernel *kernel = PyObject_New(Kernel, &KernelType);
+    Kernel *kernel = new_object(KernelType);
     if (kernel == NULL)
         return NULL;
-    kernel->vectorcall = kernel_call;
-    kernel->library = Py_NewRef(library);
+    PyOS_snprintf(kernel->symbol, sizeof kernel->symbol, PREFIX "%s", name);
+    kernel->definition = (PyMethodDef)FAST_METHOD(kernel->symbol + strlen(PREFIX), kernel_call, NULL);
+    kernel->library = Py_NewRef(self);
     kernel->name = PyUnicode_FromString(name);
-    kernel->function = (Function)dlsym(library->handle, symbol);
+    kernel->function = (Function)dlsym(library->handle, kernel->symbol);
     kernel->release = (void (*)(void *))dlsym(library->handle, "loewner_release");
     kernel->arguments = read_words(takes, kernel->argument, MOST_WORDS);
     kernel->results = kernel->arguments < 0 ? -1 : read_words(gives, kernel->result, MOST_WORDS);
     if (kernel->results >= 0 && (kernel->function == NULL || kernel->release == NULL))
-        PyErr_Format(PyExc_OSError, "expected a function %s, found none", symbol);
+        PyErr_Format(PyExc_OSError, "expected a function %s, found none", kernel->symbol);
     else if (kernel->results >= 0 && (slots_of(kernel->argument, kernel->arguments, 0) > MOST_SLOTS ||
                                       slots_of(kernel->result, kernel->results, 1) > MOST_SLOTS))
         PyErr_Format(PyExc_ValueError, "%s: expected fewer arguments", name);
-    if (kernel->name == NULL || PyErr_Occurred()) {
-        Py_DECREF(kernel);
-        return NULL;
-    }
-    return (PyObject *)kernel;
+    /* A builtin function, which the interpreter calls faster than any object of ours, and which keeps the kernel. */
+    PyObject *made = PyErr_Occurred() ? NULL : PyCFunction_NewEx(&kernel->definition, (PyObject *)kernel, NULL);
+    Py_DECREF(kernel);
+    return made;
 }
 
 static PyMethodDef library_methods[] = {
@@ -249,11 +267,20 @@ static PyMethodDef library_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject LibraryType = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Library",
-    .tp_doc = "Library(path, build): open a native library that was built from certain sources.",
-    .tp_basicsize = sizeof(Library),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_new = library_new,
-    .tp_methods = library_methods,
+static PyType_Spec library_spec = {
+    .name = "loewner._native._call.Library",
+    .basicsize = sizeof(Library),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = (PyType_Slot[]){
+        {Py_tp_doc, "Library(path, build): open a native library that was built from certain sources."},
+        {Py_tp_new, library_new},
+        {Py_tp_methods, library_methods},
+        {0, NULL},
+    },
 };
+
+int add_library(PyObject *module)
+{
+    KernelType = add_type(module, &kernel_spec);
+    return KernelType != NULL && add_type(module, &library_spec) != NULL ? 0 : -1;
+}

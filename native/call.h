@@ -3,6 +3,8 @@
 #ifndef LOEWNER_CALL_H
 #define LOEWNER_CALL_H
 
+/* Only what all Pythons from 3.11 on have, under the same names and in the same layout: one file serves them all. */
+#define Py_LIMITED_API 0x030B0000
 #define PY_SSIZE_T_CLEAN
 #define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
 #define PY_ARRAY_UNIQUE_SYMBOL loewner_array_api
@@ -25,15 +27,30 @@ typedef struct {
 
 typedef struct {
     PyObject_HEAD
-    vectorcallfunc vectorcall;
+    PyMethodDef definition; /* of the builtin function by which Python calls it: see `library_kernel` */
     Function function;
     void (*release)(void *);
     PyObject *library, *name;
+    char symbol[128];
     int arguments, results;
     Word argument[MOST_WORDS], result[MOST_WORDS];
 } Kernel;
 
-extern PyTypeObject KernelType, LibraryType;
+#define FAST_METHOD(name, function, text) {name, (PyCFunction)(void (*)(void))(function), METH_FASTCALL, text}
+
+/* Make a type, and add it to a module under the last part of its name; a new reference, or NULL. */
+PyTypeObject *add_type(PyObject *module, PyType_Spec *spec);
+
+/* An object of a type with all its fields zero; NULL with an exception. */
+void *new_object(PyTypeObject *type);
+
+/* Give back the memory of an object. */
+void free_object(PyObject *object);
+
+/* The kernel behind what `Library.kernel` returned; NULL for any other object. */
+Kernel *kernel_of(PyObject *given);
+
+int add_library(PyObject *module);
 
 /* Read words as `loewner/_native/entries.py` describes them; how many, or -1 with an exception. */
 int read_words(const char *text, Word *words, int most);

@@ -9,11 +9,10 @@ import json
 import sys
 import zipfile
 from hashlib import sha256
-from importlib.machinery import EXTENSION_SUFFIXES
 from io import BytesIO
 from pathlib import Path
 
-from build import LEVELS, LIBRARY, architecture  # type: ignore[attr-defined]  # the file beside this one
+from build import CALL, FOR_C, LEVELS, architecture  # type: ignore[attr-defined]  # the file beside this one
 from elftools.elf.dynamic import DynamicSection
 from elftools.elf.elffile import ELFFile
 
@@ -27,11 +26,13 @@ def faults(path: Path) -> list[str]:
     wheel, names, found = zipfile.ZipFile(path), files(path), list[str]()
     if (size := path.stat().st_size) >= LARGEST:
         found.append(f"expected less than {LARGEST:,} bytes, found {size:,}")
+    if "-cp311-abi3-" not in path.name:
+        found.append("expected a wheel for all Pythons from 3.11 on, with the tag cp311-abi3")
     if foreign := sorted(name for name in names if not _belongs(name)):
         found.append(f"expected nothing but the package, found {', '.join(foreign)}")
     if not any(name.endswith("/licenses/LICENSE") for name in names):
         found.append("expected a LICENSE, found none")
-    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {f"_call{EXTENSION_SUFFIXES[0]}", LIBRARY}
+    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {CALL, *FOR_C}
     libraries = {name.removeprefix(HOME) for name in names if name.endswith(".so")}
     if libraries != wanted:
         found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")

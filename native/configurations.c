@@ -107,7 +107,7 @@ static PyObject *tuple_of(const double *entries, int64_t count)
         if (entry == NULL)
             Py_CLEAR(tuple);
         else
-            PyTuple_SET_ITEM(tuple, k, entry);
+            PyTuple_SetItem(tuple, k, entry);
     }
     return tuple;
 }
@@ -141,7 +141,7 @@ static int64_t steps_of(const double *a, const double *b, int64_t count, double 
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
     PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
-    PyObject *fractions = number != NULL ? PyObject_CallOneArg(order, number) : NULL;
+    PyObject *fractions = number != NULL ? PyObject_CallFunctionObjArgs(order, number, NULL) : NULL;
     Py_XDECREF(number);
     if (fractions != NULL && !(is_plain(fractions, 1) && PyArray_DIM((PyArrayObject *)fractions, 0) == steps + 1))
         Py_CLEAR(fractions);
@@ -173,7 +173,7 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
 {
     if (count != 4 || !PyFloat_CheckExact(given[2]))
         Py_RETURN_NONE;
-    double step = PyFloat_AS_DOUBLE(given[2]);
+    double step = PyFloat_AsDouble(given[2]);
     if (!(step > 0 && step < INFINITY))
         Py_RETURN_NONE;
     const double *start = take_configuration(self, given[0]), *end = take_configuration(self, given[1]);
@@ -212,12 +212,12 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
         PyErr_SetString(PyExc_TypeError, "expected a range of shape (2, dof) of float64, and hits of int64");
         return NULL;
     }
-    Configurations *made = (Configurations *)type->tp_alloc(type, 0);
+    Configurations *made = new_object(type);
     if (made == NULL)
         return NULL;
     made->held = PyTuple_Pack(5, check, motion, range, hits, held);
-    made->check_configurations = ((Kernel *)check)->function;
-    made->check_motion = ((Kernel *)motion)->function;
+    made->check_configurations = kernel_of(check)->function;
+    made->check_motion = kernel_of(motion)->function;
     made->pack = pack;
     made->problem = problem;
     made->memory = memory;
@@ -234,7 +234,7 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
 static void configurations_free(PyObject *self)
 {
     Py_XDECREF(((Configurations *)self)->held);
-    Py_TYPE(self)->tp_free(self);
+    free_object(self);
 }
 
 static PyMethodDef configurations_methods[] = {
@@ -244,14 +244,17 @@ static PyMethodDef configurations_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyTypeObject ConfigurationsType = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Configurations",
-    .tp_doc = "Queries of one configuration or motion; made by `singles.configurations`.",
-    .tp_basicsize = sizeof(Configurations),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_new = configurations_new,
-    .tp_dealloc = configurations_free,
-    .tp_methods = configurations_methods,
+static PyType_Spec configurations_spec = {
+    .name = "loewner._native._call.Configurations",
+    .basicsize = sizeof(Configurations),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = (PyType_Slot[]){
+        {Py_tp_doc, "Queries of one configuration or motion; made by `singles.configurations`."},
+        {Py_tp_new, configurations_new},
+        {Py_tp_dealloc, configurations_free},
+        {Py_tp_methods, configurations_methods},
+        {0, NULL},
+    },
 };
 
 int add_configurations(PyObject *module)
@@ -259,5 +262,5 @@ int add_configurations(PyObject *module)
     PyObject *math = PyImport_ImportModule("math");
     dist = math != NULL ? PyObject_GetAttrString(math, "dist") : NULL;
     Py_XDECREF(math);
-    return dist == NULL ? -1 : PyModule_AddType(module, &ConfigurationsType);
+    return dist == NULL || add_type(module, &configurations_spec) == NULL ? -1 : 0;
 }

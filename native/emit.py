@@ -1,8 +1,13 @@
 """Kernels as one object file: what Numba makes of them, without Numba, Python or NumPy.
 
-Run by `build.py`, in a process of its own, for one level of processors: Numba reads the level from the environment when
-it is imported. What is compiled does not run there, since this machine's processor may be of a lower level; without
-arguments this file checks Numba itself, for this machine.
+Run by `build.py`, in processes of its own:
+
+    emit.py                           check Numba itself, for this machine
+    emit.py code TO NUMBER NAMES      intermediate code of entries, which is the same for all levels of processors
+    emit.py object TO NUMBER CODES    machine code of that, for one level
+
+Numba reads the level from the environment when it is imported. Machine code does not run there, since this machine's
+processor may be of a lower level.
 
 Processes that run at the same time share the intermediate code of the functions that several entries call: each writes
 what it compiles to a folder, the cache of the kernels, and looks there first. Numba gives functions numbers, and their
@@ -140,6 +145,7 @@ def shim(module: ir.Module, entry: Entry, result) -> None:
     context, signature = result.target_context, result.signature
     pointer = SLOT.as_pointer()
     outer = ir.Function(module, ir.FunctionType(ir.IntType(32), [pointer, pointer]), PREFIX + entry.name)
+    outer.storage_class = "dllexport" if sys.platform == "win32" else ""
     builder = ir.IRBuilder(outer.append_basic_block())
     inner = context.declare_function(module, result.fndesc)
     at = iter(range(1000))
@@ -243,17 +249,24 @@ def check_numba() -> None:
         raise SystemExit(f"Numba {numba.__version__}: memory is described otherwise than runtime.c expects ({found})")
 
 
-def emit(entries: list[Entry]) -> bytes:
-    """Object code of entries, position-independent, for the processor that the environment names."""
-    codegen = cpu_target.target_context.codegen()
-    library = codegen.create_library("loewner")
+def intermediate(entries: list[Entry]) -> bytes:
+    """Intermediate code of entries: names of libraries that were handed over, and the functions that call them."""
     shims = ir.Module("shims")
     results = [compiled(entry) for entry in entries]
     for entry, result in zip(entries, results, strict=True):
         shim(shims, entry, result)
-    for part in parts_of([result.library for result in results]):
-        library._final_module.link_in(part._final_module, preserve=True)
-    library._final_module.link_in(llvm.parse_assembly(str(shims)))
+    return pickle.dumps(([Exchange.of_process.write(result.library) for result in results], str(shims)))
+
+
+def machine_code(codes: list[bytes]) -> bytes:
+    """Object code of intermediate code, position-independent, for the processor that the environment names."""
+    codegen = cpu_target.target_context.codegen()
+    library = codegen.create_library("loewner")
+    read = [pickle.loads(code) for code in codes]
+    for part in parts_of([Exchange.of_process.read(name) for names, _ in read for name in names]):
+        library._final_module.link_in(part._final_module)
+    for _, shims in read:
+        library._final_module.link_in(llvm.parse_assembly(shims))
     hide(library._final_module, "linkonce_odr")
     # The same passes that Numba runs over what Python calls, with everything linked in.
     CPUCodeLibrary._optimize_final_module(library)
@@ -319,15 +332,18 @@ def parts_of(libraries: list) -> list:
     return list(found)
 
 
-def main(to: str, number: int, names: list[str]) -> None:
-    """Write the object code of entries to a file; `number` differs between processes that share a cache."""
+def main(what: str, to: Path, number: int, arguments: list[str]) -> None:
+    """Write intermediate code, or machine code, to a file; `number` differs between processes that share a cache."""
     FunctionIdentity._unique_ids = itertools.count(1 + number * 1_000_000)
     Exchange.of_process = Exchange(_jit.CACHE_FOLDER / "libraries", number)
     _parts.PartCompiler.library_class = _OwnLibrary
     remember_operators()
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
-    Path(to).write_bytes(emit([ENTRIES[name] for name in names]))
+    if what == "code":
+        to.write_bytes(intermediate([ENTRIES[name] for name in arguments]))
+    else:
+        to.write_bytes(machine_code([Path(name).read_bytes() for name in arguments]))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), sys.argv[3:]) if sys.argv[1:] else check_numba()
+    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), sys.argv[4:]) if sys.argv[1:] else check_numba()

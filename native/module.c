@@ -3,25 +3,49 @@
 #define HOLDS_ARRAY_API
 #include "single.h"
 
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
+
 /* -- levels of processors ------------------------------------------------------------------------------------------ */
+
+#if defined(__x86_64__)
+
+/* Ask the processor instead of the compiler's `__builtin_cpu_supports`: compilers differ in the names that it takes. */
+static int all(unsigned found, unsigned wanted)
+{
+    return (found & wanted) == wanted;
+}
 
 static PyObject *levels(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(nothing))
 {
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    int v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
-             __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("f16c") &&
-             __builtin_cpu_supports("lzcnt") && __builtin_cpu_supports("movbe");
-    int v4 = v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-             __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
-             __builtin_cpu_supports("avx512vl");
-    return v4 ? Py_BuildValue("(ss)", "x86-64-v4", "x86-64-v3") : v3 ? Py_BuildValue("(s)", "x86-64-v3") : PyTuple_New(0);
-#elif defined(__aarch64__)
+    unsigned a, b, basic = 0, more = 0, extended = 0, saved = 0;
+    __get_cpuid(1, &a, &b, &basic, &a);
+    __get_cpuid_count(7, 0, &a, &more, &b, &b);
+    __get_cpuid(0x80000001, &a, &b, &extended, &a);
+    if (all(basic, bit_OSXSAVE)) /* which registers the system saves when it switches threads */
+        __asm__ volatile("xgetbv" : "=a"(saved), "=d"(a) : "c"(0));
+    int v3 = all(basic, bit_AVX | bit_FMA | bit_MOVBE | bit_POPCNT | bit_F16C) && all(extended, bit_LZCNT) &&
+             all(more, bit_AVX2 | bit_BMI | bit_BMI2) && all(saved, 0x6);
+    int v4 = v3 && all(more, bit_AVX512F | bit_AVX512BW | bit_AVX512CD | bit_AVX512DQ | bit_AVX512VL) &&
+             all(saved, 0xe6);
+    if (v4)
+        return Py_BuildValue("(ss)", "x86-64-v4", "x86-64-v3");
+    return v3 ? Py_BuildValue("(s)", "x86-64-v3") : PyTuple_New(0);
+}
+
+#else
+
+static PyObject *levels(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(nothing))
+{
+#if defined(__aarch64__)
     return Py_BuildValue("(s)", "arm64");
 #else
     return PyTuple_New(0);
 #endif
 }
+
+#endif
 
 static PyMethodDef functions[] = {
     {"levels", levels, METH_NOARGS, "Levels whose code this processor runs, the best first."},
@@ -37,8 +61,8 @@ PyMODINIT_FUNC PyInit__call(void)
 {
     import_array();
     PyObject *module = PyModule_Create(&definition);
-    if (module == NULL || PyModule_AddType(module, &KernelType) < 0 || PyModule_AddType(module, &LibraryType) < 0 ||
-        prepare_single() < 0 || add_pairs(module) < 0 || add_configurations(module) < 0)
+    if (module == NULL || add_library(module) < 0 || prepare_single() < 0 || add_pairs(module) < 0 ||
+        add_configurations(module) < 0)
         Py_CLEAR(module);
     return module;
 }

@@ -129,7 +129,7 @@ static int take_margin(PyObject *given, double *margin)
 {
     if (!PyFloat_CheckExact(given))
         return 0;
-    *margin = PyFloat_AS_DOUBLE(given);
+    *margin = PyFloat_AsDouble(given);
     return *margin >= 0 && *margin < INFINITY;
 }
 
@@ -209,6 +209,7 @@ static const char *const field_texts[NUMBERS + VECTORS] = {
     "lower", "upper", "estimate", "distance", "witness_a", "witness_b", "normal",
 };
 static PyObject *field_names[NUMBERS + VECTORS], *no_arguments;
+static newfunc new_of_object; /* object.__new__ */
 
 typedef struct {
     double number[NUMBERS], vector[VECTORS][3];
@@ -278,7 +279,7 @@ static PyObject *field_of(const Found *found, int place, int wanted)
 /* What the class would make of the fields, which it guards against change, not against being made. */
 static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
 {
-    PyObject *made = PyBaseObject_Type.tp_new((PyTypeObject *)class, no_arguments, NULL);
+    PyObject *made = new_of_object((PyTypeObject *)class, no_arguments, NULL);
     for (int place = 0; made != NULL && place < NUMBERS + VECTORS; place++) {
         PyObject *field = field_of(found, place, wanted);
         if (field == NULL || PyObject_GenericSetAttr(made, field_names[place], field) < 0)
@@ -320,15 +321,15 @@ static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *na
         !is_kernel(settle, SETTLE_TAKES, "b") || !is_kernel(distance, DISTANCE_TAKES, DISTANCE_GIVES) ||
         !is_kernel(left, LEFT_TAKES, "") || !is_kernel(fault, FAULT_TAKES, FAULT_GIVES))
         return NULL;
-    Pairs *made = (Pairs *)type->tp_alloc(type, 0);
+    Pairs *made = new_object(type);
     if (made == NULL)
         return NULL;
     made->kernels = PyTuple_Pack(4, settle, distance, left, fault);
-    made->settle_range = ((Kernel *)settle)->function;
-    made->distance_range = ((Kernel *)distance)->function;
-    made->measure_left = ((Kernel *)left)->function;
-    made->first_fault = ((Kernel *)fault)->function;
-    made->release = ((Kernel *)distance)->release;
+    made->settle_range = kernel_of(settle)->function;
+    made->distance_range = kernel_of(distance)->function;
+    made->measure_left = kernel_of(left)->function;
+    made->first_fault = kernel_of(fault)->function;
+    made->release = kernel_of(distance)->release;
     made->settle_memory = settle_memory;
     made->distance_memory = distance_memory;
     if (made->kernels == NULL)
@@ -339,7 +340,7 @@ static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *na
 static void pairs_free(PyObject *self)
 {
     Py_XDECREF(((Pairs *)self)->kernels);
-    Py_TYPE(self)->tp_free(self);
+    free_object(self);
 }
 
 static PyMethodDef pairs_methods[] = {
@@ -349,14 +350,17 @@ static PyMethodDef pairs_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyTypeObject PairsType = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Pairs",
-    .tp_doc = "Queries of one pair of bodies; made by `singles.py`.",
-    .tp_basicsize = sizeof(Pairs),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_new = pairs_new,
-    .tp_dealloc = pairs_free,
-    .tp_methods = pairs_methods,
+static PyType_Spec pairs_spec = {
+    .name = "loewner._native._call.Pairs",
+    .basicsize = sizeof(Pairs),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = (PyType_Slot[]){
+        {Py_tp_doc, "Queries of one pair of bodies; made by `singles.py`."},
+        {Py_tp_new, pairs_new},
+        {Py_tp_dealloc, pairs_free},
+        {Py_tp_methods, pairs_methods},
+        {0, NULL},
+    },
 };
 
 int add_pairs(PyObject *module)
@@ -365,7 +369,8 @@ int add_pairs(PyObject *module)
     name_packed = PyUnicode_InternFromString("_packed");
     name_handle = PyUnicode_InternFromString("handle");
     no_arguments = PyTuple_New(0);
+    new_of_object = (newfunc)PyType_GetSlot(&PyBaseObject_Type, Py_tp_new);
     for (int place = 0; place < NUMBERS + VECTORS; place++)
         field_names[place] = PyUnicode_InternFromString(field_texts[place]);
-    return PyErr_Occurred() ? -1 : PyModule_AddType(module, &PairsType);
+    return PyErr_Occurred() || add_type(module, &pairs_spec) == NULL ? -1 : 0;
 }

@@ -3,8 +3,9 @@
    The layout of a description is Numba's (numba/core/runtime/nrt.cpp); compiled code counts in it by itself, and calls
    NRT_MemInfo_call_dtor when nobody is left. `tests/test_native.py` compares both with the Numba that is installed. */
 
+#include "system.h"
+
 #include <stddef.h>
-#include <stdlib.h>
 
 typedef struct {
     size_t references;
@@ -14,10 +15,10 @@ typedef struct {
     void *allocator;
 } Description;
 
-const char loewner_build[] = LOEWNER_BUILD;
+EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
 /* Descriptions that were made and not given back: where no kernel runs there are none, see `tests/test_native.py`. */
-size_t loewner_held;
+EXPORTED size_t loewner_held;
 
 static void give_back(Description *description)
 {
@@ -46,7 +47,7 @@ void NRT_MemInfo_call_dtor(void *memory)
 }
 
 /* What Python received and copied. */
-void loewner_release(void *memory)
+EXPORTED void loewner_release(void *memory)
 {
     Description *description = memory;
     if (description != NULL && __atomic_sub_fetch(&description->references, 1, __ATOMIC_ACQ_REL) == 0)

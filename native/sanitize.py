@@ -14,7 +14,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 from build import API, HERE, LIBRARY, SOURCES, BuildError, _sum, api_flags, compile_api, compile_extension
@@ -41,7 +40,7 @@ def instrumented(to: Path) -> None:
     if library.level() is None:
         raise BuildError(f"expected a native library that is built, found none ({library.why_not()})")
     shutil.rmtree(to, ignore_errors=True)
-    name = f"_call{EXTENSION_SUFFIXES[0]}"
+    name = library.CALL
     package = to / "loewner"
     kept_out = shutil.ignore_patterns("__pycache__", ".build-*", name, LIBRARY)
     shutil.copytree(SOURCES / "loewner", package, ignore=kept_out)

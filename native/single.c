@@ -1,9 +1,8 @@
 /* What `single.h` declares. */
 
 #include "single.h"
+#include "system.h"
 
-#include <pthread.h>
-#include <stdlib.h>
 #include <string.h>
 
 #define CACHE_LINE 64
@@ -54,11 +53,11 @@ int32_t call_kernel(Function function, const void *arguments, void *results, int
 int is_kernel(PyObject *given, const char *takes, const char *gives)
 {
     Word argument[MOST_WORDS] = {0}, result[MOST_WORDS] = {0};
-    if (Py_TYPE(given) != &KernelType) {
+    const Kernel *kernel = kernel_of(given);
+    if (kernel == NULL) {
         PyErr_SetString(PyExc_TypeError, "expected kernels of the library");
         return 0;
     }
-    const Kernel *kernel = (Kernel *)given;
     int arguments = read_words(takes, argument, MOST_WORDS), results = read_words(gives, result, MOST_WORDS);
     if (kernel->arguments == arguments && memcmp(kernel->argument, argument, arguments * sizeof(Word)) == 0 &&
         kernel->results == results && memcmp(kernel->result, result, results * sizeof(Word)) == 0)

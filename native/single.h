@@ -51,8 +51,6 @@ int is_kernel(PyObject *given, const char *takes, const char *gives);
 /* Whether an array is exactly of NumPy's class and holds float64 as kernels take them. */
 int is_plain(PyObject *given, int axes);
 
-#define FAST_METHOD(name, function, text) {name, (PyCFunction)(void (*)(void))(function), METH_FASTCALL, text}
-
 int prepare_single(void);
 int add_pairs(PyObject *module);
 int add_configurations(PyObject *module);

@@ -20,6 +20,7 @@ from loewner import Bodies, Body, CollisionChecker, InputError, Scene, classify,
 from loewner._native import library
 from loewner.bodies import native_files
 from loewner.errors import PlanningError
+from loewner.robots import problem
 from motion_oracle import AFLOAT, example, ring, steps, written
 from native_files import NATIVE
 
@@ -240,6 +241,66 @@ def test_bodies_are_added_attached_and_taken_away(pair, tmp_path, rng):
         mine.attach("panda_link3", "panda_hand", T)
 
 
+def test_a_piece_behind_a_surface_is_no_surface(pair, tmp_path, rng):
+    """Of a solid and a box, the box has no parts, wherever it comes to lie: classify once said FREE of it."""
+    import trimesh
+
+    checker, mine = pair
+    both = Body.union([Body.from_surface(trimesh.creation.icosphere(1, 0.1), solid=True), Body.box([0.1, 0.6, 0.05])])
+    both.save(tmp_path / "both.lwn")
+    parts = capi.Bodies(tmp_path / "both.lwn")
+    Q = checker.robot.random_configurations(400, seed=1)
+    for name in ("one", "two", "three"):
+        T = pose(rng)
+        checker.scene.add(name, both, T)
+        mine.add(name, parts, 0, T)
+        assert_same(checker, mine, Q)
+        certified = checker.classify(Q)
+        assert not (checker.collide(Q) & (certified == 0)).any()
+
+
+def test_placed_links_carry_attached_bodies(panda, tmp_path, rng):
+    """An attached body follows the pose that its link is given, also on a link that is fixed to the world."""
+    checker = CollisionChecker(panda, ring(rng, 8, 0.4, 0.8, 0.2))
+    checker.save(tmp_path / "cell.lwn")
+    mine, base = capi.Checker(tmp_path / "cell.lwn"), pose(rng, 0.1, 0.2)
+    moved = CollisionChecker(panda.placed(base), checker.scene)
+    for body, link in (("b1", "panda_hand"), ("b3", "panda_link0"), ("b5", "panda_link8")):
+        H = pose(rng, 0.1, 0.3)
+        checker.scene.attach(body, link, H)
+        mine.attach(body, link, H)
+        for q in panda.random_configurations(40, seed=2):
+            worst, _ = mine.placed(base @ mine.link_poses(q)[0])
+            assert worst == moved.collide(q)
+
+
+def test_touch_links_exempt_the_link_itself(panda, tmp_path, rng):
+    """Not what else is attached to it, in Python or here."""
+    scene = Scene()
+    scene.add("can", Body.cylinder(0.04, 0.2), pose(rng))
+    scene.add("mug", Body.box([0.3, 0.3, 0.3]), pose(rng))
+    scene.attach("can", "panda_hand", np.eye(4), touch_links=["panda_hand"])
+    checker = CollisionChecker(panda, scene)
+    checker.save(tmp_path / "cell.lwn")
+    mine, H = capi.Checker(tmp_path / "cell.lwn"), pose(rng, 0.2, 0.3)
+    scene.attach("mug", "panda_link5", H, touch_links=["panda_hand"])
+    mine.attach("mug", "panda_link5", H, ("panda_hand",))
+    assert_same(checker, mine, panda.random_configurations(100, seed=3), exactly=False)
+    with pytest.raises(capi.Error, match="belongs to the robot"):
+        mine.attach("can", "panda_link5", H)
+
+
+def test_an_allowed_pair_is_checked_again(pair):
+    """Where it was checked when the file was saved; other pairs have no margin here, and are refused."""
+    checker, mine = pair
+    Q = checker.robot.random_configurations(200, seed=4)
+    mine.allow("b1", "panda_link5")
+    mine.allow("b1", "panda_link5", False)
+    assert_same(checker, mine, Q)
+    with pytest.raises(capi.Error, match="was checked when"):
+        mine.allow("panda_link5", "panda_link6", False)
+
+
 def test_pairs_of_bodies(tmp_path, rng):
     """Queries without a robot: one body or all of a file, margins, and what is refused."""
     shapes = [Body.box([0.3, 0.2, 0.1]), Body.capsule(0.1, 0.3), Body.from_points(rng.normal(size=(20, 3)) * 0.1),
@@ -377,6 +438,29 @@ def test_files_with_any_changed_word_are_harmless(forged, tmp_path, count):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_numbers_are_those_of_the_kernels():
+    """What the C files know of layouts, besides the constants that the build passes."""
+    from loewner._kernels import columns as kernel_columns
+    from loewner._kernels.records import MotionTables, Pieces, Problem, Tree
+    from loewner._kernels.trees import boxes, triangle_tree
+
+    sources = "".join(path.read_text() for path in sorted((NATIVE / "capi").glob("*.[ch]")))
+    found = dict(re.findall(r"^#define (\w+) (\d+)\b", sources, re.M))
+    found |= dict(re.findall(r"\b([A-Z_]+) = (\d+)\b", "".join(re.findall(r"enum \{[^}]*\}", sources))))
+    expected = {
+        "WIDE_SURFACE": triangle_tree.WIDE, "LEAF_BITS": triangle_tree.LEAF_BITS, "BLOCK_NUMBERS": triangle_tree.BLOCK,
+        "DIAGONAL_NUMBERS": triangle_tree.DIAGONALS, "SURFACE_LEVELS": triangle_tree.LEVELS,
+        "GROUP_NUMBERS": boxes.ROWS, "TREE_LEVELS": boxes.LEVELS, "HEADER": native_files.HEADER.size,
+        "BEHIND_CHECKSUM": native_files.BEHIND_CHECKSUM, "FORMAT": native_files.FORMAT,
+        "PACK_ARRAYS": len(Pieces._fields), "SURFACE_ARRAYS": 5,
+        "TABLE_ROWS": len(Tree._fields) + len(Problem._fields) - 1 + len(MotionTables._fields),
+        "ORDER_ROW": problem._ORDER, "STATE": kernel_columns.STATE,
+    }  # fmt: skip
+    assert {name: int(found[name]) for name in expected} == expected
+    (before,) = re.findall(r"enum \{\s*NAMES,(.*?)BEFORE,", sources, re.S)
+    assert ["NAMES", *re.findall(r"\w+", before)] == [name.upper() for name in native_files.BEFORE]
 
 
 def test_what_cannot_be_saved(panda, tmp_path):

@@ -3,6 +3,7 @@
 import ctypes
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -135,6 +136,52 @@ def test_library_needs_nothing_but_libc_and_libm():
     needed = {line.split()[-1].split("@")[0] for line in listed.stdout.splitlines()}
     assert {"free", "aligned_alloc"} <= needed, "or nothing was read"
     assert not [name for name in needed if name.startswith(("Py", "_Py", "NRT", "numba", "_ZN"))]
+
+
+@pytest.mark.skipif((platform.system(), platform.machine()) != ("Linux", "x86_64"), reason="expected Linux on x86-64")
+@needs_library
+def test_levels_are_those_that_the_processor_and_the_system_support():
+    """The extension asks the processor itself; Linux lists the same, by names of its own."""
+    found = re.findall(r"^flags\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    flags = set(found[0].split())
+    v3 = flags >= {"avx", "avx2", "fma", "bmi1", "bmi2", "popcnt", "f16c", "abm", "movbe"}
+    v4 = v3 and flags >= {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
+    assert library.levels() == ("x86-64-v4",) * v4 + ("x86-64-v3",) * v3
+
+
+@needs_library
+def test_the_extension_is_for_all_pythons():
+    """No private symbol but those of the stable interface, which macros use and every later Python has."""
+    if shutil.which("nm") is None:
+        pytest.skip("no nm")
+    command = ["nm", "-D", "--undefined-only", str(library.HOME / library.CALL)]
+    listed = subprocess.run(command, capture_output=True, text=True, check=True)
+    private = {name for name in (line.split()[-1] for line in listed.stdout.splitlines()) if name.startswith("_Py")}
+    stable = {"_Py_NoneStruct", "_Py_TrueStruct", "_Py_FalseStruct", "_Py_Dealloc", "_Py_BuildValue_SizeT"}
+    stable |= {"_PyArg_ParseTuple_SizeT", "_PyArg_ParseTupleAndKeywords_SizeT"}
+    assert private <= stable
+    assert "PyType_FromModuleAndSpec" in listed.stdout, "or nothing was read"
+
+
+# -- how processes share the work of a build -------------------------------------------------------
+
+
+def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, capsys):
+    """A step starts when the files that it needs are whole; a line tells each step that begins."""
+    build = module("build")
+    code = "import sys, pathlib as p; p.Path(sys.argv[1]).write_text(''.join(map(open_text, sys.argv[2:])) + 'x')"
+    code = f"open_text = lambda path: open(path).read(); {code}"
+    first, second, last = (tmp_path / name for name in ("first", "second", "last"))
+
+    def step(to, *needed):
+        return build.Command(f"file {to.name}", ["-c", code, str(to), *map(str, needed)], {}, to, needed)
+
+    build.run_all([step(last, first, second), step(first), step(second, first)])
+    assert last.read_text() == "xxxx"
+    told = capsys.readouterr().err.splitlines()
+    assert [line.rpartition(": ")[2] for line in told] == ["file first ...", "file second ...", "file last ..."]
+    with pytest.raises(build.BuildError, match=r"file last: .*\n(.*\n)*.*missing"):
+        build.run_all([step(last, tmp_path / "missing")._replace(needed=())])
 
 
 # -- what is refused -------------------------------------------------------------------------------
@@ -295,6 +342,23 @@ def test_an_array_of_another_kind_is_refused(native, poses):
     """A kernel takes arrays of its type and number of axes, in C order, writeable unless it says otherwise."""
     with pytest.raises(TypeError, match="first_fault: argument 1"):
         native("first_fault")(poses)
+
+
+def test_a_kernel_keeps_its_library_and_is_told_from_other_functions(native):
+    """It is a builtin function, which the interpreter calls fastest; what takes kernels takes no other function."""
+    kernel = native("first_fault")
+    assert kernel.__name__ == "first_fault"
+    assert kernel.__self__.__class__.__name__ == "Kernel"
+    with pytest.raises(TypeError, match="no keyword arguments"):
+        kernel(poses=np.eye(4)[None])
+    with pytest.raises(TypeError, match="cannot create"):
+        type(kernel.__self__)()
+    with pytest.raises(OSError, match="expected a function loewner_no_such, found none"):
+        library._opened()[0].kernel("no_such", "i", "")
+    call = library.extension()
+    for other in (len, [].append, None, kernel.__self__):
+        with pytest.raises(TypeError, match="expected kernels of the library"):
+            call.Pairs(other, kernel, kernel, kernel, 0, 0)
 
 
 @pytest.mark.parametrize("given", [(), (np.eye(4)[None],) * 2])

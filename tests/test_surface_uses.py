@@ -671,3 +671,38 @@ def test_the_papers_detectors_take_polytopes_only():
     for pair in ((surfaces, boxes), (boxes, surfaces)):
         with pytest.raises(InputError, match=r"bodies\[1\]: expected one convex polytope, found Body\(solid"):
             paper.Pairs.from_bodies(*pair)
+
+
+def test_a_piece_joined_behind_a_surface_has_no_parts(rng):
+    """Of unions, packs and scenes in which a convex piece follows a surface, classify never says FREE of contact.
+
+    Joining packs once gave such a piece the end of the surface's parts, and no parts of its own are apart from all.
+    """
+    ball = Body.from_surface(trimesh.creation.icosphere(1, 0.1), solid=True)
+    far = np.eye(4)
+    far[0, 3] = 5.0
+    both, probe = Body.union([ball, Body.box([0.1, 0.6, 0.05])]), Body.box([0.2, 0.02, 0.2])
+    unions = [
+        Body.union([ball.transformed(far), ball, Body.box([0.1, 0.6, 0.05])]),
+        Body.union([ball.transformed(far), both]),
+        Body.union([Body.sphere(0.01).transformed(far), ball, both]),
+    ]
+    T = random_poses(rng, 300)
+    T[:, :3, 3] *= 0.2
+    for body in (*unions, *Bodies([ball, both, *unions])):
+        certified, hit = loewner.classify(body, None, probe, T), loewner.collide(body, None, probe, T)
+        assert hit.any()
+        assert not hit[certified == Verdict.FREE].any()
+        assert hit[certified == Verdict.COLLIDING].all()
+    scene = Scene()
+    scene.add("ball", ball, far)
+    scene.add("both", both)
+    arm = Robot.from_urdf(
+        text="""<robot name="r"><link name="a"/>
+        <link name="b"><collision><geometry><box size="0.2 0.02 0.2"/></geometry></collision></link>
+        <joint name="j" type="continuous"><parent link="a"/><child link="b"/>
+        <origin xyz="-0.05 0.3 0"/><axis xyz="0 0 1"/></joint></robot>"""
+    )
+    checker, Q = CollisionChecker(arm, scene), np.linspace(-3, 3, 100)[:, None]
+    assert checker.collide(Q).any()
+    assert not checker.collide(Q)[checker.classify(Q) == Verdict.FREE].any()

@@ -132,7 +132,7 @@ static loewner_status read_header(const File *file, const char *path, Header *he
                     "%.300s: expected a file of this version of loewner, found one of another; "
                     "save it again",
                     path);
-    EXPECT(header->size == file->size, "its size is not the one in its header");
+    EXPECT(header->size == file->size && file->size % CACHE_LINE == 0, "its size is not the one in its header");
     EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
            "its checksum differs");
     for (int k = 0; k < 8; k++)
@@ -271,7 +271,7 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
 static loewner_status check_trees(const Pack *pack)
 {
     int64_t begin = 0;
-    int8_t *height = calloc((size_t)pack->groups + 1, 1);
+    int8_t *height = calloc(2 * (size_t)pack->groups + 1, 1), *has_parent = height + pack->groups;
     if (height == NULL)
         return no_memory();
     int is_sound = 1;
@@ -279,12 +279,14 @@ static loewner_status check_trees(const Pack *pack)
         int64_t root = pack->roots[b], first = pack->piece_start[b], last = pack->piece_start[b + 1];
         if (root == -1)
             continue;
-        is_sound = root < pack->groups && root == begin + groups_of(last - first) - 1;
+        is_sound = last - first > 1 && root < pack->groups && root == begin + groups_of(last - first) - 1;
         for (int64_t g = begin; is_sound && g <= root; g++)
             for (int64_t c = WIDE * g; c < WIDE * (g + 1); c++) {
                 int64_t child = pack->children[c];
                 if (child >= 0) {
-                    is_sound &= begin <= child && child < g;
+                    is_sound &= begin <= child && child < g && !has_parent[child];
+                    if (is_sound)
+                        has_parent[child] = 1; /* a tree, not a net of which a walk sees every way */
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
                 } else /* an unused place says -1 whatever the piece */
@@ -326,6 +328,8 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, in
     EXPECT(vertices == (pack->is_single ? numbers : 0), "vertices");
     EXPECT(starts == 0 || starts == PARTS * pack->pieces, "part_start");
     EXPECT(rises(pack->piece_start, bodies + 1, pack->pieces), "piece_start");
+    for (int64_t b = 0; b < bodies; b++)
+        EXPECT(pack->piece_start[b] < pack->piece_start[b + 1], "a body without pieces");
     EXPECT(are_finite(pack->table, COLUMNS * pack->pieces) && are_finite(pack->hot, HOT * pack->pieces) &&
                are_finite(pack->points, numbers) && are_finite(pack->part_rows, HOT * pack->parts) &&
                are_finite_singles(pack->single, HOT * singles) && are_finite_singles(pack->vertices, vertices),
@@ -333,7 +337,7 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, in
     for (int64_t p = 0; p < starts / PARTS; p++) {
         const int64_t *row = pack->part_start + PARTS * p;
         EXPECT(0 <= row[0] && row[0] <= row[1] && row[1] <= row[2] && row[2] <= pack->parts, "part_start");
-        EXPECT(pack->layout[LAYOUT * p + KIND_OF] <= SURFACE || row[0] == row[2], "part_start");
+        EXPECT(pack->layout[LAYOUT * p + KIND_OF] <= SURFACE ? row[0] < row[2] : row[2] == 0, "part_start");
     }
     EXPECT(surfaces == 0 || starts > 0 || pack->pieces == 0 || !pack->has_parts, "part_start");
     TRY(check_pieces(pack, surfaces));
@@ -376,8 +380,8 @@ static loewner_status take_surface(const File *file, int64_t at, int64_t words[S
             is_sound = half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY;
             continue;
         }
-        is_sound = node < child && child < nodes && depth[node] < SURFACE_LEVELS;
-        if (is_sound && depth[child] <= depth[node])
+        is_sound = node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS;
+        if (is_sound) /* its only parent */
             depth[child] = (int8_t)(depth[node] + 1);
     }
     free(depth);
@@ -454,7 +458,7 @@ static loewner_status take_robot(File *file, const Header *header)
            "numbers that are not finite");
     for (int64_t k = 0; k < dof; k++)
         EXPECT(!isnan(file->limits[k]) && !isnan(file->limits[dof + k]), "limits");
-    EXPECT(dof < 4096 && links < 1 << 20, "the size of the robot");
+    EXPECT(dof < 4096 && links < 4096, "the size of the robot");
     EXPECT(is_within(file->joints, dof, 0, 16) && is_within(file->quaternions, file->quaternion_count, 0, dof - 3) &&
                is_within(file->link, moving, 0, links) && is_within(file->order, file->pairs, 0, file->pairs),
            "indices");

@@ -46,7 +46,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
             const double *q = configurations + k * (size_t)file->dof + file->quaternions[c];
             double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
             if (fabs(norm - 1) > QUATERNION_TOLERANCE)
-                return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %g", name, norm);
+                return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %.9g", name, norm);
         }
     return LOEWNER_OK;
 }
@@ -263,32 +263,31 @@ loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, l
     return settle_one(checker, workspace, configuration, verdicts);
 }
 
+/* The product of two poses. */
+static void multiply(const double *a, const double *b, double *made)
+{
+    for (int r = 0; r < 4; r++)
+        for (int c = 0; c < 4; c++) {
+            made[4 * r + c] = 0;
+            for (int m = 0; m < 4; m++)
+                made[4 * r + c] += a[4 * r + m] * b[4 * m + c];
+        }
+}
+
 loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
                                               const double *link_poses, int8_t *verdict, int8_t *verdicts)
 {
     TRY(prepare(checker, workspace));
     const State *state = &checker->state;
-    const Tree *tree = &state->tree;
     int64_t links = checker->file->links;
     TRY(check_poses(link_poses, (size_t)links, "link_poses"));
     if (verdict == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "verdict: expected a pointer, found NULL");
     memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
-    for (int64_t k = links; k < tree->links; k++) { /* of attached bodies, in the frame of a link or of the world */
-        static const double world[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-        const double *own = tree->constants + LINK_CONSTANTS * k;
-        const double *above = tree->parent[k] >= 0 ? workspace->link_poses + 16 * tree->parent[k] : world;
-        double *made = workspace->link_poses + 16 * k;
-        memcpy(made, world, sizeof world);
-        for (int r = 0; r < 3; r++) {
-            made[4 * r + 3] = above[4 * r + 3];
-            for (int c = 0; c < 3; c++) {
-                made[4 * r + c] = 0;
-                for (int m = 0; m < 3; m++)
-                    made[4 * r + c] += above[4 * r + m] * own[3 * m + c];
-                made[4 * r + 3] += above[4 * r + c] * own[TRANSLATION + c];
-            }
-        }
+    for (int64_t k = 0; k < state->moving; k++) { /* attached bodies have links of their own, behind the robot's */
+        const Body *body = checker->bodies + state->body[k];
+        if (body->is_attached)
+            multiply(link_poses + 16 * body->link, body->pose, workspace->link_poses + 16 * state->link[k]);
     }
     int8_t *out = verdicts != NULL ? verdicts : workspace->pair_verdicts;
     place_bodies(state, workspace->link_poses, workspace->poses);

@@ -99,7 +99,7 @@ static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
             continue;
         const int64_t none[PARTS] = {0, 0, 0}, *rows = pack->has_parts ? pack->part_start + PARTS * (first + p) : none;
         for (int k = 0; k < PARTS; k++)
-            part_start[PARTS * (q + p) + k] = at->parts + rows[k] - rows[0];
+            part_start[PARTS * (q + p) + k] = rows[2] > rows[0] ? at->parts + rows[k] - rows[0] : 0;
         memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0],
                sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
         at->parts += rows[2] - rows[0];
@@ -118,6 +118,18 @@ static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
     ((int64_t *)made->piece_start)[at->bodies] = at->pieces;
 }
 
+/* The first link with which one is rigidly joined; -1 is the world. */
+static int64_t rigid_link(const Tree *tree, int64_t link)
+{
+    return tree->kind[link] == FIXED ? tree->parent[link] : link;
+}
+
+/* Whether the body at a place stands still, whatever the robot does. */
+static int stands(const State *state, int64_t k)
+{
+    return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
+}
+
 /* Make one pack of the bodies of a state. */
 static loewner_status join(const loewner_checker *checker, const State *state, int in_parts, Half *half)
 {
@@ -127,7 +139,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     *made = (Pack){.bodies = bodies, .is_single = 1};
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        const Pack *pack = pack_of(body, in_parts && k >= state->moving);
+        const Pack *pack = pack_of(body, in_parts && stands(state, k));
         Counts from, count;
         range_of(pack, body->which, &from, &count);
         total.pieces += count.pieces;
@@ -168,18 +180,12 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     ((int64_t *)made->piece_start)[0] = 0;
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        append(made, pack_of(body, in_parts && k >= state->moving), body->which, &at);
+        append(made, pack_of(body, in_parts && stands(state, k)), body->which, &at);
     }
     return LOEWNER_OK;
 }
 
 /* -- links --------------------------------------------------------------------------------------------------------- */
-
-/* The first link with which one is rigidly joined; -1 is the world. */
-static int64_t rigid_link(const Tree *tree, int64_t link)
-{
-    return tree->kind[link] == FIXED ? tree->parent[link] : link;
-}
 
 /* The product of a link's constant pose and a pose, as constants. */
 static void place_link(const double *constants, const double *pose, double *made)
@@ -316,9 +322,21 @@ static int64_t listed_pair(const File *file, int64_t a, int64_t b)
     return low < file->pairs && pair[0] == a && pair[1] == b ? low : -1;
 }
 
-static int touches(const Body *body, const Body *other)
+/* The number of the file's rule for two static bodies, a < b; -1 if there is none. */
+static int64_t rule_of_file(const File *file, int32_t a, int32_t b)
 {
-    for (size_t k = 0; other->link >= 0 && !other->is_attached && k < body->touch_count; k++)
+    for (int64_t k = 0; k < file->rule_count; k++)
+        if (file->rules[3 * k] == a && file->rules[3 * k + 1] == b)
+            return k;
+    return -1;
+}
+
+/* Whether an attached body may touch another one: the own body of one of its touch links. */
+static int touches(const loewner_checker *checker, const Body *body, const Body *other)
+{
+    int is_of_robot = other->link >= 0 && !other->is_attached;
+    int is_own = is_of_robot && strcmp(other->name, loewner_checker_link_name(checker, (int32_t)other->link)) == 0;
+    for (size_t k = 0; body->is_attached && is_own && k < body->touch_count; k++)
         if (body->touch[k] == other->link)
             return 1;
     return 0;
@@ -348,18 +366,16 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
         if (is)
             *margin = file->margins[pair];
     }
-    for (int64_t k = 0; a >= file->moving && b < file->bodies && k < file->rule_count; k++)
-        if (file->rules[3 * k] == a && file->rules[3 * k + 1] == b) {
-            is = !file->rules[3 * k + 2];
-            *margin = file->rule_margins[k] >= 0 ? file->rule_margins[k] : *margin;
-        }
-    if ((one->is_attached && touches(one, other)) || (other->is_attached && touches(other, one)))
-        is = 0;
+    int64_t known = rule_of_file(file, a, b);
+    if (known >= 0) {
+        is = !file->rules[3 * known + 2];
+        *margin = file->rule_margins[known] >= 0 ? file->rule_margins[known] : *margin;
+    }
     if (rule != NULL && rule->has_allowed)
         is = !rule->allowed;
     if (rule != NULL && rule->has_margin)
         *margin = rule->margin;
-    return is;
+    return is && !touches(checker, one, other) && !touches(checker, other, one);
 }
 
 /* Whether the bodies are those of the file, all present, with its pairs. */
@@ -685,7 +701,7 @@ static void copy_poses(const loewner_checker *checker, State *state)
 static int has_standing_solids(const State *state)
 {
     for (int64_t k = 0; k < state->moving + state->standing; k++) {
-        if (k < state->moving && rigid_link(&state->tree, state->link[k]) != rigid_link(&state->tree, 0))
+        if (!stands(state, k))
             continue;
         for (int64_t p = state->whole.pack.piece_start[k]; p < state->whole.pack.piece_start[k + 1]; p++)
             if (state->whole.pack.layout[LAYOUT * p + KIND_OF] == SOLID)
@@ -1028,8 +1044,9 @@ loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bod
 loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                    int64_t which, const double *pose, int32_t *body)
 {
-    if (checker == NULL || name == NULL || bodies == NULL || pose == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker, name, bodies, pose: expected pointers, found NULL");
+    if (checker == NULL || name == NULL || *name == '\0' || bodies == NULL || pose == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "checker, name, bodies, pose: expected a name and pointers, found none or NULL");
     if (which < 0 || which >= bodies->file->bodies)
         return fail(LOEWNER_BAD_ARGUMENT, "which: expected a number below %lld, found %lld",
                     (long long)bodies->file->bodies, (long long)which);
@@ -1136,7 +1153,13 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
 {
     Rule *rule;
     TRY(its_rule(checker, a, b, &rule));
-    rule->has_allowed = 1;
+    const File *file = checker->file;
+    if (!allowed && rule->a < file->moving && rule->b < file->bodies && listed_pair(file, rule->a, rule->b) < 0)
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "expected a pair that was checked when the file was saved, found %.100s and %.100s",
+                    checker->bodies[rule->a].name, checker->bodies[rule->b].name);
+    /* Pairs are checked unless the file says otherwise; so says a rule of the file for two static bodies. */
+    rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
     return LOEWNER_OK;
 }

@@ -9,7 +9,7 @@ import json
 import os
 import sys
 from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader
+from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from loewner.errors import InputError
 HOME = Path(__file__).parent
 LIST = "built.json"
 EXTENSION = f"{__package__}._call"
+CALL = "_call.abi3.so"  # its file, for all Pythons; opened by its path, so the name suits every system
 
 
 class Entry(NamedTuple):
@@ -130,13 +131,18 @@ def _checked(name: str, built: dict[str, Any]) -> Path:
 def _extension(built: dict[str, Any]) -> Any:
     """Import the extension, after checking that it is intact."""
     if EXTENSION not in sys.modules:
-        loader = ExtensionFileLoader(EXTENSION, str(_checked(f"_call{EXTENSION_SUFFIXES[0]}", built)))
-        spec = spec_from_loader(EXTENSION, loader)
-        assert spec is not None
-        module = module_from_spec(spec)
-        loader.exec_module(module)
-        sys.modules[EXTENSION] = module
+        sys.modules[EXTENSION] = loaded(_checked(CALL, built))
     return sys.modules[EXTENSION]
+
+
+def loaded(path: Path) -> Any:
+    """Load the extension from a file, whose name need not be one that `import` looks for."""
+    loader = ExtensionFileLoader(EXTENSION, str(path))
+    spec = spec_from_loader(EXTENSION, loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    loader.exec_module(module)
+    return module
 
 
 def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:

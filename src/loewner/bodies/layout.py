@@ -130,7 +130,7 @@ def joined_kernel(parts: Sequence[records.Pieces]) -> records.Pieces:
     roots = [np.where(part.roots < 0, -1, part.roots + group) for part, group in zip(parts, groups, strict=False)]
     surfaces = any(len(part.part_start) for part in parts)
     part_start = [
-        part.part_start + row
+        _moved_parts(part.part_start, row)
         if len(part.part_start)
         else np.zeros(columns.PARTS * len(part.table) * surfaces, np.int64)
         for part, row in zip(parts, rows, strict=False)
@@ -150,6 +150,13 @@ def joined_kernel(parts: Sequence[records.Pieces]) -> records.Pieces:
         vertices=_end_to_end([part.vertices for part in parts[: len(parts) * singles]] or [parts[0].vertices[:0]]),
         part_start=np.concatenate(part_start),
     )
+
+
+def _moved_parts(part_start: Ints, row: int) -> Ints:
+    """Shift the rows of surfaces; other pieces keep zeros, since kernels take any other end for a surface."""
+    rows = part_start.reshape(-1, columns.PARTS)
+    surface = rows[:, columns.PART_STOP] > rows[:, columns.PART_OUTER]
+    return np.asarray(np.where(surface[:, None], rows + row, 0).ravel())
 
 
 def one_body(kernel: records.Pieces) -> records.Pieces:

@@ -95,7 +95,11 @@ def write(
 
 
 def _write(target: Path, names: Any, arrays: dict[str, Any], packs: Sequence[Packed], counts: Any) -> None:
-    text = "".join(f"{name}\0" for group in names for name in group).encode()
+    listed_names = [name for group in names for name in group]
+    for name in listed_names:
+        if "\0" in name:
+            raise InputError(f"expected names without NUL, found {name!r}")
+    text = "".join(f"{name}\0" for name in listed_names).encode(errors="backslashreplace")
     held = {"names": np.frombuffer(text, np.uint8), **arrays}
     listed = [held.get(name, _NO_NUMBERS) for name in BEFORE]
     surfaces = {tree.table.ctypes.data: tree for pack in packs for tree in pack.trees.values()}

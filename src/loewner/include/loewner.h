@@ -20,8 +20,8 @@
    ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
    one. After an error, outputs have no meaning. Queries check their arguments: sizes, finite numbers, rigid poses.
 
-   MEMORY. A workspace grows when it is first used with a state of a checker. After that, no query allocates memory,
-   except for `loewner_checker_plan` and `loewner_checker_shorten`, and for pairs of bodies with many pieces. */
+   MEMORY. A workspace grows when it is first used with a state of a checker. After that, classify, collide, clearance
+   and proofs of motions allocate no memory, unless bodies are surfaces or have many pieces. Other queries may. */
 
 #ifndef LOEWNER_H
 #define LOEWNER_H
@@ -46,8 +46,8 @@ typedef enum {
     LOEWNER_OTHER_VERSION = 3, /* the file belongs to another version of loewner: save it again */
     LOEWNER_NO_KERNELS = 4,    /* the machine code is missing, or not for this processor */
     LOEWNER_NO_MEMORY = 5,
-    LOEWNER_UNKNOWN_NAME = 6,
-    LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path collide or are not proven free */
+    LOEWNER_UNKNOWN_NAME = 6, /* of loewner.hpp only: in C, the functions that look names up return -1 */
+    LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path are outside the limits, or not proven free */
     LOEWNER_NO_PATH = 8,  /* none was found within the iterations or in time */
     LOEWNER_OVERFLOW = 9  /* positions overflow at a configuration */
 } loewner_status;
@@ -165,14 +165,15 @@ LOEWNER_API loewner_status loewner_checker_certify_edges(const loewner_checker *
                                                          const loewner_proof_options *options, int8_t *verdicts,
                                                          double *fractions, int32_t (*bodies)[2]);
 
-/* The same for n curves: polynomials of a degree from 1 to 7, by their Bezier points, shape (n, degree + 1, dof). */
+/* The same for n curves: polynomials of a degree from 1 to 7, by their Bezier points, shape (n, degree + 1, dof). The
+   robot must have no quaternions. */
 LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
                                                           const double *points, size_t n, int32_t degree,
                                                           const loewner_proof_options *options, int8_t *verdicts,
                                                           double *fractions, int32_t (*bodies)[2]);
 
 typedef struct {
-    const uint8_t *joints;     /* shape (dof,): 1 for values that may change; NULL: all */
+    const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints of one value; NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
     int64_t max_iterations;    /* random configurations to draw; 0: 100,000 */
     double timeout;            /* seconds; 0: 10 */
@@ -209,7 +210,8 @@ LOEWNER_API loewner_status loewner_checker_add(loewner_checker *checker, const c
 LOEWNER_API loewner_status loewner_checker_set_present(loewner_checker *checker, int32_t body, int present);
 
 /* Attach a body of the scene to a link, at a pose in the frame of the link. It is then checked against the scene and
-   the robot, except for `touch_count` links, and links that are rigidly joined with its link. */
+   the robot, except for `touch_count` links, and links that are rigidly joined with its link. What Python had attached
+   when the file was saved belongs to the robot, and cannot be attached or detached. */
 LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, int32_t link,
                                                   const double *pose_in_link, const int32_t *touch_links,
                                                   size_t touch_count);
@@ -217,7 +219,8 @@ LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int3
 /* Let an attached body stand in the scene again, at a pose in the world. */
 LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, const double *pose);
 
-/* Allow two bodies to touch, or not; and set the distance in metres, >= 0, that they have to keep. */
+/* Allow two bodies to touch, or take that back; and set the distance in metres, >= 0, that they have to keep. A pair
+   that was not checked when the file was saved cannot be checked. */
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
 

@@ -13,6 +13,9 @@ from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot, unlimited
 from loewner.scenes import Scene
 
+# The library for C refuses larger margins, as kernels refuse larger bodies.
+MOST_MARGIN = 1e30
+
 
 def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Problem) -> None:
     """Write a cell file.
@@ -28,8 +31,11 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     Raises
     ------
     InputError
-        If bodies of the scene follow motions, since these programs have no time.
+        If bodies of the scene follow motions, since these programs have no time; if the robot has no joints, a margin
+        is larger than `MOST_MARGIN`, or a name contains a NUL.
     """
+    if ready.margins.max(initial=scene.margin) > MOST_MARGIN or robot.dof == 0:
+        raise InputError(f"expected joints, and margins of at most {MOST_MARGIN:g} m, found none or larger ones")
     if ready.paths is not None:
         raise InputError("expected a scene without bodies that follow motions, found some: only Python has them")
     tree, whole = robot.tree, ready.packed

@@ -95,7 +95,10 @@ class Watch:
     def tell(self, Q: Floats, name: str) -> None:
         """Warn about the first configuration that did not pass, and never warn again."""
         least, most = self.range
-        *row, k = (int(i) for i in np.argwhere((least > Q) | (most < Q))[0])
+        far = np.argwhere((least > Q) | (most < Q))
+        if not len(far):
+            return  # another thread wrote to the array meanwhile
+        *row, k = (int(i) for i in far[0])
         value, (lower, upper) = Q[(*row, k)], self._limits
         self._look_for(np.full(len(least), -np.inf), np.full(len(least), np.inf))
         where = f"{name}[{', '.join(map(str, row))}]" if row else name
