@@ -5,25 +5,44 @@
 
 #include <stddef.h>
 
+#if defined(__x86_64__)
+
+#include <cpuid.h>
+
+static inline int has_all(unsigned found, unsigned wanted)
+{
+    return (found & wanted) == wanted;
+}
+
+/* Ask the processor instead of the compiler's `__builtin_cpu_supports`: compilers differ in the names that it takes. */
 static inline const char *const *processor_levels(void)
 {
-    static const char *const none[] = {NULL};
-#if defined(__x86_64__)
     static const char *const known[] = {"x86-64-v4", "x86-64-v3", NULL};
-    __builtin_cpu_init();
-    int v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
-             __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("f16c") &&
-             __builtin_cpu_supports("lzcnt") && __builtin_cpu_supports("movbe");
-    int v4 = v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-             __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
-             __builtin_cpu_supports("avx512vl");
-    return v4 ? known : v3 ? known + 1 : none;
-#elif defined(__aarch64__)
-    static const char *const known[] = {"arm64", NULL};
-    return known;
-#else
-    return none;
-#endif
+    unsigned a, b, basic = 0, more = 0, extended = 0, saved = 0;
+    __get_cpuid(1, &a, &b, &basic, &a);
+    __get_cpuid_count(7, 0, &a, &more, &b, &b);
+    __get_cpuid(0x80000001, &a, &b, &extended, &a);
+    if (has_all(basic, bit_OSXSAVE)) /* which registers the system saves when it switches threads */
+        __asm__ volatile("xgetbv" : "=a"(saved), "=d"(a) : "c"(0));
+    int v3 = has_all(basic, bit_AVX | bit_FMA | bit_MOVBE | bit_POPCNT | bit_F16C) && has_all(extended, bit_LZCNT) &&
+             has_all(more, bit_AVX2 | bit_BMI | bit_BMI2) && has_all(saved, 0x6);
+    int v4 = v3 && has_all(more, bit_AVX512F | bit_AVX512BW | bit_AVX512CD | bit_AVX512DQ | bit_AVX512VL) &&
+             has_all(saved, 0xe6);
+    return known + (v4 ? 0 : v3 ? 1 : 2);
 }
+
+#else
+
+static inline const char *const *processor_levels(void)
+{
+#if defined(__aarch64__)
+    static const char *const known[] = {"arm64", NULL};
+#else
+    static const char *const known[] = {NULL};
+#endif
+    return known;
+}
+
+#endif
 
 #endif
