@@ -30,8 +30,10 @@ int main(int count, char **arguments)
     for (int which = 0; which < 2; which++) {
         int8_t verdict;
         do {
-            for (int k = 0; k < dof; k++)
-                free_ones[which][k] = lower[k] + (upper[k] - lower[k]) * rand() / RAND_MAX;
+            for (int k = 0; k < dof; k++) { /* joints without limits turn by half a turn either way */
+                double low = lower[k] > -3.14 ? lower[k] : -3.14, high = upper[k] < 3.14 ? upper[k] : 3.14;
+                free_ones[which][k] = low + (high - low) * rand() / RAND_MAX;
+            }
             expect(loewner_checker_collide(checker, workspace, free_ones[which], 1, &verdict));
         } while (verdict != LOEWNER_FREE);
     }

@@ -2,6 +2,7 @@
 
 #include <loewner.hpp>
 
+#include <algorithm>
 #include <iostream>
 #include <random>
 
@@ -15,7 +16,7 @@ try {
         std::vector<double> q(checker.dof());
         do
             for (std::size_t k = 0; k < q.size(); k++)
-                q[k] = std::uniform_real_distribution<>(lower[k], upper[k])(random);
+                q[k] = std::uniform_real_distribution<>(std::max(lower[k], -3.14), std::min(upper[k], 3.14))(random);
         while (checker.collide(workspace, q) != loewner::Verdict::Free);
         return q;
     };

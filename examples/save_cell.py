@@ -15,4 +15,5 @@ for k, place in enumerate([(0.5, 0.0, 0.2), (0.4, 0.4, 0.5), (-0.3, 0.5, 0.4)]):
 robot = panda_robot()
 path = sys.argv[1] if len(sys.argv) > 1 else "cell.lwn"
 CollisionChecker(robot, scene).save(path)
+Body.box([0.04, 0.04, 0.1]).save("parts.lwn")
 print(f"{path}: {robot} among {len(scene)} bodies")

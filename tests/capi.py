@@ -65,7 +65,7 @@ def functions() -> ctypes.CDLL:
     for name in re.findall(r"\b(loewner_\w+)\(", HEADER.read_text(encoding="utf-8")):
         function = getattr(loaded, name)
         function.restype = ctypes.c_int
-        if "_name" in name or name in ("loewner_error_text", "loewner_level"):
+        if "_name" in name or name in ("loewner_error_text", "loewner_level", "loewner_version"):
             function.restype = ctypes.c_char_p
         if name in ("loewner_checker_pair_count", "loewner_bodies_count"):
             function.restype = ctypes.c_int64

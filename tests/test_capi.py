@@ -29,6 +29,7 @@ pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {l
 
 capi = pytest.importorskip("capi")
 INCLUDE = Path(loewner.__file__).parent / "include"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
 
 
@@ -566,25 +567,56 @@ def test_every_function_is_exported_and_nothing_else():
     assert {name for name in exported if not name.startswith("_")} == set(re.findall(r"\b(loewner_\w+)\(", text))
 
 
+def compiled(name, to):
+    """Compile an example with all warnings as errors."""
+    compiler, standard = ("cc", "-std=c11") if name.endswith(".c") else ("c++", "-std=c++17")
+    source, told = EXAMPLES / name, [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner", f"-Wl,-rpath,{library.HOME}"]
+    subprocess.run([compiler, standard, *STRICT, str(source), *told, "-o", str(to)], check=True)
+
+
+def test_a_part_is_grasped(panda, tmp_path, rng):
+    """The example carries a part; with an obstacle around the goal, it says that the goal is not free."""
+    if not compilers():
+        pytest.skip("no C compiler here")
+    scene = Scene()
+    scene.add("far", Body.box([0.1, 0.1, 0.1]), pose(rng, 3.0, 4.0))
+    CollisionChecker(panda, scene).save(tmp_path / "cell.lwn")
+    Body.box([0.04, 0.04, 0.1]).save(tmp_path / "parts.lwn")
+    compiled("grasp.cpp", tmp_path / "grasp")
+    command = [str(tmp_path / "grasp"), str(tmp_path / "cell.lwn"), str(tmp_path / "parts.lwn")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("carried along"), done.stderr
+
+
+def test_a_workspace_serves_one_thread(pair):
+    """A second thread is refused while the first one uses it: both would get wrong answers."""
+    checker, mine = pair
+    Q = checker.robot.random_configurations(200_000, seed=1)
+    told = []
+
+    def ask():
+        try:
+            mine.verdicts("collide", Q)
+        except capi.Error as error:
+            told.append(str(error))
+
+    threads = [threading.Thread(target=ask) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all("another thread uses" in text for text in told)
+    assert len(told) < 8
+    assert np.array_equal(mine.verdicts("collide", Q[:500]) == 1, checker.collide(Q[:500]))
+
+
 def test_the_examples_run(pair, tmp_path):
     """The programs compile without a warning, find a path, and say what is wrong."""
     if not compilers():
         pytest.skip("no C compiler here")
-    folder = Path(__file__).parents[1] / "examples"
-    for name, compiler in (("query.c", "cc"), ("query.cpp", "c++")):
-        program, told = tmp_path / name.replace(".", "_"), [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner"]
-        standard = "-std=c11" if compiler == "cc" else "-std=c++17"
-        command = [
-            compiler,
-            standard,
-            *STRICT,
-            str(folder / name),
-            *told,
-            f"-Wl,-rpath,{library.HOME}",
-            "-o",
-            str(program),
-        ]
-        subprocess.run(command, check=True)
+    for name in ("query.c", "query.cpp"):
+        program = tmp_path / name.replace(".", "_")
+        compiled(name, program)
         done = subprocess.run([str(program), str(tmp_path / "cell.lwn")], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert "a proven path" in done.stdout
@@ -629,6 +661,8 @@ def test_the_files_name_one_version():
     share = INCLUDE.parent / "share"
     assert f'set(PACKAGE_VERSION "{version}")' in (share / "cmake" / "loewner-config-version.cmake").read_text()
     assert f"Version: {version}\n" in (share / "pkgconfig" / "loewner.pc").read_text()
+    assert f'#define LOEWNER_VERSION "{version}"' in capi.HEADER.read_text()
+    assert capi.ask("version").decode() == version
 
 
 @pytest.mark.filterwarnings("ignore:attach of 'b1'")

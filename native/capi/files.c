@@ -9,6 +9,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
@@ -129,9 +130,9 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     memcpy(numbers, content + 32 + SOURCES_LENGTH, sizeof numbers);
     if (header->format != FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
         return fail(LOEWNER_OTHER_VERSION,
-                    "%.300s: expected a file of this version of loewner, found one of another; "
-                    "save it again",
-                    path);
+                    "%.300s: expected a file of format %d for kernels %.8s, found one of format %llu for kernels %.8s; "
+                    "save it again with the loewner that this library belongs to",
+                    path, FORMAT, SOURCES, (unsigned long long)header->format, content + 32);
     EXPECT(header->size == file->size && file->size % CACHE_LINE == 0, "its size is not the one in its header");
     EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
            "its checksum differs");
@@ -543,6 +544,11 @@ loewner_status open_file(const char *path, File **made)
         *made = file;
     else
         leave_file(file);
+    if (outcome == LOEWNER_BAD_FILE && strncmp(loewner_error_text(), "the file", 8) == 0) {
+        char what[200];
+        snprintf(what, sizeof what, "%s", loewner_error_text());
+        return fail(outcome, "%.300s: %s", path, what);
+    }
     return outcome;
 }
 

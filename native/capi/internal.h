@@ -229,6 +229,7 @@ struct loewner_checker {
 };
 
 struct loewner_workspace {
+    atomic_flag is_used;
     uint64_t serial; /* of the state that it is prepared for */
     int64_t table[TABLE_WORDS], pack;
     int64_t *order, *hits, seen, next_look;
@@ -241,6 +242,19 @@ struct loewner_workspace {
     double *path;
     size_t path_room;
 };
+
+/* Let nobody else use a workspace until the function that calls this returns; two threads would get wrong answers. */
+loewner_status take_workspace(loewner_workspace *workspace, loewner_workspace **held);
+
+static inline void leave_workspace(loewner_workspace **held)
+{
+    if (*held != NULL)
+        atomic_flag_clear_explicit(&(*held)->is_used, memory_order_release);
+}
+
+#define HOLD(workspace)                                                                                                \
+    loewner_workspace *held __attribute__((cleanup(leave_workspace))) = NULL;                                          \
+    TRY(take_workspace(workspace, &held))
 
 /* Configurations and motions that are handled together. */
 enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };

@@ -27,6 +27,11 @@ loewner_status no_memory(void)
     return fail(LOEWNER_NO_MEMORY, "an allocation failed");
 }
 
+const char *loewner_version(void)
+{
+    return LOEWNER_VERSION;
+}
+
 const char *loewner_error_text(void)
 {
     return error_text;

@@ -64,8 +64,6 @@ static loewner_status views(const loewner_side *a, const loewner_side *b, size_t
 /* Memory of a workspace for pairs; its checker, if it has one, is bound anew at its next use. */
 static loewner_status scratch(loewner_workspace *workspace, int64_t size)
 {
-    if (workspace == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "workspace: expected a pointer, found NULL");
     if (workspace->size >= (size_t)size)
         return LOEWNER_OK;
     size_t whole = ((size_t)size + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
@@ -88,6 +86,7 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
     TRY(views(a, b, 0, n, sides, plan));
     if (!(margin >= 0 && margin < INFINITY) || verdicts == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
+    HOLD(workspace);
     TRY(scratch(workspace, kernels()->settle_memory));
     workspace->serial = 0; /* its memory is written to */
     struct {
@@ -169,6 +168,7 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
         return LOEWNER_OK;
     if (distances == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "distances: expected a pointer, found NULL");
+    HOLD(workspace);
     TRY(scratch(workspace, known->distance_memory));
     workspace->serial = 0;
     for (size_t first = 0; first < n; first += AT_ONCE) {

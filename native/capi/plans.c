@@ -444,9 +444,12 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
 {
     static const loewner_plan_options usual;
     options = options == NULL ? &usual : options;
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     if (path == NULL || count == NULL || goal_count == 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "expected goals and places for the path and its length, found none");
+        return fail(
+            LOEWNER_BAD_ARGUMENT,
+            "goals, path, count: expected one goal or more, and places for the path and its length, found none");
     TRY(check_configurations(checker, start, 1, "start"));
     TRY(check_configurations(checker, goals, goal_count, "goals"));
     TRY(check_plan_options(checker, options));
@@ -484,6 +487,7 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
 {
     static const loewner_plan_options usual;
     options = options == NULL ? &usual : options;
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     if (shorter == NULL || count == NULL || n < 2)
         return fail(LOEWNER_BAD_ARGUMENT, "expected two or more configurations and places for the path, found fewer");

@@ -23,9 +23,13 @@ loewner_status check_poses(const double *poses, size_t n, const char *name)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected poses, found NULL", name);
     Array3 all = {poses, (int64_t)n, 4, 4};
     TRY(call(kernels()->first_fault, &all, &fault));
+    static const char *const faults[] = {
+        "rigid",        "not finite", "with another last row than 0 0 0 1", "whose rotation is not orthonormal",
+        "a reflection",
+    };
     if (fault.row < (int64_t)n)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected rigid motions, found another at %lld", name,
-                    (long long)fault.row);
+        return fail(LOEWNER_BAD_ARGUMENT, "%s[%lld]: expected a rigid motion, found one %s", name, (long long)fault.row,
+                    faults[fault.kind >= 0 && fault.kind <= 4 ? fault.kind : 0]);
     return LOEWNER_OK;
 }
 
@@ -39,8 +43,13 @@ loewner_status check_configurations(const loewner_checker *checker, const double
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
     for (size_t k = 0; k < count; k++)
         is &= fabs(configurations[k]) <= LARGEST_VALUE; /* not for NaN */
-    if (!is)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected finite numbers within %g, found others", name, LARGEST_VALUE);
+    for (size_t k = 0; !is && k < count; k++)
+        if (!(fabs(configurations[k]) <= LARGEST_VALUE)) {
+            size_t dof = (size_t)file->dof;
+            return fail(LOEWNER_BAD_ARGUMENT, "%s[%zu]: expected finite numbers within %g, found %g for %.100s", name,
+                        k / dof, LARGEST_VALUE, configurations[k],
+                        loewner_checker_value_name(checker, (int32_t)(k % dof)));
+        }
     for (int64_t c = 0; c < file->quaternion_count; c++)
         for (size_t k = 0; k < n; k++) {
             const double *q = configurations + k * (size_t)file->dof + file->quaternions[c];
@@ -234,6 +243,7 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
 static loewner_status asked(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                             const double *configurations, size_t n, int8_t *verdicts)
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
     if (verdicts == NULL && n > 0)
@@ -256,6 +266,7 @@ loewner_status loewner_checker_collide(const loewner_checker *checker, loewner_w
 loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
                                                const double *configuration, int8_t *verdicts)
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     TRY(check_configurations(checker, configuration, 1, "configuration"));
     if (verdicts == NULL)
@@ -277,6 +288,7 @@ static void multiply(const double *a, const double *b, double *made)
 loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
                                               const double *link_poses, int8_t *verdict, int8_t *verdicts)
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     const State *state = &checker->state;
     int64_t links = checker->file->links;
@@ -350,6 +362,7 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
                                         const double *configurations, size_t n, loewner_distance *distances,
                                         double *gradients)
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
@@ -415,6 +428,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
                                          const double *configurations, size_t n, double softness, double *clearances,
                                          double *gradients)
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
@@ -625,6 +639,7 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
                                              const loewner_proof_options *options, int8_t *verdicts, double *fractions,
                                              int32_t (*bodies)[2])
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     TRY(check_configurations(checker, starts, n, "starts"));
     TRY(check_configurations(checker, ends, n, "ends"));
@@ -647,6 +662,7 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
                                               const loewner_proof_options *options, int8_t *verdicts, double *fractions,
                                               int32_t (*bodies)[2])
 {
+    HOLD(workspace);
     TRY(prepare(checker, workspace));
     if (degree < 1 || degree >= CODE_MOST_POINTS)
         return fail(LOEWNER_BAD_ARGUMENT, "degree: expected 1 to %d, found %d", CODE_MOST_POINTS - 1, degree);

@@ -854,10 +854,19 @@ static loewner_status settle_scene(const loewner_checker *checker)
     return outcome;
 }
 
-loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace)
+loewner_status take_workspace(loewner_workspace *workspace, loewner_workspace **held)
 {
     if (workspace == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "workspace: expected a pointer, found NULL");
+    if (atomic_flag_test_and_set_explicit(&workspace->is_used, memory_order_acquire))
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "workspace: expected one for each thread, found one that another thread uses now");
+    *held = workspace;
+    return LOEWNER_OK;
+}
+
+loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace)
+{
     TRY(settle_scene(checker));
     return workspace->serial == checker->serial ? LOEWNER_OK : bind(checker, workspace);
 }

@@ -14,7 +14,10 @@
    OWNERSHIP. What a function makes belongs to the caller, who passes it to `..._close` or `..._free` once; both accept
    NULL. No function keeps a pointer to an argument. Texts that functions return belong to the library.
 
-   THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own. A
+   LIMITS of joints are ignored, except by `loewner_checker_plan`.
+
+   THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own; a
+   workspace that another thread uses at this moment is refused. A
    function that takes a `loewner_checker *` that is not const changes it: no other thread may then use this checker.
 
    ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
@@ -39,6 +42,8 @@ extern "C" {
 #define LOEWNER_API __attribute__((visibility("default")))
 #endif
 
+#define LOEWNER_VERSION "0.1.0"
+
 typedef enum {
     LOEWNER_OK = 0,
     LOEWNER_BAD_ARGUMENT = 1,  /* a size, a number, a pose or an index that cannot be */
@@ -57,6 +62,9 @@ enum { LOEWNER_FREE = 0, LOEWNER_COLLIDING = 1, LOEWNER_AMBIGUOUS = 2 };
 typedef struct loewner_checker loewner_checker;
 typedef struct loewner_bodies loewner_bodies;
 typedef struct loewner_workspace loewner_workspace;
+
+/* Version of the library, which should be the one of this header, LOEWNER_VERSION. */
+LOEWNER_API const char *loewner_version(void);
 
 /* Name of a status, such as "bad file". */
 LOEWNER_API const char *loewner_status_name(loewner_status status);
@@ -176,7 +184,7 @@ typedef struct {
     const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints of one value; NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
     int64_t max_iterations;    /* random configurations to draw; 0: 100,000 */
-    double timeout;            /* seconds; 0: 10 */
+    double timeout;            /* seconds, looked at after 64 to 512 iterations; 0: 10 */
     int64_t cuts;              /* attempts to shorten the path; 0: 60; -1: none */
     uint32_t seed;             /* equal seeds give equal paths, the same as in Python */
 } loewner_plan_options;
@@ -201,17 +209,19 @@ LOEWNER_API loewner_status loewner_checker_shorten(const loewner_checker *checke
 LOEWNER_API loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bodies, const double *poses,
                                                 size_t n);
 
-/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. `body` receives its number
-   and may be NULL. The bodies may be closed afterwards. */
+/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. It is checked against all
+   that moves, at the larger one of the scene's margin and the other body's own margin. `body` receives its number and
+   may be NULL. The bodies may be closed afterwards. */
 LOEWNER_API loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                                int64_t which, const double *pose, int32_t *body);
 
 /* Take a body of the scene, or of a link, out of all checks, or back; numbers of bodies do not change. */
 LOEWNER_API loewner_status loewner_checker_set_present(loewner_checker *checker, int32_t body, int present);
 
-/* Attach a body of the scene to a link, at a pose in the frame of the link. It is then checked against the scene and
-   the robot, except for `touch_count` links, and links that are rigidly joined with its link. What Python had attached
-   when the file was saved belongs to the robot, and cannot be attached or detached. */
+/* Attach a body of the scene, also one that is attached already, to a link, at a pose in the frame of the link. It is
+   then checked against the scene and the robot, except for `touch_count` links, and links that are rigidly joined with
+   its link. What Python had attached when the file was saved belongs to the robot, and cannot be attached or detached.
+ */
 LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, int32_t link,
                                                   const double *pose_in_link, const int32_t *touch_links,
                                                   size_t touch_count);
@@ -220,7 +230,8 @@ LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int3
 LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, const double *pose);
 
 /* Allow two bodies to touch, or take that back; and set the distance in metres, >= 0, that they have to keep. A pair
-   that was not checked when the file was saved cannot be checked. */
+   that was not checked when the file was saved cannot be checked. What is said of two bodies of the scene takes effect
+   when one of them is attached. */
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
 

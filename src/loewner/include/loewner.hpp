@@ -12,6 +12,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -263,6 +264,11 @@ public:
     {
         expect(loewner_checker_attach(held_.get(), body, link, pose_in_link.data(), touch_links.data(),
                                       touch_links.size()));
+    }
+    void attach(std::int32_t body, std::int32_t link, const Pose &pose_in_link,
+                std::initializer_list<std::int32_t> touch_links)
+    {
+        attach(body, link, pose_in_link, View<const std::int32_t>(touch_links.begin(), touch_links.size()));
     }
     void detach(std::int32_t body, const Pose &pose) { expect(loewner_checker_detach(held_.get(), body, pose.data())); }
     void allow(std::int32_t a, std::int32_t b, bool allowed = true)
