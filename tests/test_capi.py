@@ -537,20 +537,23 @@ def test_threads_with_workspaces_of_their_own(pair):
 # -- headers ---------------------------------------------------------------------------------------
 
 
-def compilers() -> list[str]:
-    return [name for name in ("gcc", "clang") if shutil.which(name)]
+def expect_programs(*names):
+    """Skip the test where one is missing."""
+    for name in names:
+        if shutil.which(name) is None:
+            pytest.skip(f"no {name} here")
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_headers_compile_without_a_warning(compiler, tmp_path):
     """C11 and C++17, with all warnings as errors."""
-    if shutil.which(compiler) is None:
-        pytest.skip(f"no {compiler} here")
+    for_cpp = {"gcc": "g++", "clang": "clang++"}[compiler]
+    expect_programs(compiler, for_cpp)
     for suffix, header, standards in (("c", "loewner.h", ("c11",)), ("cpp", "loewner.hpp", ("c++17",))):
         source = tmp_path / f"one.{suffix}"
         source.write_text(f"#include <{header}>\n#include <{header}>\nint main(void) {{ return 0; }}\n")
         for standard in standards:
-            program = compiler if suffix == "c" else {"gcc": "g++", "clang": "clang++"}[compiler]
+            program = compiler if suffix == "c" else for_cpp
             command = [program, f"-std={standard}", *STRICT, f"-I{INCLUDE}", "-fsyntax-only", str(source)]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stderr
@@ -558,10 +561,10 @@ def test_headers_compile_without_a_warning(compiler, tmp_path):
 
 def test_every_function_is_exported_and_nothing_else():
     """The symbols of the library are the functions of the header."""
-    nm = shutil.which("nm")
-    if nm is None:
-        pytest.skip("no nm here")
-    listed = subprocess.run([nm, "-D", "--defined-only", str(capi.LIBRARY)], capture_output=True, text=True, check=True)
+    expect_programs("nm")
+    listed = subprocess.run(
+        ["nm", "-D", "--defined-only", str(capi.LIBRARY)], capture_output=True, text=True, check=True
+    )
     exported = {line.split()[-1] for line in listed.stdout.splitlines()}
     text = capi.HEADER.read_text(encoding="utf-8")
     assert {name for name in exported if not name.startswith("_")} == set(re.findall(r"\b(loewner_\w+)\(", text))
@@ -575,9 +578,8 @@ def compiled(name, to):
 
 
 def test_a_part_is_grasped(panda, tmp_path, rng):
-    """The example carries a part; with an obstacle around the goal, it says that the goal is not free."""
-    if not compilers():
-        pytest.skip("no C compiler here")
+    """The example adds a part, plans with the part in the hand, and puts it down."""
+    expect_programs("c++")
     scene = Scene()
     scene.add("far", Body.box([0.1, 0.1, 0.1]), pose(rng, 3.0, 4.0))
     CollisionChecker(panda, scene).save(tmp_path / "cell.lwn")
@@ -612,8 +614,7 @@ def test_a_workspace_serves_one_thread(pair):
 
 def test_the_examples_run(pair, tmp_path):
     """The programs compile without a warning, find a path, and say what is wrong."""
-    if not compilers():
-        pytest.skip("no C compiler here")
+    expect_programs("cc", "c++")
     for name in ("query.c", "query.cpp"):
         program = tmp_path / name.replace(".", "_")
         compiled(name, program)
@@ -627,8 +628,7 @@ def test_the_examples_run(pair, tmp_path):
 
 def test_cmake_and_pkg_config_find_it(pair, tmp_path):
     """In the package as it is, and below a prefix where it was installed."""
-    if shutil.which("cmake") is None or shutil.which("pkg-config") is None:
-        pytest.skip("no CMake or pkg-config here")
+    expect_programs("cc", "cmake", "pkg-config")
     run = f"import sys; sys.path.insert(0, {str(NATIVE)!r}); import install; from pathlib import Path; "
     run += f"install.install(Path({str(tmp_path / 'prefix')!r}))"
     subprocess.run([sys.executable, "-c", run], check=True)
