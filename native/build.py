@@ -200,11 +200,15 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
         halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
         codes = [emission(n, "code", levels[0], half, work / f"code-{n}") for n, half in enumerate(halves)]
+        # Several levels keep processes busy. For one level each half becomes an object file of its own, which together
+        # are an eighth larger, since some functions are in both.
         parts = tuple(code.to for code in codes)
-        objects = [emission(2 + n, "object", level, parts, work / f"{level}.o") for n, level in enumerate(levels)]
+        groups = [parts] if len(levels) > 1 else [(part,) for part in parts]
+        jobs = [(level, group) for level in levels for group in groups]
+        objects = [emission(2 + n, "object", *job, work / f"{job[0]}-{n}.o") for n, job in enumerate(jobs)]
         run_all([*codes, *objects, ptx(work / _ptx.NAME)])
         for level in levels:
-            link(work / f"{level}.o", level, work / f"kernels-{level}.so")
+            link(sorted(work.glob(f"{level}-*.o")), level, work / f"kernels-{level}.so")
         # Processes read the sources as they need them: code of two versions may not be called code of one.
         if source_hash.__wrapped__() != before:
             raise BuildError("the kernels' sources changed while they were compiled; build again")
@@ -309,10 +313,10 @@ def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     compile_c([*sources, *api_flags(), name, "-pthread", "-ldl", "-lm"], to, flags)
 
 
-def link(code: Path, level: str, to: Path) -> None:
-    """Link an object file and what it needs of Numba's run time; nothing may be left to be found elsewhere but libm."""
+def link(objects: list[Path], level: str, to: Path) -> None:
+    """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
     strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
-    compile_c([code, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
+    compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:

@@ -8,15 +8,6 @@
 
 /* -- arguments of the kernels -------------------------------------------------------------------------------------- */
 
-#define CHECK_TAKES "i i i F2 i i B1 B1 I1 i"
-typedef struct {
-    int64_t mode, first, last;
-    Array2 configurations;
-    int64_t pack, problem;
-    Array1 out, tiers, hits;
-    void *memory;
-} CheckArguments;
-
 #define MOTION_TAKES "F1 F1 F1 i i B1 I1 i"
 #define MOTION_GIVES "i i"
 typedef struct {

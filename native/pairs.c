@@ -5,65 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-/* -- arguments of the kernels -------------------------------------------------------------------------------------- */
-
-#define SETTLE_TAKES "i f i i I2 I2 i F3 i F3 B1 I1 i"
-typedef struct {
-    int64_t mode;
-    double margin;
-    int64_t first, last;
-    Array2 plan, rows;
-    int64_t a;
-    Array3 poses_a;
-    int64_t b;
-    Array3 poses_b;
-    Array1 out, tally;
-    void *memory;
-} SettleArguments;
-
-#define DISTANCE_TAKES "b i i I2 I2 i F3 i F3 i F2 F3 B1"
-typedef struct {
-    int64_t wanted, first, last;
-    Array2 plan, rows;
-    int64_t a;
-    Array3 poses_a;
-    int64_t b;
-    Array3 poses_b;
-    void *memory;
-    Array2 numbers;
-    Array3 vectors;
-    Array1 status;
-} DistanceArguments;
-
-typedef struct {
-    void *memory; /* its description, to be released */
-    Array2 array;
-} Given2;
-
-#define DISTANCE_GIVES "I2 F2"
-typedef struct {
-    Given2 pieces, values;
-} DistanceResults;
-
-#define LEFT_TAKES "I2 F2 i F3 i F3 F2 F3 B1"
-typedef struct {
-    Array2 pieces, values;
-    int64_t a;
-    Array3 poses_a;
-    int64_t b;
-    Array3 poses_b;
-    Array2 numbers;
-    Array3 vectors;
-    Array1 status;
-} LeftArguments;
-
-#define FAULT_TAKES "F3"
-#define FAULT_GIVES "i i f"
-typedef struct {
-    int64_t row, kind;
-    double size;
-} FaultResults;
-
 /* What `_settle.py` calls ONE_PAIR and NO_ROWS, and a pose that does nothing. */
 static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};

@@ -7,28 +7,10 @@
 #ifndef LOEWNER_SINGLE_H
 #define LOEWNER_SINGLE_H
 
+#include "arguments.h"
 #include "call.h"
 
 #include <stddef.h>
-
-_Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
-
-/* Arrays as kernels take them, slot by slot: see `call.c`. */
-
-typedef struct {
-    const void *data;
-    int64_t length;
-} Array1;
-
-typedef struct {
-    const void *data;
-    int64_t rows, columns;
-} Array2;
-
-typedef struct {
-    const void *data;
-    int64_t count, rows, columns;
-} Array3;
 
 /* Of `loewner/_kernels/codes.py`; `build.py` says the numbers. */
 enum { FREE = CODE_FREE, COLLIDING = CODE_COLLIDING, AMBIGUOUS = CODE_AMBIGUOUS };

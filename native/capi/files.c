@@ -9,7 +9,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
@@ -72,9 +71,12 @@ enum {
     BEFORE,
 };
 
+/* The file that this thread opens. */
+static _Thread_local const char *opened_path;
+
 static loewner_status damaged(const char *what)
 {
-    return fail(LOEWNER_BAD_FILE, "the file is damaged: %s", what);
+    return fail(LOEWNER_BAD_FILE, "%.300s: the file is damaged: %s", opened_path, what);
 }
 
 #define EXPECT(condition, what)                                                                                        \
@@ -535,6 +537,7 @@ loewner_status open_file(const char *path, File **made)
     if (file == NULL)
         return no_memory();
     atomic_init(&file->users, 1);
+    opened_path = path;
     loewner_status outcome = map(file, path);
     if (outcome == LOEWNER_OK)
         outcome = read_header(file, path, &header);
@@ -544,11 +547,6 @@ loewner_status open_file(const char *path, File **made)
         *made = file;
     else
         leave_file(file);
-    if (outcome == LOEWNER_BAD_FILE && strncmp(loewner_error_text(), "the file", 8) == 0) {
-        char what[200];
-        snprintf(what, sizeof what, "%s", loewner_error_text());
-        return fail(outcome, "%.300s: %s", path, what);
-    }
     return outcome;
 }
 
@@ -568,43 +566,19 @@ void leave_file(File *file)
 void write_words(const Pack *pack, int64_t words[PACK_WORDS])
 {
     int64_t singles = pack->is_single ? pack->pieces : 0, starts = pack->has_parts ? PARTS * pack->pieces : 0;
-    const int64_t rows[PACK_WORDS] = {
-        (int64_t)pack->table,
-        pack->pieces,
-        COLUMNS,
-        (int64_t)pack->layout,
-        pack->pieces,
-        LAYOUT,
-        (int64_t)pack->points,
-        pack->numbers,
-        1,
-        (int64_t)pack->piece_start,
-        pack->bodies + 1,
-        1,
-        (int64_t)pack->hot,
-        pack->pieces,
-        HOT,
-        (int64_t)pack->single,
-        singles,
-        HOT,
-        (int64_t)pack->tree_groups,
-        GROUP_NUMBERS * pack->groups,
-        1,
-        (int64_t)pack->children,
-        WIDE * pack->groups,
-        1,
-        (int64_t)pack->roots,
-        pack->bodies,
-        1,
-        (int64_t)pack->vertices,
-        pack->is_single ? pack->numbers : 0,
-        1,
-        (int64_t)pack->part_rows,
-        pack->parts,
-        HOT,
-        (int64_t)pack->part_start,
-        starts,
-        1,
+    const Array2 rows[PACK_ARRAYS] = {
+        {pack->table, pack->pieces, COLUMNS},
+        {pack->layout, pack->pieces, LAYOUT},
+        {pack->points, pack->numbers, 1},
+        {pack->piece_start, pack->bodies + 1, 1},
+        {pack->hot, pack->pieces, HOT},
+        {pack->single, singles, HOT},
+        {pack->tree_groups, GROUP_NUMBERS * pack->groups, 1},
+        {pack->children, WIDE * pack->groups, 1},
+        {pack->roots, pack->bodies, 1},
+        {pack->vertices, pack->is_single ? pack->numbers : 0, 1},
+        {pack->part_rows, pack->parts, HOT},
+        {pack->part_start, starts, 1},
     };
     memcpy(words, rows, sizeof rows);
 }

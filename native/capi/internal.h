@@ -10,10 +10,10 @@
 
 #include "loewner.h"
 
+#include "../arguments.h"
+
 #include <pthread.h>
 #include <stdatomic.h>
-
-_Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
 
 #define CACHE_LINE 64
 
@@ -32,31 +32,32 @@ loewner_status no_memory(void);
 
 typedef int32_t (*Kernel)(const int64_t *, int64_t *);
 
+/* Name, arguments, results. */
 #define ALL_KERNELS(X)                                                                                                 \
-    X(settle_range)                                                                                                    \
-    X(settle_open)                                                                                                     \
-    X(workspace_size)                                                                                                  \
-    X(distance_range)                                                                                                  \
-    X(measure_left)                                                                                                    \
-    X(memory_of_distances)                                                                                             \
-    X(first_fault)                                                                                                     \
-    X(check_configurations)                                                                                            \
-    X(memory_size)                                                                                                     \
-    X(certify_motions)                                                                                                 \
-    X(motion_memory)                                                                                                   \
-    X(connect_trees)                                                                                                   \
-    X(shorten_path)                                                                                                    \
-    X(nearest_pairs)                                                                                                   \
-    X(memory_of_nearest)                                                                                               \
-    X(clearances)                                                                                                      \
-    X(memory_of_clearances)                                                                                            \
-    X(pair_gradients)                                                                                                  \
-    X(link_poses)                                                                                                      \
-    X(measure_moving)                                                                                                  \
-    X(place_static)
+    X(settle_range, SETTLE_TAKES, "b")                                                                                 \
+    X(settle_open, OPEN_TAKES, "")                                                                                     \
+    X(workspace_size, "", "i")                                                                                         \
+    X(distance_range, DISTANCE_TAKES, DISTANCE_GIVES)                                                                  \
+    X(measure_left, LEFT_TAKES, "")                                                                                    \
+    X(memory_of_distances, "", "i")                                                                                    \
+    X(first_fault, FAULT_TAKES, FAULT_GIVES)                                                                           \
+    X(check_configurations, CHECK_TAKES, "")                                                                           \
+    X(memory_size, "i i i", "i")                                                                                       \
+    X(certify_motions, "i i F3 F2 f i i i B1 F1 I1 I2 i", "")                                                          \
+    X(motion_memory, "i i i", "i")                                                                                     \
+    X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \
+    X(shorten_path, "i i I1 F1 F2 I1 F2 F2", "i")                                                                      \
+    X(nearest_pairs, "b i i F2 i i i F2 F3 I2 B1", "")                                                                 \
+    X(memory_of_nearest, "i i i", "i")                                                                                 \
+    X(clearances, "b f i i F2 i i i F1 F2", "")                                                                        \
+    X(memory_of_clearances, "i i i", "i")                                                                              \
+    X(pair_gradients, "i i F2 i i i cI2 cF2 cF2 F2", "")                                                               \
+    X(link_poses, "I1 I1 I1 F1 F1 F2 F2 i i F4", "")                                                                   \
+    X(measure_moving, "i i i", "")                                                                                     \
+    X(place_static, "i i F1 F2", "i")
 
 typedef struct {
-#define DECLARE(name) Kernel name;
+#define DECLARE(name, takes, gives) Kernel name;
     ALL_KERNELS(DECLARE)
 #undef DECLARE
     void (*release)(void *);
@@ -67,29 +68,15 @@ typedef struct {
 /* The kernels of this machine, loaded at the first call; NULL, with an error, if there are none. */
 const Kernels *kernels(void);
 
+/* Settle pairs, in mode EXACT also those that the fast searches leave open; whether all poses are rigid. */
+loewner_status settle_all(const SettleArguments *asked, int *are_rigid);
+
+/* Write result k of n kernels' distances: bounds, values (NaN: none), and vectors, shape (3, n, 3). */
+void write_distance(loewner_distance *found, const double *lower, const double *upper, const double *values,
+                    const double *vectors, int64_t n, int64_t k, int is_settled);
+
 /* Call a kernel with the address of a struct of slots; kernels fail only where memory is short. */
 loewner_status call(Kernel kernel, const void *arguments, void *results);
-
-/* Arrays as kernels take them, slot by slot. */
-typedef struct {
-    const void *data;
-    int64_t length;
-} Array1;
-
-typedef struct {
-    const void *data;
-    int64_t rows, columns;
-} Array2;
-
-typedef struct {
-    const void *data;
-    int64_t count, rows, columns;
-} Array3;
-
-typedef struct {
-    const void *data;
-    int64_t count, links, rows, columns;
-} Array4;
 
 /* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
 
@@ -170,7 +157,7 @@ struct loewner_bodies {
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
-enum { TABLE_ROWS = 24, TABLE_WORDS = 3 * TABLE_ROWS, ORDER_ROW = 10 };
+enum { TABLE_ROWS = 24, TABLE_WORDS = 3 * TABLE_ROWS, ORDER_ROW = 10, MOTIONS_AT = 336 };
 
 typedef struct {
     char *name;
@@ -205,7 +192,7 @@ typedef struct {
 /* The pairs to check, derived from the bodies and the rules. */
 typedef struct {
     int64_t moving, standing, pairs, groups;
-    int starts_matter;
+    int starts_matter, is_as_saved; /* the second: the bodies and pairs are the file's, and its arrays are used */
     int32_t *body;  /* moving + standing: which body is where */
     int32_t *place; /* of a body, -1 if it is absent */
     Tree tree;      /* with a link for each attached body */

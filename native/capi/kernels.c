@@ -68,7 +68,7 @@ static int load(const char *path, const char *level)
         return 0;
     }
     int is_whole = 1;
-#define LOOK_UP(name)                                                                                                  \
+#define LOOK_UP(name, takes, gives)                                                                                    \
     *(void **)&found.name = dlsym(handle, "loewner_" #name);                                                           \
     is_whole = is_whole && found.name != NULL;
     ALL_KERNELS(LOOK_UP)

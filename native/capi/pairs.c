@@ -74,11 +74,32 @@ static loewner_status scratch(loewner_workspace *workspace, int64_t size)
     return workspace->block == NULL ? no_memory() : LOEWNER_OK;
 }
 
+loewner_status settle_all(const SettleArguments *asked, int *are_rigid)
+{
+    const int64_t *tally = asked->tally.data;
+    int8_t *out = (int8_t *)asked->out.data;
+    int64_t rigid = 0, nothing;
+    TRY(call(kernels()->settle_range, asked, &rigid));
+    *are_rigid = rigid & 1;
+    if (!*are_rigid || asked->mode != CODE_EXACT || tally[CODE_OPEN] == 0)
+        return LOEWNER_OK;
+    const OpenArguments careful = {
+        asked->margin, asked->first,   asked->last, asked->plan,    asked->rows,
+        asked->a,      asked->poses_a, asked->b,    asked->poses_b, asked->out,
+    };
+    TRY(call(kernels()->settle_open, &careful, &nothing));
+    for (int64_t k = asked->first; k < asked->last; k++)
+        if (out[k] == CODE_INEXACT) /* Python decides it in whole numbers */
+            out[k] = LOEWNER_AMBIGUOUS;
+    return LOEWNER_OK;
+}
+
 static loewner_status settle(loewner_workspace *workspace, int mode, const loewner_side *a, const loewner_side *b,
                              size_t n, double margin, int8_t *verdicts)
 {
     View sides[2];
-    int64_t plan[5], tally[CODE_TIERS] = {0}, are_rigid = 0, nothing, count = (int64_t)n;
+    int64_t plan[5], tally[CODE_TIERS] = {0}, count = (int64_t)n;
+    int are_rigid;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;
     if (n == 0)
@@ -89,52 +110,13 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
     HOLD(workspace);
     TRY(scratch(workspace, kernels()->settle_memory));
     workspace->serial = 0; /* its memory is written to */
-    struct {
-        int64_t mode;
-        double margin;
-        int64_t first, last;
-        Array2 plan, rows;
-        int64_t a;
-        Array3 poses_a;
-        int64_t b;
-        Array3 poses_b;
-        Array1 out, tally;
-        void *memory;
-    } fast = {
-        mode,
-        margin,
-        0,
-        count,
-        {plan, 5, 1},
-        {no_rows, 2, 0},
-        (int64_t)sides[0].words,
-        sides[0].poses,
-        (int64_t)sides[1].words,
-        sides[1].poses,
-        {verdicts, count},
-        {tally, CODE_TIERS},
-        workspace->block,
+    const SettleArguments asked = {
+        .mode = mode, .margin = margin, .last = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
+        .a = (int64_t)sides[0].words, .poses_a = sides[0].poses, .b = (int64_t)sides[1].words,
+        .poses_b = sides[1].poses, .out = {verdicts, count}, .tally = {tally, CODE_TIERS}, .memory = workspace->block,
     };
-    TRY(call(kernels()->settle_range, &fast, &are_rigid));
-    if (!(are_rigid & 1))
-        return fail(LOEWNER_BAD_ARGUMENT, "poses: expected rigid motions, found others");
-    if (mode != CODE_EXACT || tally[CODE_OPEN] == 0)
-        return LOEWNER_OK;
-    struct {
-        double margin;
-        int64_t first, last;
-        Array2 plan, rows;
-        int64_t a;
-        Array3 poses_a;
-        int64_t b;
-        Array3 poses_b;
-        Array1 out;
-    } careful = {margin, 0, count, fast.plan, fast.rows, fast.a, fast.poses_a, fast.b, fast.poses_b, fast.out};
-    TRY(call(kernels()->settle_open, &careful, &nothing));
-    for (size_t k = 0; k < n; k++)
-        if (verdicts[k] == CODE_INEXACT)
-            verdicts[k] = LOEWNER_AMBIGUOUS;
-    return LOEWNER_OK;
+    TRY(settle_all(&asked, &are_rigid));
+    return are_rigid ? LOEWNER_OK : fail(LOEWNER_BAD_ARGUMENT, "poses: expected rigid motions, found others");
 }
 
 loewner_status loewner_classify(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b, size_t n,
@@ -151,11 +133,19 @@ loewner_status loewner_collide(loewner_workspace *workspace, const loewner_side 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* Results of `distance_range`: two arrays with the descriptions of their memory. */
-typedef struct {
-    void *memory;
-    Array2 array;
-} Given;
+void write_distance(loewner_distance *found, const double *lower, const double *upper, const double *values,
+                    const double *vectors, int64_t n, int64_t k, int is_settled)
+{
+    double *const places[] = {found->witness_a, found->witness_b, found->normal};
+    int is = is_settled && isfinite(values[k]);
+    found->lower = lower[k];
+    found->upper = upper[k];
+    /* The bounds are proven and the value is computed. */
+    found->distance = is ? fmax(lower[k], fmin(values[k], upper[k])) : NAN;
+    for (int vector = 0; vector < 3; vector++)
+        for (int c = 0; c < 3; c++)
+            places[vector][c] = is ? vectors[3 * (n * vector + k) + c] : NAN;
+}
 
 loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b, size_t n,
                                loewner_distance *distances)
@@ -179,48 +169,17 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
         TRY(views(a, b, first, (size_t)count, sides, plan));
         for (int side = 0; side < 2; side++)
             TRY(check_poses(sides[side].poses.data, (size_t)sides[side].poses.count, side == 0 ? "a" : "b"));
-        struct {
-            int64_t wanted, first, last;
-            Array2 plan, rows;
-            int64_t a;
-            Array3 poses_a;
-            int64_t b;
-            Array3 poses_b;
-            void *memory;
-            Array2 numbers;
-            Array3 vectors;
-            Array1 status;
-        } arguments = {
-            1,
-            0,
-            count,
-            {plan, 5, 1},
-            {no_rows, 2, 0},
-            (int64_t)sides[0].words,
-            sides[0].poses,
-            (int64_t)sides[1].words,
-            sides[1].poses,
-            workspace->block,
-            {numbers, 4, count},
-            {vectors, 3, count, 3},
-            {status, count},
+        const DistanceArguments asked = {
+            .wanted = 1, .last = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0}, .a = (int64_t)sides[0].words,
+            .poses_a = sides[0].poses, .b = (int64_t)sides[1].words, .poses_b = sides[1].poses,
+            .memory = workspace->block, .numbers = {numbers, 4, count}, .vectors = {vectors, 3, count, 3},
+            .status = {status, count},
         };
-        struct {
-            Given pieces, values;
-        } left;
-        TRY(call(known->distance_range, &arguments, &left));
-        struct {
-            Array2 pieces, values;
-            int64_t a;
-            Array3 poses_a;
-            int64_t b;
-            Array3 poses_b;
-            Array2 numbers;
-            Array3 vectors;
-            Array1 status;
-        } rest = {
-            left.pieces.array, left.values.array, arguments.a,       arguments.poses_a, arguments.b,
-            arguments.poses_b, arguments.numbers, arguments.vectors, arguments.status,
+        DistanceResults left;
+        TRY(call(known->distance_range, &asked, &left));
+        const LeftArguments rest = {
+            left.pieces.array, left.values.array, asked.a,       asked.poses_a, asked.b,
+            asked.poses_b,     asked.numbers,     asked.vectors, asked.status,
         };
         loewner_status outcome = left.pieces.array.rows == 0 ? LOEWNER_OK : call(known->measure_left, &rest, &nothing);
         known->release(left.pieces.memory);
@@ -228,16 +187,9 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
         TRY(outcome);
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + (size_t)k;
-            *found = (loewner_distance){numbers[k],      numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN},
-                                        {NAN, NAN, NAN}, {NAN, NAN, NAN}};
+            write_distance(found, numbers, numbers + count, numbers + 3 * count, vectors, count, k, status[k] == 0);
             found->bodies[0] = (int32_t)(a->body == -1 ? (int64_t)first + k : a->body);
             found->bodies[1] = (int32_t)(b->body == -1 ? (int64_t)first + k : b->body);
-            if (status[k] != 0 || !isfinite(numbers[3 * count + k]))
-                continue;
-            found->distance = fmax(found->lower, fmin(numbers[3 * count + k], found->upper));
-            memcpy(found->witness_a, vectors + 3 * k, 24);
-            memcpy(found->witness_b, vectors + 3 * (count + k), 24);
-            memcpy(found->normal, vectors + 3 * (2 * count + k), 24);
         }
     }
     return LOEWNER_OK;

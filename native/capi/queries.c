@@ -15,10 +15,7 @@ _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING 
 
 loewner_status check_poses(const double *poses, size_t n, const char *name)
 {
-    struct {
-        int64_t row, kind;
-        double size;
-    } fault = {0};
+    FaultResults fault = {0};
     if (poses == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected poses, found NULL", name);
     Array3 all = {poses, (int64_t)n, 4, 4};
@@ -90,65 +87,23 @@ static loewner_status place_links(const Tree *tree, const double *configurations
 static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses,
                                    int8_t *verdicts)
 {
-    static const int64_t ones[5] = {0, 1, 1, 1, 1};
-    int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5];
-    memcpy(plan, ones, sizeof plan);
-    plan[0] = count;
+    int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5] = {count, 1, 1, 1, 1};
     int64_t pack = (int64_t)state->whole.words;
     memset(verdicts, LOEWNER_AMBIGUOUS, (size_t)count);
     for (int64_t first = 0, last; first < count; first = last) {
         for (last = first + 1; last < count && state->margins[last] == state->margins[first];)
             last++;
-        int64_t tally[CODE_TIERS] = {0}, are_rigid = 0, nothing;
-        struct {
-            int64_t mode;
-            double margin;
-            int64_t first, last;
-            Array2 plan, rows;
-            int64_t a;
-            Array3 poses_a;
-            int64_t b;
-            Array3 poses_b;
-            Array1 out, tally;
-            void *memory;
-        } fast = {
-            EXACT,
-            state->margins[first],
-            first,
-            last,
-            {plan, 5, 1},
-            {state->rows, 2, count},
-            pack,
-            {poses, bodies, 4, 4},
-            pack,
-            {poses, bodies, 4, 4},
-            {verdicts, count},
-            {tally, CODE_TIERS},
-            workspace->memory,
+        int64_t tally[CODE_TIERS] = {0};
+        int are_rigid;
+        const SettleArguments asked = {
+            .mode = EXACT, .margin = state->margins[first], .first = first, .last = last, .plan = {plan, 5, 1},
+            .rows = {state->rows, 2, count}, .a = pack, .poses_a = {poses, bodies, 4, 4}, .b = pack,
+            .poses_b = {poses, bodies, 4, 4}, .out = {verdicts, count}, .tally = {tally, CODE_TIERS},
+            .memory = workspace->memory,
         };
-        TRY(call(kernels()->settle_range, &fast, &are_rigid));
-        if (!(are_rigid & 1)) { /* overflow distorted a pose */
+        TRY(settle_all(&asked, &are_rigid));
+        if (!are_rigid) /* overflow distorted a pose */
             memset(verdicts + first, LOEWNER_AMBIGUOUS, (size_t)(last - first));
-            continue;
-        }
-        if (tally[CODE_OPEN] == 0)
-            continue;
-        struct {
-            double margin;
-            int64_t first, last;
-            Array2 plan, rows;
-            int64_t a;
-            Array3 poses_a;
-            int64_t b;
-            Array3 poses_b;
-            Array1 out;
-        } careful = {
-            fast.margin, first, last, fast.plan, fast.rows, pack, fast.poses_a, pack, fast.poses_b, fast.out,
-        };
-        TRY(call(kernels()->settle_open, &careful, &nothing));
-        for (int64_t k = first; k < last; k++)
-            if (verdicts[k] == CODE_INEXACT) /* Python decides it in whole numbers */
-                verdicts[k] = LOEWNER_AMBIGUOUS;
     }
     return LOEWNER_OK;
 }
@@ -211,23 +166,10 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
     for (size_t first = 0; first < n; first += CHUNK) {
         int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK), nothing;
         const double *rows = configurations + first * (size_t)dof;
-        struct {
-            int64_t mode, first, last;
-            Array2 configurations;
-            int64_t pack, problem;
-            Array1 out, tiers, hits;
-            void *memory;
-        } arguments = {
-            mode,
-            0,
-            count,
-            {rows, count, dof},
-            workspace->pack,
-            (int64_t)workspace->table,
-            {verdicts + first, count},
-            {workspace->tiers, count},
-            {workspace->hits, state->pairs},
-            workspace->memory,
+        const CheckArguments arguments = {
+            .mode = mode, .last = count, .configurations = {rows, count, dof}, .pack = workspace->pack,
+            .problem = (int64_t)workspace->table, .out = {verdicts + first, count}, .tiers = {workspace->tiers, count},
+            .hits = {workspace->hits, state->pairs}, .memory = workspace->memory,
         };
         TRY(call(kernels()->check_configurations, &arguments, &nothing));
         for (int64_t k = 0; mode == EXACT && k < count; k++)
@@ -399,19 +341,12 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
         TRY(call(kernels()->nearest_pairs, &arguments, &nothing));
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + k;
-            *found = (loewner_distance){numbers[k],      numbers[count + k], NAN, {-1, -1}, {NAN, NAN, NAN},
-                                        {NAN, NAN, NAN}, {NAN, NAN, NAN}};
+            write_distance(found, numbers, numbers + count, numbers + 2 * count, vectors, count, k, status[k] == 0);
             for (int side = 0; side < 2; side++) {
                 int64_t *piece = workspace->pieces + 2 * k + side;
                 *piece = status[k] == 0 ? owner(&state->whole.pack, *piece) : state->pair_list[side];
                 found->bodies[side] = state->body[*piece];
             }
-            if (status[k] != 0)
-                continue;
-            found->distance = fmax(found->lower, fmin(numbers[2 * count + k], found->upper));
-            memcpy(found->witness_a, vectors + 3 * k, 24);
-            memcpy(found->witness_b, vectors + 3 * (count + k), 24);
-            memcpy(found->normal, vectors + 3 * (2 * count + k), 24);
         }
         if (gradients == NULL)
             continue;

@@ -412,8 +412,7 @@ static int64_t choose_pairs(const loewner_checker *checker, const State *state, 
 static loewner_status list_pairs(const loewner_checker *checker, State *state)
 {
     const File *file = checker->file;
-    int as_saved = is_as_saved(checker);
-    int64_t count = state->pairs = as_saved ? file->pairs : choose_pairs(checker, state, NULL, NULL);
+    int64_t count = state->pairs = state->is_as_saved ? file->pairs : choose_pairs(checker, state, NULL, NULL);
     state->pair_list = room(state, 2 * count, 8);
     state->margins = room(state, count, 8);
     state->order = room(state, count, 8);
@@ -423,7 +422,7 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
     if (state->pair_list == NULL || state->margins == NULL || state->order == NULL || state->motion_order == NULL ||
         state->rows == NULL || state->group_start == NULL)
         return no_memory();
-    if (as_saved) {
+    if (state->is_as_saved) {
         memcpy(state->pair_list, file->pair_list, (size_t)count * 16);
         memcpy(state->margins, file->margins, (size_t)count * 8);
         memcpy(state->order, file->order, (size_t)count * 8);
@@ -501,7 +500,7 @@ static loewner_status place(const State *state, Half *half, int into)
         {state->poses, state->standing, 16},
     };
     TRY(call(kernels()->place_static, &arguments, &half->handle));
-    half->motions = half->handle + 8 * 3 * (TABLE_ROWS - 10);
+    half->motions = half->handle + MOTIONS_AT;
     half->current = into;
     return LOEWNER_OK;
 }
@@ -526,7 +525,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
 {
     Half *half = in_parts ? &state->cut : &state->whole;
     int64_t bodies = state->moving + state->standing, links = state->tree.links, pairs = state->pairs;
-    if (is_as_saved(checker))
+    if (state->is_as_saved)
         half->pack = in_parts ? checker->file->cut : checker->file->whole;
     else
         TRY(join(checker, state, in_parts, half));
@@ -548,13 +547,13 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
     half->chain[0] = (double)(1 + deepest);
     half->chain[1] = longest * STRETCH;
     half->chain[2] = bend_of(&state->tree);
-    /* The arrays of a block that depend on poses, in words; the last one starts as NaN, which differs from all poses.
-     */
+    /* Words of the arrays that depend on poses; the last one starts as NaN, which differs from all poses. */
     const int64_t sizes[] = {
         bodies * links,   pieces * HOT,         state->standing, 64 * state->groups, state->standing * BOUNDS / 2,
         pieces * HOT / 2, 16 * state->standing,
     };
-    int64_t words = TABLE_WORDS + CACHE_LINE / 8, at[7];
+    int64_t words = TABLE_WORDS + CACHE_LINE / 8;
+    double *at[7];
     for (int k = 0; k < 7; k++)
         words += sizes[k];
     half->block_words = words;
@@ -567,89 +566,42 @@ static loewner_status make_half(const loewner_checker *checker, State *state, in
     double *block = half->blocks[0];
     int64_t next = TABLE_WORDS;
     for (int k = 0; k < 7; k++) {
-        at[k] = (int64_t)(block + next);
+        at[k] = block + next;
         next += sizes[k];
     }
     for (int64_t k = 0; k < sizes[6]; k++)
-        ((double *)at[6])[k] = NAN;
+        at[6][k] = NAN;
     const Tree *tree = &state->tree;
-    const int64_t paths = state->path_start[links], table[TABLE_WORDS] = {
-                                                        (int64_t)tree->parent,
-                                                        links,
-                                                        1,
-                                                        (int64_t)tree->kind,
-                                                        links,
-                                                        1,
-                                                        (int64_t)tree->column,
-                                                        links,
-                                                        1,
-                                                        (int64_t)tree->multiplier,
-                                                        links,
-                                                        1,
-                                                        (int64_t)tree->offset,
-                                                        links,
-                                                        1,
-                                                        (int64_t)tree->constants,
-                                                        links,
-                                                        LINK_CONSTANTS,
-                                                        (int64_t)state->link,
-                                                        state->moving,
-                                                        1,
-                                                        (int64_t)half->ball,
-                                                        state->moving,
-                                                        5,
-                                                        (int64_t)state->pair_list,
-                                                        pairs,
-                                                        2,
-                                                        (int64_t)state->margins,
-                                                        pairs,
-                                                        1,
-                                                        (int64_t)state->order,
-                                                        pairs,
-                                                        1,
-                                                        at[4],
-                                                        state->standing,
-                                                        BOUNDS,
-                                                        at[5],
-                                                        pieces,
-                                                        HOT,
-                                                        at[6],
-                                                        state->standing,
-                                                        16,
-                                                        (int64_t)state->path_start,
-                                                        links + 1,
-                                                        1,
-                                                        (int64_t)state->path_link,
-                                                        paths,
-                                                        1,
-                                                        at[0],
-                                                        bodies,
-                                                        links,
-                                                        at[1],
-                                                        pieces,
-                                                        HOT,
-                                                        at[2],
-                                                        state->standing,
-                                                        1,
-                                                        (int64_t)state->motion_order,
-                                                        pairs,
-                                                        1,
-                                                        (int64_t)state->group_start,
-                                                        state->moving + 1,
-                                                        1,
-                                                        (int64_t)state->group_pairs,
-                                                        8 * state->groups,
-                                                        1,
-                                                        at[3],
-                                                        64 * state->groups,
-                                                        1,
-                                                        (int64_t)half->chain,
-                                                        3,
-                                                        1,
-                                                    };
+    const Array2 table[TABLE_ROWS] = {
+        {tree->parent, links, 1},
+        {tree->kind, links, 1},
+        {tree->column, links, 1},
+        {tree->multiplier, links, 1},
+        {tree->offset, links, 1},
+        {tree->constants, links, LINK_CONSTANTS},
+        {state->link, state->moving, 1},
+        {half->ball, state->moving, 5},
+        {state->pair_list, pairs, 2},
+        {state->margins, pairs, 1},
+        {state->order, pairs, 1},
+        {at[4], state->standing, BOUNDS},
+        {at[5], pieces, HOT},
+        {at[6], state->standing, 16},
+        /* of `MotionTables` */
+        {state->path_start, links + 1, 1},
+        {state->path_link, state->path_start[links], 1},
+        {at[0], bodies, links},
+        {at[1], pieces, HOT},
+        {at[2], state->standing, 1},
+        {state->motion_order, pairs, 1},
+        {state->group_start, state->moving + 1, 1},
+        {state->group_pairs, 8 * state->groups, 1},
+        {at[3], 64 * state->groups, 1},
+        {half->chain, 3, 1},
+    };
     memcpy(block, table, sizeof table);
     half->handle = (int64_t)block;
-    const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + 8 * 3 * (TABLE_ROWS - 10)};
+    const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + MOTIONS_AT};
     int64_t nothing;
     TRY(call(kernels()->measure_moving, arguments, &nothing));
     TRY(place(state, half, 1));
@@ -712,6 +664,7 @@ static int has_standing_solids(const State *state)
 
 static loewner_status assemble(const loewner_checker *checker, State *state)
 {
+    state->is_as_saved = is_as_saved(checker);
     TRY(arrange(checker, state));
     copy_poses(checker, state);
     TRY(grow_tree(checker, state));
@@ -911,7 +864,7 @@ loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
             memcpy(body->pose, file->poses + 16 * (b - file->moving), sizeof body->pose);
     }
     if (check_poses(file->poses, (size_t)(file->bodies - file->moving), "poses") != LOEWNER_OK)
-        outcome = fail(LOEWNER_BAD_FILE, "the file is damaged: poses");
+        outcome = fail(LOEWNER_BAD_FILE, "%.300s: the file is damaged: poses", path);
     else
         outcome = renew(made);
     if (outcome == LOEWNER_OK)

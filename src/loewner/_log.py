@@ -18,8 +18,10 @@ MANY_TRIANGLES, MANY_PIECES = 100_000, 100
 @contextmanager
 def logged(work: str, *values: Any, least: int = 0) -> Iterator[None]:
     """Log the beginning of some work, and its end with the time that it took, if its last value is `least` or more."""
-    level = logging.INFO if values[-1] >= least else logging.NOTSET
-    log.log(level, f"{work} ...", *values)
+    if values[-1] < least:
+        yield
+        return
+    log.info(f"{work} ...", *values)
     began = time.perf_counter()
     yield
-    log.log(level, f"{work}: %.3g s", *values, time.perf_counter() - began)
+    log.info(f"{work}: %.3g s", *values, time.perf_counter() - began)

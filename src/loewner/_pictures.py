@@ -11,7 +11,6 @@ import zlib
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
-from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,11 +90,18 @@ class Shape(NamedTuple):
         return Shape(middles + ENLARGED * step**0.5 * (corners - middles), self.radii[::step], self.colour)
 
 
+def escape(text: str) -> str:
+    """Write text in HTML."""
+    import html  # a percent of the time of `import loewner`, which all classes with pictures wait for
+
+    return html.escape(text)
+
+
 def pictured(draw: Callable[[Any], str]) -> Callable[[Any], str]:
     """Make `_repr_html_` of a function that draws: it also shows the text, and nothing else if drawing fails."""
 
     @wraps(draw)
-    def html(thing: Any) -> str:
+    def shown(thing: Any) -> str:
         text = f'<pre style="margin:0;white-space:pre-wrap">{escape(repr(thing))}</pre>'
         try:
             return f"<div>{text}{draw(thing)}</div>"
@@ -103,7 +109,7 @@ def pictured(draw: Callable[[Any], str]) -> Callable[[Any], str]:
             log.debug("no picture of %s", type(thing).__name__, exc_info=True)
             return text
 
-    return html
+    return shown
 
 
 def _svg(width: float, height: float, inside: str) -> str:

@@ -40,7 +40,7 @@ TYPES = {np.dtype(np.int64): 0, np.dtype(np.float64): 1, np.dtype(np.float32): 2
 # Odd multiples of this number, the golden ratio in 64 bits, are the factors of the words in the checksum.
 GOLDEN = 0x9E3779B97F4A7C15
 
-# Arrays before the packs; a file of bodies alone has only the first and the last two.
+# Arrays before the packs; in a file of bodies alone, all but the names are empty.
 BEFORE = (
     "names", "parent", "kind", "column", "multiplier", "offset", "constants", "limits", "joints",
     "quaternions", "link", "pairs", "margins", "order", "margin", "poses", "own", "lowered", "rules",
