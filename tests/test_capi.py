@@ -475,11 +475,25 @@ def test_kernels_are_called_by_their_signatures():
         assert (takes, gives) == (entries.ENTRIES[name].arguments, entries.ENTRIES[name].results), name
 
 
+class BrokenPath:
+    """A path that raises an error of its own whatever it is asked for."""
+
+    def __fspath__(self):
+        raise RuntimeError("not today")
+
+    __str__ = __repr__ = __fspath__
+
+
 def test_what_cannot_be_saved(panda, tmp_path):
     """Another suffix, and bodies that follow motions."""
     checker = CollisionChecker(panda)
     with pytest.raises(InputError, match="ends in .lwn"):
         checker.save(tmp_path / "cell.npz")
+    for path in (BrokenPath(), 3):
+        with pytest.raises(InputError, match="expected a path"):
+            Body.sphere(1.0).save(path)
+        with pytest.raises(InputError, match="expected the path"):
+            checker.save(path)
     checker.scene.add("box", Body.box([0.1, 0.1, 0.1]))
     checker.scene.follow("box", [0.0, 1.0], random_poses(np.random.default_rng(0), 2))
     with pytest.raises(InputError, match="follow motions"):

@@ -142,7 +142,7 @@ class _Bodies:
         # Imported late: with archives and checksums it takes a fifth of the time of `import loewner`.
         from loewner.bodies import files, native_files
 
-        if str(path).endswith(native_files.SUFFIX):
+        if native_files.is_meant(path):
             native_files.save(path, self._packed)
         else:
             files.save(self._packed, path, self._covering)

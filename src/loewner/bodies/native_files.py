@@ -49,6 +49,14 @@ BEFORE = (
 _NO_NUMBERS = np.zeros(0)
 
 
+def is_meant(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path names such a file; anything that is no path does not."""
+    try:
+        return os.fsdecode(path).endswith(SUFFIX)
+    except Exception:  # the caller's path-like object may raise any error
+        return False
+
+
 def save(path: str | os.PathLike[str], packed: Packed) -> None:
     """Write bodies alone, see `write`; their names are their numbers."""
     count = len(packed.piece_start) - 1
