@@ -714,3 +714,30 @@ def test_margins_and_allowed_pairs_of_static_bodies_travel(panda, tmp_path, rng)
         scene.attach(name, "panda_hand", H)
         mine.attach(name, "panda_hand", H)
         assert_same(checker, mine, Q, exactly=False)
+
+
+def test_a_cell_is_of_one_state(panda, tmp_path, monkeypatch):
+    """If another thread sets a margin while the file is made, pairs and bodies have it, or neither do."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 1.0, 1.0]), pose(np.random.default_rng(0), 1.0, 1.2))
+    checker, calls = CollisionChecker(panda, scene), []
+    prepared = checker._ready
+
+    def interrupted(**options):
+        ready = prepared(**options)
+        if not calls:
+            scene.set_margin(0.05, "wall")
+        calls.append(ready)
+        return ready
+
+    monkeypatch.setattr(checker, "_ready", interrupted)
+    checker.save(tmp_path / "cell.lwn")
+    content = (tmp_path / "cell.lwn").read_bytes()
+    count = struct.unpack_from("<q", content, 96)[0]
+    rows = np.frombuffer(content, np.int64, 4 * count, native_files.HEADER.size).reshape(-1, 4)
+    largest = []
+    for name in ("own", "margins"):
+        _, length, _, start = rows[native_files.BEFORE.index(name)]
+        largest.append(np.frombuffer(content, float, length, start).max())
+    assert largest == [0.05, 0.05]
+    assert len(calls) == 2

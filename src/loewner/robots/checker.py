@@ -164,8 +164,10 @@ class CollisionChecker:
         --------
         >>> CollisionChecker(Robot.from_urdf("arm.urdf")).save("arm.lwn")
         """
-        ready = self._ready(timed=True)
-        cells.save(path, self.robot, self._scene, ready)
+        ready, scene = self._ready(timed=True), self._scene.snapshot()
+        while ready.version != scene.version:  # another thread changed the scene in between
+            ready, scene = self._ready(timed=True), self._scene.snapshot()
+        cells.save(path, self.robot, scene, ready)
 
     # -- queries ------------------------------------------------------------------------------
 
