@@ -50,7 +50,7 @@ _NO_NUMBERS = np.zeros(0)
 
 
 def is_meant(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a path names such a file; anything that is no path does not."""
+    """Return whether a path names such a file; anything that is no path does not."""
     try:
         return os.fsdecode(path).endswith(SUFFIX)
     except Exception:  # the caller's path-like object may raise any error
