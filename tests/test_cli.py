@@ -1,5 +1,6 @@
 """The command line: exit status, what it prints, one clear line for every error."""
 
+import ast
 import csv
 import itertools
 import json
@@ -1290,6 +1291,18 @@ def test_installed_program(saved):
     assert done.stdout.startswith("FREE")
 
 
+def test_every_column_has_a_heading():
+    """No table of a command has a column without a name."""
+    headings = [
+        [cell.value for cell in call.args if isinstance(cell, ast.Constant)]
+        for file in Path(cli.__file__).parent.glob("*.py")
+        for call in ast.walk(ast.parse(file.read_text()))
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "new_table"
+    ]
+    assert len(headings) > 8
+    assert all("" not in cells for cells in headings)
+
+
 def test_without_rich_tables_are_plain(saved):
     """Status and cells are those with Rich; there are no lines about them, and no progress."""
     gantry(saved)
@@ -1306,7 +1319,7 @@ def test_without_rich_tables_are_plain(saved):
         (
             ["plan", "gantry.urdf", "--scene", "end.yaml", "--start", HERE, "--goal", THERE],
             0,
-            r"(?m)^motion +length +verdict +nearest, mm +pair +poses +searches$",
+            r"(?m)^motion +length +verdict +nearest, mm +body +other body +poses +searches$",
         ),
         (["paper", "--pairs", "5"], 0, r"(?m)^table +detector "),
     ]

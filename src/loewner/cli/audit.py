@@ -247,8 +247,8 @@ def _print_answer(answer: dict[str, Any]) -> None:
             f"{' and '.join(answer['pair'])} at {answer['time']:.6g}{unit}"
         )
         table = new_table(
-            "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", f"at{comma_unit}", "pair", "", "nearest, mm",
-            title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
+            "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", f"at{comma_unit}", "body", "other body",
+            "nearest, mm", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
         )  # fmt: skip
         for piece in answer["unproven"]:
             table.add_row(

@@ -301,7 +301,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
     motions = answer["motions"]
     _print_verdict(answer)
     table = new_table(
-        "motion", "length", "verdict", "nearest, mm", "pair", "", "poses", "searches",
+        "motion", "length", "verdict", "nearest, mm", "body", "other body", "poses", "searches",
         title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
     )  # fmt: skip
     for k, motion in enumerate(motions):

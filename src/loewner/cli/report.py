@@ -113,7 +113,7 @@ def _write(options: argparse.Namespace) -> int:
 def _rerun(options: argparse.Namespace) -> int:
     document, here = rerun(options.file)
     there = document["answers"]
-    table = new_table("", "in the report", "here", "", title=f"loewner report {document['query']}")
+    table = new_table("answer", "in the report", "here", "result", title=f"loewner report {document['query']}")
     for name, value in _versions().items():
         table.add_row(name, _shown(document["versions"].get(name)), _shown(value), "")
     different = [name for name in here if json.dumps(there.get(name)) != json.dumps(here[name])]

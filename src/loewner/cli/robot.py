@@ -185,7 +185,7 @@ def _print_checked(answer: dict[str, Any]) -> None:
         table.add_row(title, *("-" if cell is None else f"{cell:,}" for cell in cells))
     print_table(table)
     if answer["pairs"]:
-        table = new_table("pair", "", "collides", "of all")
+        table = new_table("body", "other body", "collides", "of all")
         for a, b, hits in answer["pairs"][:LISTED]:
             table.add_row(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %")
         if len(answer["pairs"]) > LISTED:
