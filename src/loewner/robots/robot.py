@@ -1061,10 +1061,15 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
     return np.where(cosine < 0, -q, q), np.abs(cosine)
 
 
-def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
-    """Return shapes of links, poses of all links, and a note, in the first state of most joints, or at zero."""
+def first_shown(robot: Robot) -> tuple[str | None, Floats]:
+    """Return the state of the most joints and its configuration, or zero; joints are within their limits."""
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
-    q = np.clip(robot.configuration(state), robot.lower, robot.upper)
+    return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
+
+
+def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
+    """Return shapes of links, poses of all links, and a note, at the configuration that is shown first."""
+    state, q = first_shown(robot)
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     shapes = [
         for_pictures(packed_of(body), len(robot.bodies) > MANY_LINKS).at(poses[name], LINKS[k % len(LINKS)])

@@ -29,6 +29,9 @@ Rgb = tuple[int, int, int]
 VERDICT_COLOURS: dict[Verdict, Rgb] = dict(zip(VERDICTS, _pictures.VERDICT_COLOURS, strict=True))
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
+# Colours of the two bodies of a page, which are none of the above and differ for all kinds of colour vision.
+PAIR: dict[str, Rgb] = {"A": (102, 153, 204), "B": (238, 153, 85)}
+
 LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
 
 # Opacity of a piece while a layer inside it is shown, and of an outer ellipsoid.
@@ -37,8 +40,8 @@ PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
 # Copies of a ball have 320 triangles each, or 80 if there are more copies than this.
 MANY_COPIES = 2000
 
-# Colour of points and lines that show where two bodies are nearest.
-INK = (17, 17, 17)
+# Colour of points, lines and the normal that show where two bodies are nearest; seen on white and on black.
+INK = (170, 51, 119)
 
 # Layers whose colour shows contact, and how each layer is drawn. If triangles face outward, only the half that faces
 # the camera is drawn. For an outer ellipsoid it is the far half, since the near side would hide later objects although
@@ -159,6 +162,7 @@ class Drawing:
         self._nodes: dict[str, Any] = {}
         self._layers: dict[str, list[str]] = {}
         self._callback: Any = None
+        self._clear = self._covering = False
         self.show(shown)
 
     @property
@@ -186,9 +190,15 @@ class Drawing:
         for layer in LABELS:
             for name in self._made(layer) if layer in wanted else self._layers.get(layer, ()):
                 self._nodes[name].visible = layer in wanted
+        self._covering = bool(wanted & {"meshes", "inner"})
+        self.see_through(self._clear)
+
+    def see_through(self, clear: bool) -> None:
+        """Make the pieces transparent, so that marks inside them are seen, or opaque unless layers inside are shown."""
+        self._clear = clear
         for name in self._layers.get("pieces", ()):
             if hasattr(self._nodes[name], "opacity"):  # points have none
-                self._nodes[name].opacity = PIECE_OPACITY if wanted & {"meshes", "inner"} else None
+                self._nodes[name].opacity = PIECE_OPACITY if clear or self._covering else None
 
     def on_click(self, callback: Any) -> None:
         """Register a callback for clicks on the body."""

@@ -24,6 +24,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from loewner.errors import InputError, MissingExtraError
+from loewner.viewer.style import HEAD
 
 # Time limit for the newly started server to answer the guard's own requests, in seconds.
 PATIENCE = 30.0
@@ -144,7 +145,7 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add the title, the token for the websocket and the policy on connections to a page that is sent.
+        """Add the title, the style, the token for the websocket and the policy on connections to a page that is sent.
 
         viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address and shows the content as its
         own, so a link to this server with such parameters could be used in an attack. The policy allows connections
@@ -162,11 +163,11 @@ class Guard:
             response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _entitle(self, response: Any) -> None:
-        """Replace viser's name by the title in the page; a page of an unknown version of viser is left unchanged."""
+        """Add the title and the style to the page; a page of an unknown version of viser is left unchanged."""
         packed = response.headers.get("Content-Encoding") == "gzip"
         content = gzip.decompress(response.body) if packed else response.body
         if VISERS_TITLE in content:
-            named = content.replace(VISERS_TITLE, f"<title>{escape(self.title)}</title>".encode(), 1)
+            named = content.replace(VISERS_TITLE, f"<title>{escape(self.title)}</title>{HEAD}".encode(), 1)
             response.body = gzip.compress(named, compresslevel=1) if packed else named
             del response.headers["Content-Length"]
             response.headers["Content-Length"] = str(len(response.body))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
+import math
 import os
 import queue
 import socket
@@ -10,6 +12,8 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from html import escape
 from typing import Any, Self
 
@@ -23,6 +27,7 @@ from loewner.errors import InputError, LoewnerError, MissingExtraError, installi
 from loewner.queries import Verdict
 from loewner.viewer import guard
 from loewner.viewer.drawing import Rgb, light, place
+from loewner.viewer.framing import round_length
 
 # Interval in seconds at which the page checks for changes made in Python.
 LOOK_EVERY = 0.1
@@ -31,11 +36,14 @@ LOOK_EVERY = 0.1
 PORTS = 65536
 
 # Length of a gizmo's arrows in units of the longest side of its body.
-GIZMO = 0.7
+GIZMO = 0.5
+
+# Largest length of these arrows in units of the diagonal of the first view.
+MOST_GIZMO = 1 / 6
 
 TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
 
-BAD: Rgb = (119, 119, 119)
+BAD: Rgb = (102, 102, 102)
 
 
 class Viewer:
@@ -73,13 +81,16 @@ class Viewer:
         self.server.scene.set_up_direction("+z")
         light(self.server.scene)
         self._verdict = self.server.gui.add_html("")
+        self._pictured = False
         try:
             self._build()
         except BaseException:
-            self.server.stop()
+            _stop(self.server)
             raise
         self.refresh()
         self._thread.start()
+        # Before viser's own function, which prints that it stops the server.
+        atexit.register(self.close)
         if self._guard.token is not None:
             print(self._warning(), flush=True)
 
@@ -101,9 +112,10 @@ class Viewer:
         if not self._closed.is_set():
             self._closed.set()
             self._events.put(None)
+            atexit.unregister(self.close)
             if self._thread.is_alive() and threading.current_thread() is not self._thread:
                 self._thread.join()
-            self.server.stop()
+            _stop(self.server)
 
     def wait(self) -> None:
         """Wait until `close` or a keyboard interrupt closes the page."""
@@ -152,6 +164,24 @@ class Viewer:
         """Compute the verdict and show it."""
         raise NotImplementedError
 
+    def _show_gizmos(self) -> None:
+        """Show the handles of the bodies that can be dragged, unless a picture is being taken."""
+        raise NotImplementedError
+
+    @contextmanager
+    def without_gizmos(self) -> Iterator[None]:
+        """Hide the handles of all bodies, for a picture."""
+        try:
+            self._picture(True)
+            yield
+        finally:
+            self._picture(False)
+
+    def _picture(self, pictured: bool) -> None:
+        with self.lock, self.server.atomic():
+            self._pictured = pictured
+            self._show_gizmos()
+
     def _changed(self) -> bool:
         """Return whether Python code has changed the contents of the page without notifying it."""
         return False
@@ -169,9 +199,16 @@ class Viewer:
         handle.on_update(lambda event: self._tell(name) if event.client is not None else None)
         return handle
 
-    def _show_verdict(self, name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> None:
+    def _show_verdict(
+        self,
+        name: str,
+        colour: Rgb,
+        rows: list[tuple[str, str]],
+        notes: list[str],
+        swatches: Mapping[str, Rgb] | None = None,
+    ) -> None:
         """Fill the panel's first block; strings are escaped here, since names come from files."""
-        content = _block(name, colour, rows, notes)
+        content = _block(name, colour, rows, notes, swatches)
         if self._verdict.content != content:
             self._verdict.content = content
 
@@ -233,9 +270,9 @@ class Mover:
         place(self.gizmo, T)
         page._watch(self.gizmo, f"drag {name}")
 
-    def fit(self, box: Floats, most: float) -> None:
-        """Make the gizmo large enough for a body with this box, but no larger than `most` [m]."""
-        self.gizmo.scale = min(GIZMO * float(np.ptp(box, axis=0).max()), most)
+    def fit(self, box: Floats, view: float) -> None:
+        """Fit the gizmo to the box of its body and to the diagonal of the view [m]."""
+        self.gizmo.scale = min(GIZMO * float(np.ptp(box, axis=0).max()), MOST_GIZMO * view)
 
     def show(self, on: bool) -> None:
         """Show or hide the handles of the gizmo."""
@@ -259,12 +296,13 @@ class Mover:
 class PoseInputs:
     """A pose as numbers on the panel: position in metres, and roll, pitch and yaw in degrees."""
 
-    def __init__(self, page: Viewer, name: str, step: float) -> None:
+    def __init__(self, page: Viewer, name: str, view: float) -> None:
         gui = page.server.gui
+        # The number of decimals that are shown is that of the step.
+        step = round_length(view / 5000)
+        self._decimals = max(0, -math.floor(math.log10(step)))
         self.position = page._watch(gui.add_vector3("position, m", (0.0, 0.0, 0.0), step=step), f"type {name}")
-        self.turn = page._watch(
-            gui.add_vector3("turn, °", (0.0, 0.0, 0.0), step=1.0, hint="Roll, pitch and yaw."), f"type {name}"
-        )
+        self.turn = page._watch(gui.add_vector3("roll, pitch, yaw, °", (0.0, 0.0, 0.0), step=0.01), f"type {name}")
 
     def take(self) -> Floats:
         """Read the pose that was typed."""
@@ -273,18 +311,27 @@ class PoseInputs:
         return T
 
     def show(self, T: Floats) -> None:
-        """Show a pose, rounded to numbers that fit the panel."""
+        """Show a pose, rounded to the decimals that are shown."""
         with np.errstate(all="ignore"):
             turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
-        self.position.value = tuple(np.round(T[:3, 3], 5).tolist())
-        self.turn.value = tuple(np.round(turn, 3).tolist())
+        self.position.value = tuple((np.round(T[:3, 3], self._decimals) + 0.0).tolist())
+        self.turn.value = tuple((np.round(turn, 2) + 0.0).tolist())
 
 
-def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> str:
+def certified_words(verdict: Verdict) -> str:
+    """Describe the verdict of the ellipsoids alone."""
+    return f"{verdict.name}, " + ("settled by the exact search" if verdict == Verdict.AMBIGUOUS else "proven")
+
+
+def _block(
+    name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str], swatches: Mapping[str, Rgb] | None = None
+) -> str:
     """Format the verdict as HTML: a coloured bar, a table, and lines of text, all escaped."""
     cells = "".join(
-        f'<tr><td style="padding-right:0.8em;opacity:0.7;white-space:nowrap">{escape(key)}</td>'
-        f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums">{escape(text)}</td></tr>'
+        f'<tr><th scope="row" style="padding:0 0.8em 0 0;font-weight:400;text-align:left;vertical-align:top;'
+        f'opacity:0.8;white-space:nowrap">{_swatch((swatches or {}).get(key))}{escape(key)}</th>'
+        f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums;padding:0;'
+        f'overflow-wrap:anywhere">{escape(text)}</td></tr>'
         for key, text in rows
     )
     return (
@@ -293,6 +340,10 @@ def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]
         f'text-align:center;font-size:1.3em;border-radius:4px;margin-bottom:0.4em">{escape(name)}</div>'
         f"<table>{cells}</table>{_lines(notes)}</div>"
     )
+
+
+def _swatch(colour: Rgb | None) -> str:
+    return "" if colour is None else f'<span aria-hidden="true" style="color:rgb{colour}">■ </span>'
 
 
 def note_lines(notes: list[str]) -> str:
@@ -322,7 +373,8 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
         ) from None
     # Browsers open connections in advance and drop them, which is not worth a traceback.
     logging.getLogger("websockets.server").addFilter(_worth_logging)
-    server = viser.ViserServer(host=where.address, port=port, label=title, verbose=False)
+    with _quiet():
+        server = viser.ViserServer(host=where.address, port=port, label=title, verbose=False)
     try:
         if port not in (0, server.get_port()):
             raise InputError(
@@ -332,10 +384,34 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
         guarding = guard.Guard(where, server.get_port(), token, title)
         guard.install(server, guarding)
     except BaseException:
-        server.stop()
+        _stop(server)
         raise
     server.gui.configure_theme(show_share_button=False)
     return server, guarding
+
+
+def _stop(server: Any) -> None:
+    """Stop the server."""
+    with _quiet():
+        server.stop()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Drop what viser prints by Rich when a server starts and stops, which it has no option for."""
+    import rich
+
+    everything = rich.print
+
+    def others(*objects: Any, **options: Any) -> None:
+        if not str(sys._getframe(1).f_globals.get("__name__")).startswith("viser."):
+            everything(*objects, **options)
+
+    rich.print = others
+    try:
+        yield
+    finally:
+        rich.print = everything
 
 
 def _worth_logging(record: logging.LogRecord) -> bool:

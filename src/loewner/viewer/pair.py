@@ -13,9 +13,9 @@ from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries import Distance, Verdict, classify, collide, distance
-from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, NearPoints
+from loewner.viewer.drawing import INK, LABELS, PAIR, VERDICT_COLOURS, Drawing, NearPoints
 from loewner.viewer.framing import add_ground, aim, diagonal, framed
-from loewner.viewer.page import Mover, PoseInputs, Viewer
+from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words
 
 # The first view omits the larger body, and shows only the smaller one, if it would be this many times as wide.
 WIDEST = 12.0
@@ -34,7 +34,7 @@ def show_pair(
     port: int = 0,
     block: bool = False,
 ) -> PairViewer:
-    """Open a page that shows two bodies and their verdict while they are moved; viser prints its address.
+    """Open a page that shows two bodies and their verdict while they are moved.
 
     Parameters
     ----------
@@ -165,14 +165,14 @@ class PairViewer(Viewer):
         gui, scene, poses = self.server.gui, self.server.scene, self._first
         with gui.add_folder("Show"):
             offered = [k for k in LABELS if k != "meshes" or any(mesh is not None for mesh in self._meshes.values())]
-            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k != "meshes"), "layers") for k in offered}
-            self._layers["near"] = self._watch(gui.add_checkbox("near points and normal", True), "layers")
+            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in offered}
+            self._layers["near"] = self._watch(gui.add_checkbox("near points", True), "layers")
             self._layers["ground"] = self._watch(gui.add_checkbox("grid", True), "layers")
         self._movers, self._inputs, self._drawings = {}, {}, {}
         for (name, T), body in zip(poses.items(), (self.a, self.b), strict=True):
             self._movers[name] = Mover(self, f"/{name}", name, T)
             self._drawings[name] = Drawing(
-                scene, f"/{name}", body, VERDICT_COLOURS[Verdict.FREE], self._shown(), partial(self._meshes.get, name)
+                scene, f"/{name}", body, PAIR[name], self._shown(), partial(self._meshes.get, name)
             )
         boxes = {name: self._drawings[name].box(T) for name, T in poses.items()}
         small, large = sorted(boxes.values(), key=diagonal)
@@ -184,14 +184,18 @@ class PairViewer(Viewer):
         for name, mover in self._movers.items():
             mover.fit(boxes[name], self._size)
             with gui.add_folder(f"Body {name}"):
-                self._inputs[name] = PoseInputs(self, name, step=round(self._size / 1000, 4) or 1e-4)
+                self._inputs[name] = PoseInputs(self, name, self._size)
                 self._inputs[name].show(mover.T)
         dot = self._size / 120
         self._near = NearPoints(scene, self._size)
         ends = np.zeros((1, 2, 3), dtype=np.float32)
         self._normal = scene.add_arrows(
-            "/near/normal", ends, (170, 51, 119), shaft_radius=dot / 2, head_radius=1.5 * dot, head_length=3 * dot
+            "/near/normal", ends, INK, shaft_radius=dot / 2, head_radius=1.5 * dot, head_length=3 * dot
         )
+
+    def _show_gizmos(self) -> None:
+        for mover in self._movers.values():
+            mover.show(not self._pictured)
 
     def _shown(self) -> dict[str, bool]:
         return {name: box.value for name, box in self._layers.items()}
@@ -212,10 +216,9 @@ class PairViewer(Viewer):
         self.verdict = classify(*asked, margin=self._margin)
         self.colliding = collide(*asked, margin=self._margin)
         self.found = distance(*asked, exact=True)
-        colour = VERDICT_COLOURS[self.verdict]
-        for drawing in self._drawings.values():
-            drawing.colour = colour
-        self._show_verdict(self.verdict.name, colour, self._rows(), [])
+        exactly = Verdict.COLLIDING if self.colliding else Verdict.FREE
+        swatches = {f"on {name}": colour for name, colour in PAIR.items()}
+        self._show_verdict(exactly.name, VERDICT_COLOURS[exactly], self._rows(), [], swatches)
         self._show_near()
 
     def _show_failure(self, error: Exception) -> None:
@@ -227,8 +230,8 @@ class PairViewer(Viewer):
         found = self.found
         kind = "depth" if found.distance < 0 else "distance"
         rows = [
-            ("exact", "COLLIDING" if self.colliding else "FREE"),
             (kind, f"{abs(found.distance):.6g} m"),
+            ("ellipsoids", certified_words(self.verdict)),
             ("bounds", f"{found.lower:z.6g} .. {found.upper:z.6g} m"),
             ("estimate", f"{found.estimate:z.6g} m"),
             ("on A", _numbers(found.witness_a)),
@@ -238,6 +241,9 @@ class PairViewer(Viewer):
         return rows + ([("margin", f"{self._margin:g} m")] if self._margin else [])
 
     def _show_near(self) -> None:
+        # Near points of bodies that overlap are inside them.
+        for drawing in self._drawings.values():
+            drawing.see_through(self._layers["near"].value and self.found.distance < 0)
         if not self._layers["near"].value:
             self._near.hide()
             self._normal.visible = False

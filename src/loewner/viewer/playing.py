@@ -1,7 +1,8 @@
-"""Play paths on a page: find the robot's position at each time, and where it collides along the path."""
+"""Play paths on a page: find the robot's position at each time, where it collides, and what is proven free."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
@@ -11,6 +12,7 @@ from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners import Trajectory
+from loewner.pose_paths import PosePath
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of
@@ -33,9 +35,12 @@ COLOURS: dict[int, Rgb] = {
     COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
     UNSETTLED: (119, 119, 119),
 }
-# By verdict.
+# The same by verdict.
 SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
+
+# Number of parts into which the time is divided for proofs if only bodies move.
+STANDING_PARTS = 20
 
 # Number of colliding or unsettled stretches that are listed.
 MOST_STRETCHES = 4
@@ -52,6 +57,8 @@ class Path:
 
     Attributes
     ----------
+    times : ndarray, shape (n,)
+        Seconds from the first configuration to each.
     duration : float
         Seconds from the first configuration to the last; 0 if all are equal.
     start_time : float
@@ -63,18 +70,42 @@ class Path:
     def __init__(self, robot: Robot, rows: Floats) -> None:
         self._robot, self._rows = robot, rows
         lengths = np.asarray(robot.distances(rows[:-1], rows[1:]))
-        self._times = np.concatenate([[0.0], np.cumsum(lengths / PACE)])
-        self.duration = float(self._times[-1])
+        self.times = np.concatenate([[0.0], np.cumsum(lengths / PACE)])
+        self.duration = float(self.times[-1])
 
     def positions(self, t: Any) -> Floats:
         """Return the configurations at times from 0 to `duration`, shape (..., dof)."""
         at = np.asarray(t, dtype=float)
         if not ((at >= 0.0) & (at <= self.duration)).all():
             raise InputError(f"t: expected seconds from 0 to {self.duration:g}, found {at.tolist()}")
-        k = np.clip(np.searchsorted(self._times, at, side="right") - 1, 0, len(self._rows) - 2)
-        length = self._times[k + 1] - self._times[k]
-        share = np.divide(at - self._times[k], length, out=np.ones_like(at), where=length > 0)
+        k = np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, len(self._rows) - 2)
+        length = self.times[k + 1] - self.times[k]
+        share = np.divide(at - self.times[k], length, out=np.ones_like(at), where=length > 0)
         return self._robot.between(self._rows[k], self._rows[k + 1], share)
+
+
+class Standing:
+    """A robot that stays where it is while bodies move, from the first time of their motions to the last.
+
+    Attributes
+    ----------
+    q : ndarray, shape (dof,)
+        The configuration of the robot; the page changes it.
+    duration, start_time : float
+        Seconds, as for `Path`.
+    """
+
+    def __init__(self, motions: Iterable[PosePath], q: Floats) -> None:
+        times = np.concatenate([motion.times for motion in motions])
+        self.q, self.start_time = q, float(times.min())
+        self.duration = float(times.max()) - self.start_time
+
+    def positions(self, t: Any) -> Floats:
+        """Return the configuration at each of the times, shape (..., dof)."""
+        return np.broadcast_to(self.q, (*np.shape(t), len(self.q)))
+
+
+Way = Trajectory | Path | Standing
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | None:
@@ -102,7 +133,7 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory:
     return trajectory
 
 
-def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
+def found_along(checker: CollisionChecker, way: Way) -> Ints:
     """Return FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spaced from start to end."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
@@ -112,24 +143,71 @@ def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
     return SEEN[found]
 
 
-def strip(found: Ints, duration: float) -> str:
+def proven_along(checker: CollisionChecker, way: Way) -> tuple[Floats, Ints]:
+    """Prove the path free, part by part.
+
+    Returns
+    -------
+    times : ndarray, shape (n + 1,)
+        Seconds since the start at which the parts begin and end.
+    verdicts : ndarray of int, shape (n,)
+        What is proven of each part at every instant; AMBIGUOUS is not proven.
+    """
+    if isinstance(way, Trajectory):
+        curve = way.certify(checker)
+        return curve.times - way.start_time, np.asarray(curve.segments.verdict)
+    times = way.times if isinstance(way, Path) else np.linspace(0.0, way.duration, STANDING_PARTS + 1)
+    rows = way.positions(times)
+    clock = way.start_time + times if checker.scene.following else np.array([None, None])
+    found = checker.certify_edges(rows[:-1], rows[1:], t0=clock[:-1], t1=clock[1:])
+    return times, np.asarray(found.verdict)
+
+
+def sampled_strip(found: Ints, duration: float) -> str:
     """Format the answers along the path as a coloured HTML bar, and describe the stretches that are not free."""
-    bars = "".join(
-        f'<div data-loewner="along {NAMES[kind]}" style="flex:{end - start};background:rgb{COLOURS[kind]}"></div>'
-        for kind, start, end in _stretches(found)
-    )
-    step = duration / (len(found) - 1)
+    times = np.linspace(0.0, duration, len(found))
+    bars = [(NAMES[kind], COLOURS[kind], end - start) for kind, start, end in _stretches(found)]
     bad = [
-        f"{NAMES[kind].lower()} {start * step:.3g} .. {(end - 1) * step:.3g} s"
+        f"{NAMES[kind].lower()} {times[start]:.3g} .. {times[end - 1]:.3g} s"
         for kind, start, end in _stretches(found) if kind != FREE
     ]  # fmt: skip
-    if len(bad) > MOST_STRETCHES:
-        bad = [*bad[:MOST_STRETCHES], f"and {len(bad) - MOST_STRETCHES} more"]
-    words = "; ".join(bad) or "free"
-    return (
-        f'<div style="{TEXT}"><div style="display:flex;height:0.7em;border-radius:3px;overflow:hidden">{bars}</div>'
-        f'<div data-loewner="along">{escape(words)}: looked at {len(found)} times, not between them</div></div>'
+    return _strip("along", bars, f"{len(found)} samples: {_listed(bad) or 'free'}")
+
+
+def proof_strip(times: Floats, verdicts: Ints) -> str:
+    """Format what is proven along the path as a coloured HTML bar, and describe the stretches without a proof."""
+    bars, bad = [], []
+    for kind, start, end in _stretches(verdicts):
+        verdict = Verdict(kind)
+        bars.append((verdict.name, VERDICT_COLOURS[verdict], float(times[end] - times[start])))
+        if verdict != Verdict.FREE:
+            bad.append(f"{verdict.name.lower()} {times[start]:.3g} .. {times[end]:.3g} s")
+    return _strip("proof along", bars, f"proof: {_listed(bad) or 'free at every instant'}")
+
+
+def proven_at(times: Floats, verdicts: Ints, t: float) -> str:
+    """Describe what is proven of the part of the path that contains a time."""
+    parts = _stretches(verdicts)
+    kind, start, end = next((part for part in parts if t <= times[part[2]]), parts[-1])
+    span = f"{times[start]:.3g} .. {times[end]:.3g} s"
+    return f"free at every instant of {span}" if kind == Verdict.FREE else f"none for {span}, {Verdict(kind).name}"
+
+
+def _strip(name: str, bars: Sequence[tuple[str, Rgb, float]], words: str) -> str:
+    parts = "".join(
+        f'<div data-loewner="{name} {kind}" style="flex:{share};background:rgb{colour}"></div>'
+        for kind, colour, share in bars
     )
+    return (
+        f'<div style="{TEXT}"><div style="display:flex;height:0.7em;border-radius:3px;overflow:hidden">{parts}</div>'
+        f'<div data-loewner="{name}">{escape(words)}</div></div>'
+    )
+
+
+def _listed(stretches: list[str]) -> str:
+    if len(stretches) > MOST_STRETCHES:
+        stretches = [*stretches[:MOST_STRETCHES], f"and {len(stretches) - MOST_STRETCHES} more"]
+    return "; ".join(stretches)
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:

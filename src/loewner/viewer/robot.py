@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._rotations import quaternions_of
-from loewner._validate import Floats
+from loewner._validate import Floats, Ints
 from loewner.bodies import Body
 from loewner.bodies.kinds import Mesh
-from loewner.errors import ConvergenceError, InputError
+from loewner.errors import ConvergenceError, InputError, LoewnerError
 from loewner.planners import Trajectory
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
+from loewner.robots.robot import first_shown
 from loewner.scenes import Contact
 from loewner.viewer.drawing import (
     LABELS,
@@ -32,9 +33,18 @@ from loewner.viewer.drawing import (
     place,
     spanned,
 )
-from loewner.viewer.framing import add_ground, aim, diagonal, framed
-from loewner.viewer.page import Mover, PoseInputs, Viewer, note_lines
-from loewner.viewer.playing import Path, checked_way, found_along, strip
+from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_length
+from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, note_lines
+from loewner.viewer.playing import (
+    Standing,
+    Way,
+    checked_way,
+    found_along,
+    proof_strip,
+    proven_along,
+    proven_at,
+    sampled_strip,
+)
 from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
@@ -50,6 +60,10 @@ TURN, TRAVEL = math.pi, 2.0
 FRAME = 1 / 30
 
 PLAY, PAUSE = "play", "pause"
+SPEEDS = {"0.1 ×": 0.1, "0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "5 ×": 5.0}
+
+# A path is proven when the scene has not changed for this many seconds, since a proof takes longer than the samples.
+STILL = 0.3
 
 # Numbers of contacts and of notes that are listed.
 MOST_LINES = 12
@@ -77,11 +91,13 @@ def show_robot(
     checker : CollisionChecker
         Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration. Default: the start of the path or, without a path, all joints at 0.
+        The first configuration. Default: the start of the path or, without a path, the state of the SRDF that names
+        the most joints or, without a state, all joints at 0; joints are within their limits.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
-        Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, and a bar that
-        shows where the robot collides along the path. A path without times is played at a speed of 1 rad/s or m/s in
-        terms of `Robot.distances`.
+        Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, a bar that shows
+        where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the scene
+        follow motions, these are also shown without a path. A path without times is played at a speed of 1 rad/s or
+        m/s in terms of `Robot.distances`.
     trajectory : planners.Trajectory, optional
         A trajectory instead of a path; give either `trajectory` or `path`.
     host, port, block
@@ -178,22 +194,30 @@ class RobotViewer(Viewer):
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         robot = checker.robot
         self.checker = checker
-        self._way = checked_way(robot, path, trajectory)
+        self._way: Way | None = checked_way(robot, path, trajectory)
         self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
         # Value of `monotonic` at time 0 of the path that is being played.
         self._began: float | None = None
+        self._speed = 1.0
         if q is None and self._way is not None:
             q = self._way.positions(0.0)
-        # Zero is not within every robot's limits.
-        start = np.clip(robot.configuration(), robot.lower, robot.upper) if q is None else q
-        self._q = np.array(robot.checked_one(start))
+        self._first_state, first = first_shown(robot)
+        self._q = np.array(robot.checked_one(first if q is None else q))
+        if q is not None:
+            self._first_state = None
+        if self._way is None and checker.scene.following:
+            self._way = Standing(checker.scene.following.values(), self._q)
         if not checker.checked_pairs:
             raise InputError(
                 "checker: expected pairs to check, found none; the robot has "
                 f"{len(robot.bodies)} links with bodies and the scene {len(checker.scene)} bodies"
             )
-        self._seen = self._seen_structure = self._seen_along = -1
+        self._seen = self._seen_structure = -1
+        self._seen_along: Any = None
+        self._proof: tuple[Floats, Ints] | None = None
+        # Value of `monotonic` at which the path is to be proven.
+        self._prove_at = math.inf
         self._size = math.inf
         self._shown: dict[str, _Shown] = {}
         self._unchecked: dict[str, Any] = {}
@@ -295,6 +319,8 @@ class RobotViewer(Viewer):
 
     def _build(self) -> None:
         gui, robot = self.server.gui, self.checker.robot
+        if self._way is not None:
+            self._build_path(self._way)
         with gui.add_folder("Show"):
             self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in LABELS}
             self._marks = {
@@ -302,16 +328,10 @@ class RobotViewer(Viewer):
                 "ground": self._watch(gui.add_checkbox("grid", True), "marks"),
             }
             self._notes = gui.add_html("", visible=False)
-        if self._way is not None:
-            with gui.add_folder("Path"):
-                end, begin = max(self._way.duration, 1e-6), self._way.start_time
-                label = f"time since {begin:g} s, s" if begin else "time, s"
-                self._clock = self._watch(gui.add_slider(label, 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
-                self._button = gui.add_button(PLAY)
-                self._button.on_click(lambda _: self._tell("play"))
-                self._strip = gui.add_html("")
         with gui.add_folder("Robot"):
-            states = gui.add_dropdown("state", (OTHER, NEUTRAL, *robot.states), initial_value=OTHER)
+            states = gui.add_dropdown(
+                "state", (OTHER, NEUTRAL, *robot.states), initial_value=self._first_state or OTHER
+            )
             self._state = self._watch(states, "state")
             gui.add_button("random configuration").on_click(lambda _: self._tell("random"))
             self._sliders = []
@@ -319,11 +339,12 @@ class RobotViewer(Viewer):
                 robot.configuration_names, *_slider_ends(robot), self._q.tolist(), strict=True
             ):
                 low, high = min(low, value), max(high, value)
-                slider = gui.add_slider(name, low, high, max((high - low) / 1000, 1e-6), value)
+                step = round_length(max((high - low) / 1000, 1e-6))
+                slider = gui.add_slider(name, low, high, step, value, marks=(), hint=f"from {low:.6g} to {high:.6g}")
                 self._sliders.append(self._watch(slider, "joints"))
         with gui.add_folder("Scene"):
             self._chosen = self._watch(gui.add_dropdown("move", (NOTHING,), initial_value=NOTHING), "chosen")
-            self._inputs = PoseInputs(self, "body", step=0.005)
+            self._inputs = PoseInputs(self, "body", 1.0)
         links = robot.forward_kinematics(self._q)
         self._links = [
             self.server.scene.add_frame(
@@ -335,6 +356,18 @@ class RobotViewer(Viewer):
             self._add(name, body, LINK, robot.link_names.index(name), None)
         self._match_scene()
         self._frame(links)
+
+    def _build_path(self, way: Way) -> None:
+        gui = self.server.gui
+        with gui.add_folder("Path"):
+            label = f"time since {way.start_time:g} s, s" if way.start_time else "time, s"
+            end = max(way.duration, 1e-6)
+            slider = gui.add_slider(label, 0.0, end, round_length(max(end / 1000, 1e-6)), 0.0, marks=())
+            self._clock = self._watch(slider, "time")
+            self._button = gui.add_button(PLAY)
+            self._button.on_click(lambda _: self._tell("play"))
+            self._pace = self._watch(gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 ×"), "speed")
+            self._strip, self._proof_strip = gui.add_html(""), gui.add_html("")
 
     def _frame(self, links: Floats) -> None:
         """Aim the camera at the robot and nearby bodies, and add a grid below and gizmos of matching size."""
@@ -452,18 +485,21 @@ class RobotViewer(Viewer):
             self._chosen.value = NOTHING
         self._chosen.options = (NOTHING, *names)
 
-    def _show_chosen(self) -> None:
-        """Give the selected body its gizmo, and show its pose."""
+    def _show_gizmos(self) -> None:
         for name, shown in self._shown.items():
             if shown.mover is not None:
-                shown.mover.show(name == self._chosen.value)
+                shown.mover.show(name == self._chosen.value and not self._pictured)
+
+    def _show_chosen(self) -> None:
+        """Give the selected body its gizmo, and show its pose."""
+        self._show_gizmos()
         if self._chosen.value != NOTHING:
             self._inputs.show(self._mover(self._chosen.value).T)
 
     # -- actions on the page ----------------------------------------------------------------------
 
     def _changed(self) -> bool:
-        return self.playing or self.checker.scene.version != self._seen
+        return self.playing or self.checker.scene.version != self._seen or monotonic() >= self._prove_at
 
     def _look_every(self) -> float:
         return FRAME if self.playing else super()._look_every()
@@ -502,16 +538,21 @@ class RobotViewer(Viewer):
 
     # -- the path ---------------------------------------------------------------------------------
 
-    def _the_way(self) -> Trajectory | Path:
+    def _the_way(self) -> Way:
         if self._way is None:
             raise InputError("page: expected one with a path or trajectory, found none; show_robot(path=...) takes it")
         return self._way
 
-    def _follow(self, way: Trajectory | Path, done: dict[str, Any]) -> None:
-        """Continue a path that is being played; it stops when a joint is moved by hand."""
-        if {"state", "random", "joints"} & done.keys():
+    def _follow(self, way: Way, done: dict[str, Any]) -> None:
+        """Continue a path that is being played; it stops when a joint is moved by hand, unless only bodies move."""
+        if "speed" in done:
+            self._set_speed(SPEEDS[self._pace.value])
+        if isinstance(way, Standing):
+            way.q = self._q
+        elif {"state", "random", "joints"} & done.keys():
             self._stop()
-        elif "time" in done:
+            return
+        if "time" in done:
             self._stop()
             self._go_to(min(max(float(self._clock.value), 0.0), way.duration))
         elif "play" in done:
@@ -520,14 +561,20 @@ class RobotViewer(Viewer):
             else:
                 self._start(way)
         if self._began is not None:
-            self._go_to(min(monotonic() - self._began, way.duration))
+            self._go_to(min((monotonic() - self._began) * self._speed, way.duration))
             if self._time == way.duration:
                 self._stop()
 
-    def _start(self, way: Trajectory | Path) -> None:
+    def _start(self, way: Way) -> None:
         begin = 0.0 if self._time >= way.duration else self._time
-        self._began = monotonic() - begin
+        self._began = monotonic() - begin / self._speed
         self._button.label = PAUSE
+
+    def _set_speed(self, speed: float) -> None:
+        if self._began is not None:
+            now = monotonic()
+            self._began = now - (now - self._began) * self._speed / speed
+        self._speed = speed
 
     def _stop(self) -> None:
         self._began = None
@@ -537,8 +584,10 @@ class RobotViewer(Viewer):
     def _go_to(self, t: float) -> None:
         self._time = t
         self._clock.value = t
-        self._state.value = OTHER
-        self._set_configuration(self._the_way().positions(t))
+        way = self._the_way()
+        if not isinstance(way, Standing):
+            self._state.value = OTHER
+            self._set_configuration(way.positions(t))
 
     def _answer(self) -> None:
         links = self.checker.robot.forward_kinematics(self._q)
@@ -575,10 +624,24 @@ class RobotViewer(Viewer):
             return self.checker.distance(self._q, self._now())
 
     def _look_along(self) -> None:
-        """Colour the path again if the scene has changed."""
-        if self._way is not None and self._seen_along != self._seen:
-            self._strip.content = strip(found_along(self.checker, self._way), self._way.duration)
-            self._seen_along = self._seen
+        """Sample the path again if the scene has changed, and prove it when the scene has been still for a while."""
+        way = self._way
+        if way is None:
+            return
+        if isinstance(way, Standing):
+            way.q = self._q
+        seen = self._seen, self._q.tobytes() if isinstance(way, Standing) else None
+        if self._seen_along != seen:
+            self._strip.content = sampled_strip(found_along(self.checker, way), way.duration)
+            self._proof, self._proof_strip.content = None, ""
+            self._seen_along, self._prove_at = seen, monotonic() + STILL
+        elif monotonic() >= self._prove_at:
+            self._prove_at = math.inf
+            try:
+                self._proof = proven_along(self.checker, way)
+                self._proof_strip.content = proof_strip(*self._proof)
+            except LoewnerError as error:
+                self._proof_strip.content = note_lines([f"proof: none; {error}"])
 
     def _show_near(self) -> None:
         a, b = self.bounds.witness_a, self.bounds.witness_b
@@ -602,9 +665,13 @@ class RobotViewer(Viewer):
             yield "clearance", f"not settled: {found.lower:.4g} .. {found.upper:.4g} m"
         else:
             yield "depth" if found.distance < 0 else "clearance", f"{abs(found.distance):.6g} m"
-            yield "nearest", " – ".join(found.names)
-        yield "ellipsoids", self.verdict.name
+            yield "nearest pair", " – ".join(found.names)
+        yield "ellipsoids", certified_words(self.verdict)
         yield "pairs", f"{len(self.contacts)} touch of {len(self.checker.checked_pairs)} checked"
+        if self._way is not None:
+            yield "time", f"{self._time:.3f} s of {self._way.duration:.6g} s"
+            if self._proof is not None and np.array_equal(self._q, self._way.positions(self._time)):
+                yield "proof", proven_at(*self._proof, self._time)
 
     def _contact_lines(self) -> list[str]:
         deepest = sorted(self.contacts, key=lambda contact: contact.distance)

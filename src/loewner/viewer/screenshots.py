@@ -22,7 +22,7 @@ PATIENCE, SETTLED = 60_000, 3_000
 
 
 def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 1280, height: int = 720) -> None:
-    """Save a picture of an open page, as a browser shows it.
+    """Save a picture of an open page, as a browser shows it, but without the handles for dragging bodies.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     except ImportError:
         raise MissingExtraError(f"screenshots need Playwright: {installing('screenshots')}") from None
     # In a separate thread: the caller's thread may run an event loop, as in a notebook, which Playwright refuses.
-    with ThreadPoolExecutor(1) as thread:
+    with ThreadPoolExecutor(1) as thread, page.without_gizmos():
         picture = thread.submit(_picture, page.url, sizes, sync_playwright, Error).result()
     with replacing(file) as temporary:
         Path(temporary).write_bytes(picture)
