@@ -8,6 +8,7 @@ import os
 import re
 import runpy
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -408,6 +409,73 @@ def test_sliders_move_the_robot(arm):
         eventually(lambda: page.colliding == arm.collide([1.5, 0.0]))
 
 
+STATES = """
+<robot name="arm">
+  <group name="shoulder"><joint name="shoulder"/></group>
+  <group name="both"><joint name="shoulder"/><joint name="elbow"/></group>
+  <group_state name="up" group="shoulder"><joint name="shoulder" value="0.1"/></group_state>
+  <group_state name="bent" group="both">
+    <joint name="shoulder" value="2.5"/><joint name="elbow" value="1"/>
+  </group_state>
+  <group_state name="low" group="both">
+    <joint name="shoulder" value="1.5"/><joint name="elbow" value="0"/>
+  </group_state>
+</robot>
+"""
+
+
+def test_a_robot_starts_in_a_state_of_its_srdf(arm, tmp_path):
+    """The first state that names the most joints, within the limits; a configuration or a path comes before it."""
+    (tmp_path / "arm.srdf").write_text(STATES)
+    checker = CollisionChecker(Robot.from_urdf(tmp_path / "arm.urdf", srdf=tmp_path / "arm.srdf"), arm.scene)
+    for given, q, state in (({}, [2.0, 1.0], "bent"), ({"q": [0.3, 0.0]}, [0.3, 0.0], "(other)")):
+        with viewer.show_robot(checker, **given) as page:
+            assert page.q.tolist() == q
+            assert page._state.value == state
+    with viewer.show_robot(checker, path=[[0.5, 0.0], [1.0, 0.0]]) as page:
+        assert page.q.tolist() == [0.5, 0.0]
+
+
+def test_viser_prints_nothing(capsys):
+    """Neither when a page opens nor when it closes; prints of others in the meantime are not lost."""
+    import rich
+
+    with viewer.show_pair(Body.sphere(1), None, Body.sphere(1), translation(3)), viewer.page._quiet():
+        rich.print("of others")
+    assert capsys.readouterr() == ("of others\n", "")
+
+
+def test_a_script_that_forgets_its_page_prints_nothing():
+    """A page that is still open when the program ends is closed without a message."""
+    code = "from loewner import Body, viewer; page = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_handles_are_not_in_pictures(arm):
+    """While a picture is taken no body has handles; afterwards the same bodies have them as before."""
+
+    def handles(movers):
+        return [not mover.gizmo.disable_axes for mover in movers]
+
+    with viewer.show_pair(Body.sphere(1), None, Body.sphere(1), translation(3)) as page:
+        movers = page._movers.values()
+        for _ in range(2):
+            assert handles(movers) == [True, True]
+            with page.without_gizmos():
+                page.T_world_b = translation(2)
+                assert handles(movers) == [False, False]
+    with viewer.show_robot(arm) as page:
+        page._tell("clicked", "wall/left")
+        movers = [shown.mover for shown in page._shown.values() if shown.mover is not None]
+        eventually(lambda: sum(handles(movers)) == 1)
+        before = handles(movers)
+        with page.without_gizmos():
+            page.move("wall/left", translation(2))
+            assert not any(handles(movers))
+        assert handles(movers) == before
+
+
 @pytest.fixture
 def moved(arm):
     """From the middle into the wall, in two seconds."""
@@ -453,6 +521,82 @@ def test_a_trajectory_is_played(arm, moved):
         assert page.time < moved.duration
         page.pause()
         assert not page.playing
+
+
+def test_a_trajectory_is_played_faster_or_slower(arm, moved, monkeypatch):
+    """The time on the page advances by the time of the clock, multiplied by the speed, also if the speed changes."""
+    clock = [100.0]
+    monkeypatch.setattr(viewer.robot, "monotonic", lambda: clock[0])
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        page.play()
+        reached = 0.0
+        for speed in (1.0, 0.5, 2.0):
+            page._pace.value = f"{speed:g} ×"
+            page._tell("speed")
+            eventually(lambda speed=speed: page._speed == speed)
+            clock[0] += 0.25
+            reached += 0.25 * speed
+            page.refresh()
+            assert page.time == pytest.approx(reached)
+            assert page.playing
+
+
+def test_what_is_proven_along_a_trajectory(arm, moved):
+    """The page shows the library's proof, in parts; it is void as soon as the scene changes, and then made again."""
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        eventually(lambda: page._proof is not None)
+        found = moved.certify(arm)
+        assert page._proof[0].tolist() == found.times.tolist()
+        assert page._proof[1].tolist() == found.segments.verdict.tolist()
+        assert set(page._proof[1]) == {0, 1}
+        assert "proof: colliding" in page._proof_strip.content
+        for t, words in ((0.0, "free at every instant of 0 .. "), (moved.duration, ", COLLIDING")):
+            page.time = t
+            row = re.search(r'data-loewner="proof"[^>]*>([^<]*)<', page._verdict.content)[1]
+            assert words in row
+            k = min(np.searchsorted(found.times, t, side="right"), len(found.times) - 1) - 1
+            assert found.segments.verdict[k] == (0 if "free" in row else 1)
+        page.q = [0.1, 0.2]  # not on the trajectory
+        assert 'data-loewner="proof"' not in page._verdict.content
+        page.move("wall/left", translation(9))
+        assert page._proof is None
+        assert page._proof_strip.content == ""
+        eventually(lambda: page._proof is not None)
+        assert "proof: free at every instant" in page._proof_strip.content
+
+
+def test_what_is_proven_along_a_path(arm):
+    """Each motion of a path without times has the verdict of its proof, as long as the path takes."""
+    rows = np.array([[0.0, 0.0], [0.5, 0.0], [1.5, 0.0], [1.5, 0.0], [0.5, 1.0]])
+    with viewer.show_robot(arm, path=rows) as page:
+        eventually(lambda: page._proof is not None)
+        assert page._proof[0].tolist() == page._way.times.tolist()
+        assert page._proof[1].tolist() == arm.certify_edges(rows[:-1], rows[1:]).verdict.tolist()
+
+
+def test_bodies_move_without_a_path(arm):
+    """The slider moves bodies that follow motions, the robot is moved by hand meanwhile, and both are proven."""
+    arm.scene.follow("wall/left", [1.0, 3.0], np.stack([translation(1.2, 5.0), translation(1.2)]))
+    with viewer.show_robot(arm) as page:
+        for t in (0.0, 0.5, 2.0):
+            page.time = t
+            np.testing.assert_allclose(
+                page._shown["wall/left"].mover.T, arm.scene.following["wall/left"].poses(1.0 + t)
+            )
+            assert page.colliding == arm.collide(page.q, 1.0 + t)
+        eventually(lambda: page._proof is not None)
+        assert "proof: free at every instant" in page._proof_strip.content
+        page.q = [1.5, 0.0]
+        assert page.time == 2.0
+        assert page.colliding
+        assert "colliding" in page._strip.content
+        eventually(lambda: page._proof is not None)
+        assert page._proof[1].tolist() == sorted(page._proof[1].tolist())
+        assert set(page._proof[1]) == {0, 1}
+        page.play()
+        page._sliders[0].value = 1.4
+        page._tell("joints")
+        eventually(lambda: page.q[0] == 1.4)
 
 
 def test_hands_end_a_trajectory(arm, moved):
@@ -990,7 +1134,7 @@ def test_dragging_a_body_in_the_browser(tab, tmp_path):
     """Dragged by its arrow from free over touching to colliding, and back.
 
     At each stop the page says what the library answers for the place where the browser draws the body: verdict, exact
-    answer, distance, bounds, estimate, points and normal; the bar has the colour of the exact answer, the bodies theirs.
+    answer, distance, bounds, estimate, points and normal; the bar has the colour of the exact answer.
     """
     a, b, y = Body.box([1, 1, 1]), Body.box([1, 1, 1]), 0.6
     with viewer.show_pair(a, None, b, translation(2.2, y)) as page:
@@ -1110,6 +1254,126 @@ def test_the_browser_opens_with_the_robot_in_the_frame(tab, arm):
         fills_the_window(tab, page)
 
 
+FAULTS = """() => {
+  const faults = [], shown = e => { const r = e.getBoundingClientRect(); return r.width > 0 && r.height > 0; };
+  const panel = document.querySelector('[data-loewner="verdict"]').closest('.mantine-Paper-root');
+  const all = 'input:not([type=hidden]), button, label, th, [data-loewner], '
+    + '.mantine-Slider-root, .mantine-Slider-markLabel';
+  const parts = [...panel.querySelectorAll(all)].filter(shown).map(e => [e, e.getBoundingClientRect()]);
+  const named = e => `${e.tagName} ${e.dataset.loewner ?? e.value ?? ''} ${e.innerText ?? ''}`;
+  const frame = panel.getBoundingClientRect();
+  for (const [k, [e, r]] of parts.entries()) {
+    const inline = getComputedStyle(e).display === 'inline' || e.matches('.mantine-Slider-root');
+    if (!inline && e.scrollWidth > e.clientWidth + 1)
+      faults.push(`cut off: ${named(e)}`);
+    if (r.left < frame.left - 1 || r.right > frame.right + 1) faults.push(`outside the panel: ${named(e)}`);
+    for (const [f, s] of parts.slice(k + 1))
+      if (!e.contains(f) && !f.contains(e) && Math.min(r.right, s.right) - Math.max(r.left, s.left) > 1
+          && Math.min(r.bottom, s.bottom) - Math.max(r.top, s.top) > 1)
+        faults.push(`over each other: ${named(e)}, ${named(f)}`);
+  }
+  const fields = panel.querySelectorAll('input.mantine-NumberInput-input').length;
+  const bar = document.querySelector('[data-loewner="verdict"]'), b = bar.getBoundingClientRect();
+  if (document.elementFromPoint((b.left + b.right) / 2, (b.top + b.bottom) / 2) !== bar) faults.push('hidden verdict');
+  const c = document.querySelector('canvas[data-engine]').getBoundingClientRect();
+  const free = (innerWidth <= 576 ? frame.top - c.top : c.height) * (innerWidth <= 576 ? c.width : frame.left - c.left);
+  if (free < 0.45 * innerWidth * innerHeight || (innerWidth <= 576 && c.bottom > frame.top + 1))
+    faults.push('too little of the scene is seen');
+  if (document.documentElement.scrollWidth > innerWidth) faults.push('the window scrolls sideways');
+  return [fields, faults];
+}"""
+
+
+def of_two_pieces(arm):
+    """Two convex bodies at positions with many digits."""
+    pieces = Body.from_points(np.random.default_rng(3).normal(size=(30, 3)) * [0.3, 0.2, 0.2])
+    return viewer.show_pair(pieces, None, Body.capsule(0.12, 0.5), translation(-10.6543, 0.2078, -1.33042)), "FREE"
+
+
+def of_two_surfaces(arm):
+    """Surfaces in collision that their ellipsoids leave open."""
+    trimesh = pytest.importorskip("trimesh")
+    ring, ball = trimesh.creation.torus(1.0, 0.3), trimesh.creation.icosphere(2, 0.3)
+    T = translation(1.0, 0.2078, 0.5)
+    return viewer.show_pair(Body.from_surface(ring), None, Body.from_surface(ball), T, mesh_a=ring), "COLLIDING"
+
+
+def of_a_panda(arm):
+    """A Panda in its state, with long names and values, among obstacles."""
+    robots_folder()
+    script = runpy.run_path(str(Path(__file__).parents[1] / "docs/images/pages.py"))
+    return viewer.show_robot(CollisionChecker(script["panda"](), script["furnished"]())), "FREE"
+
+
+def of_a_moving_arm(arm):
+    """A trajectory in the middle of its way, past a body that moves."""
+    arm.scene.follow("<b>ball</b>", [0.0, 5.0], np.stack([translation(-1.2), translation(-1.2, 2.0)]))
+    page = viewer.show_robot(
+        arm, trajectory=planners.trajectory(arm.robot, [[0.0, 0.0], [-0.2, 1.23456]], velocity=0.5)
+    )
+    page.time = 0.543
+    eventually(lambda: page._proof is not None)
+    return page, "FREE"
+
+
+@pytest.mark.parametrize("scene", [of_two_pieces, of_two_surfaces, of_a_panda, of_a_moving_arm])
+def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
+    """In wide and narrow windows, light and dark, nothing is cut off, covers something or loads from elsewhere.
+
+    The verdict and most of the scene are seen at once. Pictures are in the test's folder.
+    """
+    page, verdict = scene(arm)
+    with page:
+        for width, height, mode in ((1280, 800, "light"), (400, 720, "light"), (400, 720, "dark")):
+            tab.set_viewport_size({"width": width, "height": height})
+            if tab.url == "about:blank" or mode == "dark":
+                tab.emulate_media(color_scheme=mode)
+                tab.goto(page.url)
+            assert shown(tab, verdict) == verdict
+            for _ in range(20):  # viser folds its settings away when the page has been loaded
+                tab.wait_for_timeout(500)
+                fields, faults = tab.evaluate(FAULTS)
+                if fields >= 2 and not faults:
+                    break
+            assert fields >= 2
+            assert faults == []
+            scheme = tab.evaluate("document.documentElement.dataset.mantineColorScheme")
+            assert scheme == mode
+            picture = tab.screenshot(path=tmp_path / f"{scene.__name__}_{width}_{mode}.png", timeout=PATIENCE)
+            assert len(picture) > 10_000
+        assert all(url.startswith((page.url, "blob:" + page.url, "data:")) for url in tab.asked), tab.asked
+
+
+def test_without_the_style_numbers_are_cut_off(tab, arm, monkeypatch):
+    """The test above finds the faults of viser's own panel: cut numbers, and no room for the scene."""
+    monkeypatch.setattr(guard, "HEAD", "")
+    page, verdict = of_two_pieces(arm)
+    with page:
+        tab.set_viewport_size({"width": 400, "height": 720})
+        tab.goto(page.url)
+        shown(tab, verdict)
+        faults = tab.evaluate(FAULTS)[1]
+        assert any(fault.startswith("cut off: INPUT -10.6543") for fault in faults), faults
+        assert "too little of the scene is seen" in faults
+
+
+def test_accessibility(tab, arm):
+    """axe finds no fault in contrast, names and structure, but that viser's page has no heading of the first level."""
+    try:
+        from axe_playwright_python.sync_playwright import Axe
+    except ImportError:
+        missing("no axe: pip install -r requirements/dev.txt")
+    page, verdict = of_a_moving_arm(arm)
+    with page:
+        for mode in ("light", "dark"):
+            tab.emulate_media(color_scheme=mode)
+            tab.goto(page.url)
+            shown(tab, verdict)
+            tab.wait_for_timeout(1000)
+            found = Axe().run(tab).response["violations"]
+            assert {fault["id"] for fault in found} <= {"page-has-heading-one"}, found
+
+
 def test_the_slider_of_a_path_in_the_browser(tab, arm):
     """With each press of a key the robot is farther along, and the page says what the library does for it there."""
     rows = [[0.0, 0.0], [1.5, 0.0]]
@@ -1151,7 +1415,7 @@ def test_a_cloud_in_the_browser(tab, rng):
 
 
 def test_command_line_serves_a_page(tab, tmp_path):
-    """`loewner view A B` prints an address, and the browser finds the verdict there."""
+    """`loewner view A B` prints an address and nothing else, and the browser finds the verdict there."""
     paths = [tmp_path / "a.npz", tmp_path / "b.npz"]
     for path in paths:
         Body.box([1, 1, 1]).save(path)
@@ -1160,7 +1424,7 @@ def test_command_line_serves_a_page(tab, tmp_path):
     with subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": str(source)},
     ) as process:
@@ -1169,6 +1433,9 @@ def test_command_line_serves_a_page(tab, tmp_path):
             tab.goto(url)
             assert shown(tab, "FREE") == "FREE"
             assert panel(tab)["ellipsoids"].startswith("AMBIGUOUS")
+            tab.close()
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=60) == ("", "")
         finally:
             process.terminate()
 
@@ -1336,6 +1603,9 @@ def test_a_screenshot_without_a_window(browser, tmp_path, capsys) -> None:
     picture = (tmp_path / "out.png").read_bytes()
     assert picture.startswith(b"\x89PNG")
     assert len(picture) > 20_000
+    red, green, blue = np.moveaxis(np.asarray(Image.open(tmp_path / "out.png").convert("RGB")).astype(int), -1, 0)
+    handles = (red > 220) & (green < 90) & (blue < 150)
+    assert not handles[:600].any()  # below is the logo
     with viewer.show_pair(Body.sphere(1.0), None, Body.sphere(1.0), translation(3.0, 0.0)) as page:
         for bad in ({"path": "out.jpg"}, {"path": tmp_path / "a.png", "width": 10}):
             with pytest.raises(InputError, match="path|width"):

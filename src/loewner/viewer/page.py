@@ -38,7 +38,7 @@ PORTS = 65536
 # Length of a gizmo's arrows in units of the longest side of its body.
 GIZMO = 0.5
 
-# Largest length of these arrows in units of the diagonal of the first view.
+# The largest size of a gizmo in units of the diagonal of the first view.
 MOST_GIZMO = 1 / 6
 
 TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
@@ -298,7 +298,7 @@ class PoseInputs:
 
     def __init__(self, page: Viewer, name: str, view: float) -> None:
         gui = page.server.gui
-        # The number of decimals that are shown is that of the step.
+        # viser shows as many decimals as the step has.
         step = round_length(view / 5000)
         self._decimals = max(0, -math.floor(math.log10(step)))
         self.position = page._watch(gui.add_vector3("position, m", (0.0, 0.0, 0.0), step=step), f"type {name}")

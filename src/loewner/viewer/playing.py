@@ -1,4 +1,4 @@
-"""Play paths on a page: find the robot's position at each time, where it collides, and what is proven free."""
+"""Play paths on a page: find the robot's position at each time, where it collides, and where it is proven free."""
 
 from __future__ import annotations
 
@@ -151,15 +151,16 @@ def proven_along(checker: CollisionChecker, way: Way) -> tuple[Floats, Ints]:
     times : ndarray, shape (n + 1,)
         Seconds since the start at which the parts begin and end.
     verdicts : ndarray of int, shape (n,)
-        What is proven of each part at every instant; AMBIGUOUS is not proven.
+        The verdict for each part at every instant; an AMBIGUOUS part has no proof.
     """
     if isinstance(way, Trajectory):
         curve = way.certify(checker)
         return curve.times - way.start_time, np.asarray(curve.segments.verdict)
     times = way.times if isinstance(way, Path) else np.linspace(0.0, way.duration, STANDING_PARTS + 1)
     rows = way.positions(times)
-    clock = way.start_time + times if checker.scene.following else np.array([None, None])
-    found = checker.certify_edges(rows[:-1], rows[1:], t0=clock[:-1], t1=clock[1:])
+    clock = way.start_time + times
+    timed = {"t0": clock[:-1], "t1": clock[1:]} if checker.scene.following else {}
+    found = checker.certify_edges(rows[:-1], rows[1:], **timed)
     return times, np.asarray(found.verdict)
 
 
@@ -175,7 +176,7 @@ def sampled_strip(found: Ints, duration: float) -> str:
 
 
 def proof_strip(times: Floats, verdicts: Ints) -> str:
-    """Format what is proven along the path as a coloured HTML bar, and describe the stretches without a proof."""
+    """Format the proof along the path as a coloured HTML bar, and describe the stretches without a proof."""
     bars, bad = [], []
     for kind, start, end in _stretches(verdicts):
         verdict = Verdict(kind)
@@ -186,7 +187,7 @@ def proof_strip(times: Floats, verdicts: Ints) -> str:
 
 
 def proven_at(times: Floats, verdicts: Ints, t: float) -> str:
-    """Describe what is proven of the part of the path that contains a time."""
+    """Describe the proof for the part of the path that contains a time."""
     parts = _stretches(verdicts)
     kind, start, end = next((part for part in parts if t <= times[part[2]]), parts[-1])
     span = f"{times[start]:.3g} .. {times[end]:.3g} s"

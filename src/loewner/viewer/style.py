@@ -21,10 +21,22 @@ HEAD = f"""
 <script>
   if (matchMedia("(prefers-color-scheme: dark)").matches && !new URLSearchParams(location.search).has("darkMode"))
     history.replaceState(null, "", location.pathname + location.search + (location.search ? "&" : "?") + "darkMode");
+  // Names for screen readers, where viser has none.
+  const name = (element, text) => element.hasAttribute("aria-label") && element.ariaLabel || (element.ariaLabel = text);
+  new MutationObserver(() => {{
+    document.getElementById("root")?.setAttribute("role", "main");
+    for (const label of document.querySelectorAll(".mantine-Text-root > label"))
+      for (const field of label.closest(".mantine-Flex-root").querySelectorAll("input, [role=slider]"))
+        name(field, label.innerText);
+    for (const button of document.querySelectorAll(".mantine-ActionIcon-root")) name(button, "settings");
+    for (const button of document.querySelectorAll(".mantine-CloseButton-root")) name(button, "close");
+    for (const image of document.querySelectorAll("img:not([alt])")) image.alt = "";
+  }}).observe(document, {{ childList: true, subtree: true }});
 </script>
 <style>
   [data-mantine-color-scheme="light"] {{ --mantine-color-dimmed: #495057 !important }}
   [data-mantine-color-scheme="dark"] {{ --mantine-color-dimmed: #b8b8b8 !important }}
+  [data-mantine-color-scheme="light"] .mantine-Button-root {{ background: #1971c2 !important }}
   .mantine-Text-root:has(> label) {{ letter-spacing: normal !important }}
   {BOXES} {{ display: grid; grid-template-columns: 1fr 1fr }}
   {BOXES} > div {{ padding-right: 0 !important }}
