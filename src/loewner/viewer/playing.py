@@ -159,7 +159,7 @@ def proven_along(checker: CollisionChecker, way: Way) -> tuple[Floats, Ints]:
     times = way.times if isinstance(way, Path) else np.linspace(0.0, way.duration, STANDING_PARTS + 1)
     rows = way.positions(times)
     clock = way.start_time + times
-    timed = {"t0": clock[:-1], "t1": clock[1:]} if checker.scene.following else {}
+    timed: Any = {"t0": clock[:-1], "t1": clock[1:]} if checker.scene.following else {}
     found = checker.certify_edges(rows[:-1], rows[1:], **timed)
     return times, np.asarray(found.verdict)
 
@@ -191,7 +191,7 @@ def proven_at(times: Floats, verdicts: Ints, t: float) -> str:
     parts = _stretches(verdicts)
     kind, start, end = next((part for part in parts if t <= times[part[2]]), parts[-1])
     span = f"{times[start]:.3g} .. {times[end]:.3g} s"
-    return f"free at every instant of {span}" if kind == Verdict.FREE else f"none for {span}, {Verdict(kind).name}"
+    return f"free throughout {span}" if kind == Verdict.FREE else f"none for {span}, {Verdict(kind).name}"
 
 
 def _strip(name: str, bars: Sequence[tuple[str, Rgb, float]], words: str) -> str:

@@ -45,14 +45,15 @@ HEAD = f"""
   {BOXES} .mantine-Flex-root > div {{ width: auto !important; flex: none !important; padding: 0 !important }}
   .mantine-NumberInput-section {{ display: none !important }}
   .mantine-NumberInput-input {{
-    padding: 0 0.4em !important; letter-spacing: normal !important; text-align: right !important;
+    padding: 0 0.4em !important; letter-spacing: -0.2px !important; text-align: right !important;
     font-variant-numeric: tabular-nums
   }}
-  .mantine-Slider-root + .mantine-NumberInput-root {{ width: 4.75em !important; flex-shrink: 0 }}
+  .mantine-Slider-root + .mantine-NumberInput-root {{ width: 5.5em !important; flex-shrink: 0 }}
   .mantine-Slider-root {{ align-self: center; padding-block: 0.4em !important }}
   {VECTOR} {{ display: block }}
   {VECTOR} > div:first-child {{ width: auto !important }}
   @media ({NARROW}) {{
+    .mantine-Notification-description {{ display: none }}
     {SHEET} {{ width: 100% !important; max-height: 50% !important }}
     {SHEET} .mantine-ScrollArea-content > div {{ width: 100% !important }}
     {OPEN} [data-dock-root] {{ height: 50% !important }}
