@@ -39,8 +39,14 @@ COLOURS: dict[int, Rgb] = {
 SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 
-# Number of parts into which the time is divided for proofs if only bodies move.
-STANDING_PARTS = 20
+# A path without pieces of its own in time is proven in this many parts, such that a bar shows where it is not free.
+PARTS = 60
+
+# Radians or metres by which the ends of these parts may be off the path.
+ROUNDING = 1e-9
+
+# What is known of a part, by its verdict; where in the part it collides, samples show.
+PROVEN = {Verdict.FREE: "free throughout", Verdict.COLLIDING: "collides within", Verdict.AMBIGUOUS: "open in"}
 
 # Number of colliding or unsettled stretches that are listed.
 MOST_STRETCHES = 4
@@ -156,11 +162,13 @@ def proven_along(checker: CollisionChecker, way: Way) -> tuple[Floats, Ints]:
     if isinstance(way, Trajectory):
         curve = way.certify(checker)
         return curve.times - way.start_time, np.asarray(curve.segments.verdict)
-    times = way.times if isinstance(way, Path) else np.linspace(0.0, way.duration, STANDING_PARTS + 1)
+    times = np.linspace(0.0, way.duration, PARTS + 1)
+    if isinstance(way, Path):
+        times = np.unique(np.concatenate([way.times, times]))
     rows = way.positions(times)
     clock = way.start_time + times
     timed: Any = {"t0": clock[:-1], "t1": clock[1:]} if checker.scene.following else {}
-    found = checker.certify_edges(rows[:-1], rows[1:], **timed)
+    found = checker.certify_edges(rows[:-1], rows[1:], joint_error=ROUNDING, **timed)
     return times, np.asarray(found.verdict)
 
 
@@ -182,7 +190,7 @@ def proof_strip(times: Floats, verdicts: Ints) -> str:
         verdict = Verdict(kind)
         bars.append((verdict.name, VERDICT_COLOURS[verdict], float(times[end] - times[start])))
         if verdict != Verdict.FREE:
-            bad.append(f"{verdict.name.lower()} {times[start]:.3g} .. {times[end]:.3g} s")
+            bad.append(f"{PROVEN[verdict]} {times[start]:.3g} .. {times[end]:.3g} s")
     return _strip("proof along", bars, f"proof: {_listed(bad) or 'free at every instant'}")
 
 
@@ -190,8 +198,7 @@ def proven_at(times: Floats, verdicts: Ints, t: float) -> str:
     """Describe the proof for the part of the path that contains a time."""
     parts = _stretches(verdicts)
     kind, start, end = next((part for part in parts if t <= times[part[2]]), parts[-1])
-    span = f"{times[start]:.3g} .. {times[end]:.3g} s"
-    return f"free throughout {span}" if kind == Verdict.FREE else f"none for {span}, {Verdict(kind).name}"
+    return f"{PROVEN[Verdict(kind)]} {times[start]:.3g} .. {times[end]:.3g} s"
 
 
 def _strip(name: str, bars: Sequence[tuple[str, Rgb, float]], words: str) -> str:
