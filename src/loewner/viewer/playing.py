@@ -28,7 +28,7 @@ PACE = 1.0
 # Number of evenly spaced times at which the page checks for collisions.
 LOOKS = 201
 
-# Results of these checks; an unsettled one, which counts as colliding elsewhere, has its own colour here.
+# Results of the checks; an unsettled one, which counts as colliding elsewhere, has its own colour here.
 FREE, COLLIDING, UNSETTLED = 0, 1, 2
 COLOURS: dict[int, Rgb] = {
     FREE: VERDICT_COLOURS[Verdict.FREE],
@@ -42,10 +42,10 @@ NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 # A path without pieces of its own in time is proven in this many parts, such that a bar shows where it is not free.
 PARTS = 60
 
-# Radians or metres by which the ends of these parts may be off the path.
+# Radians or metres by which the ends of the parts may be off the path.
 ROUNDING = 1e-9
 
-# What is known of a part, by its verdict; where in the part it collides, samples show.
+# Words for a part, by its verdict. Samples show where in a part the robot collides.
 PROVEN = {Verdict.FREE: "free throughout", Verdict.COLLIDING: "collides within", Verdict.AMBIGUOUS: "open in"}
 
 # Number of colliding or unsettled stretches that are listed.
