@@ -1264,12 +1264,12 @@ FAULTS = """() => {
   const faults = [], shown = e => { const r = e.getBoundingClientRect(); return r.width > 0 && r.height > 0; };
   const panel = document.querySelector('[data-loewner="verdict"]').closest('.mantine-Paper-root');
   const all = 'input:not([type=hidden]), button, label, th, [data-loewner], '
-    + '.mantine-Slider-root, .mantine-Slider-markLabel';
+    + '.mantine-Slider-root, .mantine-Slider-thumb, .mantine-Slider-markLabel';
   const parts = [...panel.querySelectorAll(all)].filter(shown).map(e => [e, e.getBoundingClientRect()]);
   const named = e => `${e.tagName} ${e.dataset.loewner ?? e.value ?? ''} ${e.innerText ?? ''}`;
   const frame = panel.getBoundingClientRect();
   for (const [k, [e, r]] of parts.entries()) {
-    const inline = getComputedStyle(e).display === 'inline' || e.matches('.mantine-Slider-root');
+    const inline = getComputedStyle(e).display === 'inline' || e.matches('.mantine-Slider-root, .mantine-Slider-thumb');
     if (!inline && e.scrollWidth > e.clientWidth + 1)
       faults.push(`cut off: ${named(e)}`);
     if (r.left < frame.left - 1 || r.right > frame.right + 1) faults.push(`outside the panel: ${named(e)}`);
