@@ -234,6 +234,20 @@ def test_example_pick_and_place(tmp_path):
     assert (tmp_path / "carry.csv").stat().st_size > 0
 
 
+def test_example_audit_trajectory(tmp_path):
+    """A smooth curve through a free path's corners collides; a trajectory made for the proof has one that verifies."""
+    out = example("audit_trajectory.py", "--out", "theirs.svg", cwd=tmp_path)
+    theirs, ours = re.findall(r"(\w+), (\d+) of (\d+) pieces proven free", out)
+    assert theirs[0] == "COLLIDING"
+    assert 0 < int(theirs[1]) < int(theirs[2])
+    assert "s: panda_leftfinger and post" in out
+    assert ours[0] == "FREE"
+    assert ours[1] == ours[2] == re.search(r"verified by a second program: (\d+) pieces", out)[1]
+    assert (tmp_path / "theirs.svg").is_file()
+    again = example("audit_trajectory.py", "theirs.json", cwd=tmp_path)
+    assert again == out
+
+
 @pytest.mark.parametrize(
     ("name", "package"), [("bend_a_path.py", "scipy"), ("bend_a_path_jax.py", "jax"), ("bend_a_path_torch.py", "torch")]
 )
