@@ -1429,6 +1429,8 @@ def test_command_line_serves_a_page(tab, tmp_path):
         Body.box([1, 1, 1]).save(path)
     command = [sys.executable, "-m", "loewner", "view", *paths, "--pose-b", "1.3 0 0", "--no-browser"]
     source = Path(loewner.__file__).parents[1]
+    # A program that was started in the background ignores Ctrl+C, and so would those that it starts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -1436,6 +1438,7 @@ def test_command_line_serves_a_page(tab, tmp_path):
         text=True,
         env={**os.environ, "PYTHONPATH": str(source)},
     ) as process:
+        signal.signal(signal.SIGINT, before)
         try:
             url = process.stdout.readline().split()[0]
             tab.goto(url)
