@@ -452,6 +452,18 @@ def test_a_script_that_forgets_its_page_prints_nothing():
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.parametrize("to", [[1, 2, 3], [-1, 0, 0], [1, 0, 0], [-1, 1e-9, 0], [0, 0, 0], [-1, -1e-2, 1e-2]])
+def test_the_line_joins_the_near_points(to):
+    """Whatever its direction, it begins at one point and ends at the other."""
+    with two_boxes() as page:
+        near, a, b = page._near, np.array([0.5, 0.0, -1.0]), np.array([0.5, 0.0, -1.0]) + to
+        near.show(a, b)
+        w, *v = near._line.wxyz
+        (start, end), v = near._line.points[0].astype(float), np.array(v)
+        ends = [p + 2 * np.cross(v, np.cross(v, p) + w * p) + near._line.position for p in (start, end)]
+        np.testing.assert_allclose(ends, [a, b], atol=2e-3)
+
+
 def test_handles_are_not_in_pictures(arm):
     """While a picture is taken no body has handles; afterwards the same bodies have them as before."""
 

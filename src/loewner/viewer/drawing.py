@@ -251,7 +251,13 @@ class NearPoints:
         """Show the marks at two points of the world."""
         for dot, at in zip(self._dots, (a, b), strict=True):
             dot.position, dot.visible = at, True
-        self._line.points, self._line.visible = np.array([[a, b]], dtype=np.float32), True
+        # The line's pose moves it with the dots at once; a slow browser draws new ends later.
+        length = float(np.linalg.norm(b - a))
+        x, y, z = (b - a) / length if length > 0 else (1.0, 0.0, 0.0)
+        wxyz = np.array([1.0 + x, 0.0, -z, y]) if x > -0.999999 else np.array([0.0, 0.0, 0.0, 1.0])
+        self._line.wxyz, self._line.position = wxyz / np.linalg.norm(wxyz), a
+        self._line.points = np.array([[[0.0, 0.0, 0.0], [length, 0.0, 0.0]]], dtype=np.float32)
+        self._line.visible = True
 
     def hide(self) -> None:
         """Hide the marks."""
