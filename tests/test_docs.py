@@ -138,6 +138,15 @@ def test_example_relax_crowd(tmp_path):
     assert "pairs that overlap at the end: 0" in out
 
 
+def test_example_pack_box(tmp_path):
+    """Each box is fuller than the one before, and nothing overlaps in the last."""
+    out = example("pack_box.py", "--count", "8", "--rounds", "60", cwd=tmp_path)
+    full = [float(x) for x in re.findall(r"([0-9.]+)% full", out)]
+    assert full == sorted(full)
+    assert full[-1] > 25
+    assert re.search(r"pairs that overlap in the box of [0-9.]+ m: 0\n$", out)
+
+
 def test_example_ellipsoid_of_points(tmp_path):
     """All points are inside; the ellipsoid in the cube is the unit ball."""
     out = example("ellipsoid_of_points.py", "--points", "500", "--dimension", "4", cwd=tmp_path)

@@ -474,7 +474,7 @@ def test_handles_are_not_in_pictures(arm):
         movers = page._movers.values()
         for _ in range(2):
             assert handles(movers) == [True, True]
-            with page.without_gizmos():
+            with page._without_gizmos():
                 page.T_world_b = translation(2)
                 assert handles(movers) == [False, False]
     with viewer.show_robot(arm) as page:
@@ -482,7 +482,7 @@ def test_handles_are_not_in_pictures(arm):
         movers = [shown.mover for shown in page._shown.values() if shown.mover is not None]
         eventually(lambda: sum(handles(movers)) == 1)
         before = handles(movers)
-        with page.without_gizmos():
+        with page._without_gizmos():
             page.move("wall/left", translation(2))
             assert not any(handles(movers))
         assert handles(movers) == before

@@ -169,15 +169,15 @@ class Viewer:
         raise NotImplementedError
 
     @contextmanager
-    def without_gizmos(self) -> Iterator[None]:
+    def _without_gizmos(self) -> Iterator[None]:
         """Hide the handles of all bodies, for a picture."""
         try:
-            self._picture(True)
+            self._set_pictured(True)
             yield
         finally:
-            self._picture(False)
+            self._set_pictured(False)
 
-    def _picture(self, pictured: bool) -> None:
+    def _set_pictured(self, pictured: bool) -> None:
         with self.lock, self.server.atomic():
             self._pictured = pictured
             self._show_gizmos()

@@ -66,7 +66,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     except ImportError:
         raise MissingExtraError(f"screenshots need Playwright: {installing('screenshots')}") from None
     # In a separate thread: the caller's thread may run an event loop, as in a notebook, which Playwright refuses.
-    with ThreadPoolExecutor(1) as thread, page.without_gizmos():
+    with ThreadPoolExecutor(1) as thread, page._without_gizmos():
         picture = thread.submit(_picture, page.url, sizes, sync_playwright, Error).result()
     with replacing(file) as temporary:
         Path(temporary).write_bytes(picture)
