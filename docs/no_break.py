@@ -17,7 +17,15 @@ class NoBreak(SphinxPostTransform):
     default_priority = 900
 
     def run(self, **kwargs: object) -> None:
-        """Look at each text of the page."""
-        for text in list(self.document.findall(nodes.Text)):
-            if SPACE.search(text) and not isinstance(text.parent, KEPT):
-                text.parent.replace(text, nodes.Text(SPACE.sub("\u00a0", text)))
+        """Join the lines of each text, which are separate nodes, and look at the whole."""
+        for element in list(self.document.findall(nodes.TextElement)):
+            if isinstance(element, KEPT):
+                continue
+            children: list[nodes.Node] = []
+            for child in element.children:
+                if isinstance(child, nodes.Text) and children and isinstance(children[-1], nodes.Text):
+                    children[-1] = nodes.Text(children[-1] + child)
+                else:
+                    children.append(child)
+            element.children = []
+            element += [nodes.Text(SPACE.sub("\u00a0", x)) if isinstance(x, nodes.Text) else x for x in children]

@@ -270,7 +270,7 @@ def test_accuracy_page_has_the_measured_numbers():
         rows = {(row["family"], row["rule"]): row for row in csv.DictReader(stream)}
     families, rules = (list(dict.fromkeys(key)) for key in zip(*rows, strict=True))
     text = (DOCS / "theory/estimate.md").read_text()
-    header = "| | ambiguous | " + " | ".join(f"`{rule}`" for rule in rules) + " |"
+    header = "| family | ambiguous | " + " | ".join(f"`{rule}`" for rule in rules) + " |"
     assert header in text
     lines = re.findall(rf"^\| ({'|'.join(map(re.escape, families))}) \| (.*) \|$", text, flags=re.M)
     assert [name for name, _ in lines] == 2 * families
