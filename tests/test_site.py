@@ -64,6 +64,30 @@ def test_pages_print_what_they_say(page, folder_with_mesh):
     exec(compile(program, str(page), "exec"), {"said": said})
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
+def test_code_fits_its_column(page):
+    """No line of Python on a page is wider than 76 columns, unless it shows what it prints."""
+    blocks = re.findall(CODE, page.read_text(), flags=re.M | re.S)
+    assert [line for line in "".join(blocks).splitlines() if len(line) > 76 and "# ->" not in line] == []
+
+
+def test_links_have_titles():
+    """No link of a page shows the name of a source file."""
+    links = re.compile(r"\[[^\]]*\w\.md[^\]]*\]\(")
+    assert [page for page in DOCS.rglob("*.md") if links.search(page.read_text())] == []
+
+
+def test_gallery_has_twelve_pictures():
+    """Each has its code below it, and all together are small."""
+    text = (DOCS / "gallery.md").read_text()
+    shown = re.findall(r"\(images/(gallery/[\w.-]+)\)\{\.picture\}\n\n```python\n(.*?)^```", text, flags=re.M | re.S)
+    files = [DOCS / "images" / name for name, _ in shown]
+    assert len(files) == 12
+    assert sorted(files) == sorted((DOCS / "images/gallery").iterdir())
+    assert max(code.count("\n") for _, code in shown) <= 15
+    assert sum(path.stat().st_size for path in files) < 800_000
+
+
 def test_index_leads_to_every_page():
     """Every page is in a table of contents, and every entry of one exists."""
     listed = set()
