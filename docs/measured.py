@@ -80,18 +80,15 @@ def _ratios(path: Path) -> str:
         _line(["case", "loewner", "compared with", "loewner's own target", "latest", "earlier"]),
         _line(["---"] * 6),
     ]
+    several = len({key[0] for key in history}) > 1
     for (machine, benchmark, case, us, rival), of_one in sorted(history.items()):
         *earlier, latest = [
             f"{_cell(row['ratio'])} ({row['commit']}, {row['date'][:10]}{row['load'] and ', load ' + row['load']})"
             for row in of_one
         ]
         before = "; ".join(reversed(earlier))
-        told = (
-            f"{benchmark}: {case}; {_name(path.parent / 'results' / machine)}",
-            us,
-            rival,
-            _cell(of_one[-1]["required"]),
-        )
+        place = f"; {_name(RESULTS / machine)}" if several else ""
+        told = (f"{benchmark}: {case}{place}", us, rival, _cell(of_one[-1]["required"]))
         lines.append(_line([*map(_cell, told), latest, before]))
     return "\n".join(lines)
 

@@ -208,6 +208,26 @@ def test_verdicts_do_not_depend_on_company(count, bodies, tmp_path):
         assert fresh.classify(Q[k]) is Verdict(int(expected[1][k]))
 
 
+@pytest.mark.parametrize("query", ["collide", "classify"])
+def test_a_configuration_alone_where_the_verdict_changes(query, bodies, tmp_path):
+    """One configuration has a kernel of its own; even where the last bits decide, it says what a batch says."""
+    pool = [*bodies[0], *bodies[1]]
+    robot = arm(tmp_path, pool, seed=4)
+    checker = CollisionChecker(robot, random_scene(np.random.default_rng(8), robot, 6, pool))
+    ask = getattr(checker, query)
+    Q = robot.random_configurations(3000)
+    free = np.asarray(ask(Q)) == 0
+    count = min(200, free.sum(), (~free).sum())
+    a, b = Q[free][:count], Q[~free][:count]
+    for _ in range(55):
+        middle = 0.5 * (a + b)
+        free = (np.asarray(ask(middle)) == 0)[:, None]
+        a, b = np.where(free, middle, a), np.where(free, b, middle)
+    assert count > 50
+    for near in (a, b):
+        assert [int(ask(q)) for q in near] == np.asarray(ask(near), dtype=int).tolist()
+
+
 def test_verdicts_do_not_depend_on_the_number_of_threads(bodies, tmp_path):
     """The same from one and from two."""
     robot = arm(tmp_path, bodies[0], seed=3)

@@ -741,10 +741,15 @@ def test_plan_improves_the_path(with_end, capsys):
     assert plain["improvements"] == 0
     assert plain["cost_bound"] == pytest.approx(1.0)
     assert better["cost_bound"] <= better["cost"] <= plain["cost"]
+    wide = json.loads(run(capsys, *AROUND, "--json", "--improve-for", "0.3", "--clearance", "0.1")[1])
+    assert wide["length"] > 1.0
+    assert wide["cost"] > wide["length"]
     for options, message in (
         (["--weights", "1 1 1"], "--weights: expected --improve-for"),
         (["--improve-for", "1", "--weights", "1 1"], r"weights: expected shape (3,)"),
         (["--improve-for", "1", "--weights", "one"], "--weights: expected numbers, found 'one'"),
+        (["--clearance", "0.1"], "--clearance: expected --improve-for"),
+        (["--improve-for", "1", "--clearance", "0"], "clearance: expected a finite number > 0"),
         (["--improve-for", "-1"], "improve_for: expected a finite number >= 0"),
     ):
         status, out, err = run(capsys, *AROUND, *options)

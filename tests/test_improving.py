@@ -11,6 +11,8 @@ import pytest
 from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
 from loewner import CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.planners import compiled, improving
+from loewner.planners.clearing import Clearing
+from loewner.planners.judge import Judge
 
 # The shortest way of the ball about the end of the wall: tangents, arcs about both edges, and the wall's thickness.
 REACH = math.hypot(0.45, 1.0)
@@ -187,6 +189,61 @@ def test_an_interrupt_ends_it(checker):
     np.testing.assert_array_equal(planners.plan(checker, LEFT, RIGHT, improve_iterations=3), expected)
 
 
+# -- clearance ----------------------------------------------------------------------------------
+
+
+def least_distance(checker, path, count=200):
+    """The least distance of the robot from the wall at samples of a path."""
+    fractions = np.linspace(0, 1, count)[:, None]
+    Q = np.concatenate([a + fractions * (b - a) for a, b in itertools.pairwise(path)])
+    return checker.distance(Q, exact=True).distance.min()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_path_keeps_its_distance_where_it_can(checker, seed):
+    """The shortest path grazes the wall; with a clearance it goes around at a distance, proven, for a little more."""
+    given = {"joints": "slide", "seed": seed, "full": True}
+    short = planners.plan(checker, LEFT, RIGHT, improve_iterations=20, **given)
+    plan = planners.plan(checker, LEFT, RIGHT, improve_iterations=60, clearance=0.1, **given)
+    np.testing.assert_array_equal(plan.path[[0, -1]], [LEFT, RIGHT])
+    assert proven(checker, plan.path)
+    assert least_distance(checker, short.path) < 0.01
+    assert least_distance(checker, plan.path) > 0.05
+    length = improving.cost_of(np.ones(3), plan.path)
+    assert short.cost < length < 1.2 * short.cost
+    assert plan.bound <= length <= plan.cost
+    cost = Clearing.of(Judge.of(checker, 0.0), np.ones(3), 0.1).cost_of
+    assert plan.cost == cost(plan.path) < 0.5 * cost(short.path)
+    again = planners.plan(checker, LEFT, RIGHT, improve_iterations=60, clearance=0.1, **given)
+    np.testing.assert_array_equal(again.path, plan.path)
+
+
+def test_the_cost_near_a_wall_in_closed_form(checker):
+    """Along the wall at half the clearance, a motion costs 1 + 9 / 4 times its length, and so does any division."""
+    clearing = Clearing.of(Judge.of(checker, 0.0), np.array([1.0, 2.0, 1.0]), 0.2)
+    x = -0.05 - RADIUS - 0.1  # the wall is 0.1 thick
+    path = np.array([[x, 0.0, UP], [x, 0.2, UP], [x, 0.3, UP]])
+    assert checker.distance(path, exact=True).distance == pytest.approx([0.1] * 3)
+    assert clearing.cost_of(path) == pytest.approx(2.0 * 0.3 * (1 + 9 / 4))
+    far = path - [1.0, 0.0, 0.0]
+    assert clearing.cost_of(far) == pytest.approx(2.0 * 0.3)
+
+
+def test_nothing_to_keep_away_from(robot):
+    """Without a scene, and for a straight motion far from everything, a clearance changes nothing."""
+    checker = CollisionChecker(robot, Scene())
+    plan = planners.plan(checker, LEFT, RIGHT, improve_iterations=10, clearance=0.1, full=True)
+    np.testing.assert_array_equal(plan.path, [LEFT, RIGHT])
+    assert (plan.cost, plan.iterations) == (1.0, 0)
+
+
+def test_other_joints_stay_with_a_clearance(checker):
+    """Joints that are not planned keep their values, and the time is over soon after it should be."""
+    path = planners.plan(checker, LEFT, RIGHT, joints="slide", improve_for=0.05, clearance=0.2)
+    assert np.ptp(path[:, 2]) == 0
+    assert proven(checker, path)
+
+
 # -- results and bad input ----------------------------------------------------------------------
 
 
@@ -213,6 +270,10 @@ def test_a_plan_is_read_only_and_prints_itself(checker):
         ({"improve_for": 1, "weights": [1, 1, 0]}, "weights: expected numbers from 1e-09 to 1e\\+09, found 0 for turn"),
         ({"improve_for": 1, "weights": [1, -1, 1]}, "found -1 for y"),
         ({"improve_for": 1, "weights": [np.inf, 1, 1]}, "weights: "),
+        ({"clearance": 0.1}, "clearance: expected improve_for or improve_iterations"),
+        ({"improve_iterations": 0, "clearance": 0.1}, "clearance: expected improve_for or improve_iterations"),
+        ({"improve_for": 1, "clearance": 0.0}, "clearance: expected a finite number > 0"),
+        ({"improve_for": 1, "clearance": np.nan}, "clearance: expected"),
         ({"improve_for": 1, "planner": "RRTConnect"}, "planner: expected none with improve_for"),
     ],
 )

@@ -1168,6 +1168,7 @@ CALLS: dict[str, Call] = {
             "improve_for": arg(0.0, NUMBERS, NONE, ZERO),
             "improve_iterations": count(0, "0", NONE),
             "weights": array([1.0, 0.5, 1.0], NONE),
+            "clearance": arg(None, NONE),
             "start_time": arg(None, NONE),
             "velocity": arg(None, NONE),
             "arrive_by": arg(None, NONE),

@@ -95,6 +95,9 @@ def add(commands: Any) -> None:
         help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
     )
     plan.add_argument(
+        "--clearance", type=float, metavar="D", help="with --improve-for: metres to keep from the scene where it can be"
+    )
+    plan.add_argument(
         "--start-time", type=float, metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)"
     )
     plan.add_argument("--arrive-by", type=float, metavar="T", help="in time: the latest arrival, on the same clock")
@@ -189,6 +192,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--proof cannot be combined with --sampled or --start-time")
     if options.weights is not None and not options.improve_for:
         raise InputError("--weights: expected --improve-for with it; without that no path is improved")
+    if options.clearance is not None and not options.improve_for:
+        raise InputError("--clearance: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
@@ -206,6 +211,7 @@ def _found(
             "full": True,
             "proof": options.proof is not None,
             "weights": options.weights and _numbers("--weights", options.weights),
+            "clearance": options.clearance,
         }
     else:
         given |= {"start_time": options.start_time, "arrive_by": options.arrive_by}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
@@ -18,6 +18,7 @@ from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
+from loewner.planners.clearing import Clearing
 from loewner.planners.compiled import Growth
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge
@@ -56,13 +57,15 @@ class Options(TypedDict, total=False):
     improve_for: float | None
     improve_iterations: int | None
     weights: ArrayLike | None
+    clearance: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """A path with its cost and a lower bound on the cost of every such path: the result of `plan` with `full=True`.
 
-    The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values.
+    The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a `clearance`
+    was given, it is higher near obstacles.
 
     Attributes
     ----------
@@ -122,12 +125,15 @@ class Improvement:
         Number of rounds.
     began, deadline : float
         When the call began, and when to return, by the monotonic clock.
+    clearance : float
+        Distance from obstacles below which the cost rises [m]; 0 if it does not.
     """
 
     weights: Floats
     most: int
     began: float
     deadline: float
+    clearance: float = 0.0
 
     @classmethod
     def of(cls, robot: Robot, given: Options, full: bool, own_planner: bool, timeout: float) -> Improvement:
@@ -149,14 +155,24 @@ class Improvement:
             raise InputError("weights: expected improve_for, improve_iterations or full=True with them")
         if not wanted or seconds == 0:
             most = 0
+        clearance = given.get("clearance")
+        if clearance is not None:
+            clearance = _validate.positive_scalar(clearance, "clearance")
+            if not wanted:
+                raise InputError("clearance: expected improve_for or improve_iterations with it")
         until = began + (timeout if seconds is None else seconds)
-        return cls(_checked_weights(robot, weights), 2**62 if most is None else most, began, until)
+        return cls(_checked_weights(robot, weights), 2**62 if most is None else most, began, until, clearance or 0.0)
 
-    def plan(self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool) -> Plan:
+    def clearing(self, judge: Judge) -> Clearing | None:
+        """Return the cost near obstacles, if one was requested."""
+        return Clearing.of(judge, self.weights, self.clearance) if self.clearance else None
+
+    def plan(self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, judge: Judge) -> Plan:
         """Make the full result for a path to one of the given free goals; `others` may exist besides."""
         kept = {goal.tobytes() for goal in goals}
         targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
-        cost = cost_of(self.weights, path)
+        clearing = self.clearing(judge)
+        cost = cost_of(self.weights, path) if clearing is None else clearing.cost_of(path)
         rounded = 1 - (len(self.weights) + 4) * np.finfo(float).eps
         bound = 0.0 if others else least_cost(ends.space, self.weights, ends.start, targets) * rounded
         path.flags.writeable = False
@@ -327,8 +343,23 @@ def improved(
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return it with the number of rounds.
 
-    All motions of both paths are free for the judge.
+    All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time make the path
+    short, and the rest moves it away from obstacles.
     """
+    clearing = asked.clearing(judge)
+    if clearing is None or asked.most == 0:
+        return _shorter(space, judge, path, goals, asked, seed)
+    now = time.monotonic()
+    first = replace(asked, most=asked.most // 2, deadline=now + 0.5 * (asked.deadline - now))
+    path, done = _shorter(space, judge, path, goals, first, seed)
+    path, more = clearing.cleared(space, path, asked.most - done, asked.deadline)
+    return path, done + more
+
+
+def _shorter(
+    space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement, seed: int
+) -> tuple[Floats, int]:
+    """Make a path shorter."""
     least = least_cost(space, asked.weights, path[0], goals)
     enough = least * (1 + NOTHING_LEFT)
     if asked.most == 0 or cost_of(asked.weights, path) <= enough:

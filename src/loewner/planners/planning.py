@@ -147,6 +147,10 @@ def plan(
         Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
         the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
         Default: one for each value.
+    clearance : float, optional
+        Distance [m] that the path should keep from the bodies of the scene where it can, without being forced to. With
+        `improve_for` or `improve_iterations`: nearer to them a motion costs up to ten times its length, and half of the
+        rounds move the path away from them. For a distance that must be kept everywhere, use `Scene.margin`.
     start_time : float, optional
         Plan in time, from this number of seconds on; required if bodies of the scene follow motions (`Scene.follow`).
         With it, only `joints`, `joint_error`, `max_iterations`, `timeout`, `simplify` and `seed` may be given as well.
@@ -204,6 +208,9 @@ def plan(
 
     Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
     2014), and polishes the new path and the best one: corners are cut or moved, and single joints are straightened.
+    With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d / clearance)² along it,
+    with the distance d of the robot from the scene's bodies that are not attached to it, where this is less than the
+    clearance.
 
     In time, the direct motion is tried first, and then the path through the scene without the moving bodies, at several
     starts and speeds. If none of them is proven, two trees grow, forward in time from the start and backward from the
@@ -271,7 +278,7 @@ def plan(
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     if better is None or not full:
         return path
-    made = better.plan(path, ends, goals, rounds, posed)
+    made = better.plan(path, ends, goals, rounds, posed, judge)
     if model is None:
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error

@@ -51,11 +51,14 @@ from loewner._kernels.robots.placement import (
     bounds_standing,
     counts_of,
     near,
+    near_once,
     place_body,
+    place_body_once,
     place_joints,
     stand,
 )
 from loewner._kernels.simd.memory import Arena, floats, integers, raw, small_integers
+from loewner._kernels.simd.scalars import word_at
 from loewner._kernels.simd.vectors import LANES, SINGLE_LANES, lowest_bit
 from loewner._kernels.tolerances import UP
 from loewner._kernels.trees import piece_tree
@@ -305,16 +308,30 @@ def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
 
 
 @inline
-def _place_pairs(query, start, stop, S):
-    """Place the bodies of the pairs start .. stop of the order, unless they are placed, at eight configurations."""
-    problem, counts = problem_of(query.problem), query.counts
+def _place_few(query, body, S, alone):
+    """Place a moving body, unless it is placed, at one configuration or at eight."""
     placed, address = _placed_of(query), _placement_at(query)
+    if placed[body] == 0:
+        placed[body] = 1
+        if alone:
+            place_body_once(query.pack, query.problem, address, query.counts, body, S)
+        else:
+            place_body(query.pack, query.problem, address, query.counts, body, S, 0)
+
+
+@njit()
+def _place_next(query, start, stop, S, alone):
+    """Place the bodies of the first pairs of the order, start .. stop, or all bodies that are left."""
+    problem, moving = problem_of(query.problem), query.counts.moving
+    if start > 0:
+        for body in range(moving):
+            _place_few(query, body, S, alone)
+        return
     for number in range(start, stop):
         for side in range(2):
             body = problem.pairs[problem.order[number], side]
-            if body < counts.moving and placed[body] == 0:
-                placed[body] = 1
-                place_body(query.pack, query.problem, address, counts, body, S, 0)
+            if body < moving:
+                _place_few(query, body, S, alone)
 
 
 @inline
@@ -341,6 +358,27 @@ def _cull(query, start, stop, groups, S):
     return np.int64(noted)
 
 
+@inline
+def _cull_once(query, start, stop, S):
+    """As `_cull`, at the first configuration only."""
+    problem, moving = problem_of(query.problem), query.counts.moving
+    bounds, standing, codes, masks = _placement_of(query).bounds, problem.standing, _codes_of(query), _masks_of(query)
+    order, pairs, margins = problem.order.ctypes.data, problem.pairs.ctypes.data, problem.margins
+    noted = np.uint64(0)
+    for number in range(start, stop):
+        p = word_at(order, number)
+        one, other = word_at(pairs, 2 * p), word_at(pairs, 2 * p + 1)
+        up = np.float32(margins[np.uint64(p)] * UP)
+        if other < moving:
+            meet = near_once(bounds, one, S, bounds, other, S, up)
+        else:
+            meet = near_once(bounds, one, S, standing, other - moving, 1, up)
+        codes[noted] = p * MOST
+        masks[noted] = 1
+        noted += np.uint64(meet)
+    return np.int64(noted)
+
+
 @njit()
 def _settle_block(query, Q, first, last, S):
     """Settle the configurations in the rows first .. last of Q, at most S of them, into `verdicts` and `tiers`.
@@ -353,8 +391,8 @@ def _settle_block(query, Q, first, last, S):
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
     codes, masks = _codes_of(work), _masks_of(work)
     verdicts = _verdicts_of(work)
-    # For few configurations, bodies are placed when their first pair comes, and pairs are settled at once.
-    few = last - first < LANES
+    # For few configurations, the bodies of the first pairs are placed and these are settled before the others.
+    few, alone = last - first < LANES, last == first
     if few:
         place_joints(problem, Q, first, last, placement)
         _placed_of(query)[:] = 0
@@ -373,9 +411,9 @@ def _settle_block(query, Q, first, last, S):
     start, together, total = 0, FIRST if few else TOGETHER, len(problem.order)
     while start < total:
         stop = min(start + together, total)
-        if few:
-            _place_pairs(query, start, stop, S)
-        for n in range(_cull(query, start, stop, groups, S)):
+        if few and start <= FIRST:
+            _place_next(query, start, stop, S, alone)
+        for n in range(_cull_once(query, start, stop, S) if alone else _cull(query, start, stop, groups, S)):
             p = _pair(codes[n])
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             if problem.margins[p] != keep:

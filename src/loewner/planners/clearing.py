@@ -1,0 +1,176 @@
+"""Move a path away from obstacles: its cost rises near them, and its points move to where the cost is lower."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from loewner._validate import Bools, Floats, Ints
+from loewner.planners.judge import Judge
+from loewner.planners.space import Space
+from loewner.robots import distances
+from loewner.robots.problem import Problem
+
+# In contact, a motion costs this much more than its length, as a multiple of it.
+RISE = 9.0
+
+# Least number of motions into which a path is divided, and the most motions of a path that is still divided.
+MOTIONS, MOST_MOTIONS = 48, 400
+
+# The first step of a point, as a share of a motion's length; factors of the step after a success and after a failure;
+# and the step below which a point rests.
+FIRST_STEP, LONGER, SHORTER, LEAST_STEP = 1.0, 1.5, 0.5, 1e-3
+
+# Points are left out where the cost rises by at most this share.
+TOLERATED = 1e-3
+
+# Motions are measured at points that are at most this share of the path's length apart.
+SHARE = 1 / 128
+
+
+@dataclass(frozen=True, eq=False)
+class Clearing:
+    """The cost of a path near obstacles.
+
+    The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)², with the distance d of
+    the robot from the scene's bodies that are not attached to it, as long as it is less than `wanted`. It is computed
+    by the trapezoidal rule.
+
+    Attributes
+    ----------
+    judge : Judge
+    ready : Problem
+        The pairs of a body that the robot moves and another one.
+    weights : ndarray, shape (dof,)
+    wanted : float
+        In metres.
+    """
+
+    judge: Judge
+    ready: Problem
+    weights: Floats
+    wanted: float
+
+    @classmethod
+    def of(cls, judge: Judge, weights: Floats, wanted: float) -> Clearing:
+        """Make it for the state of the scene that a judge refers to."""
+        ready = judge.ready
+        return cls(judge, ready.only(np.flatnonzero((ready.pairs >= len(ready.link)).any(axis=1))), weights, wanted)
+
+    def cost_of(self, path: Floats) -> float:
+        """Compute the cost of a path."""
+        lengths = self._lengths(path[:-1], path[1:])
+        return float(self._costs(path[:-1], path[1:], SHARE * lengths.sum()).sum())
+
+    def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
+        """Move a path whose motions are free; return the cheaper one of both, and the number of rounds.
+
+        Points move for three quarters of the time; the clock is read between rounds.
+        """
+        if self.cost_of(path) <= self._lengths(path[:-1], path[1:]).sum() * (1.0 + TOLERATED):
+            return path, 0
+        began = time.monotonic()
+        until = began + 0.75 * (deadline - began)
+        moved = self._divided(path)
+        rounds, lower, upper = 0, np.full(len(self.weights), -np.inf), np.full(len(self.weights), np.inf)
+        lower[space.columns] = np.where(space.turning, -np.inf, space.lower)
+        upper[space.columns] = np.where(space.turning, np.inf, space.upper)
+        steps = np.full(len(moved), FIRST_STEP)
+        while rounds < most and (steps[1:-1] > LEAST_STEP).any() and time.monotonic() < until:
+            for first in (1, 2):
+                rows = np.arange(first, len(moved) - 1, 2)
+                self._move(moved, rows[steps[rows] > LEAST_STEP], steps, space, lower, upper)
+            rounds += 1
+        moved = self._thinned(moved, deadline)
+        cheaper = self.cost_of(moved) < self.cost_of(path) and self.judge.free(moved[:-1], moved[1:]).all()
+        return (moved if cheaper else path), rounds
+
+    def _move(self, path: Floats, rows: Ints, steps: Floats, space: Space, lower: Floats, upper: Floats) -> None:
+        """Move points that are no neighbours down the gradient of the cost, where this lowers it and is free."""
+        if len(rows) == 0:
+            return
+        before, here, after = path[rows - 1], path[rows], path[rows + 1]
+        sides = np.concatenate([before, after])
+        at, slopes = self._densities(here, gradient=True)
+        beside = self._densities(sides)[0].reshape(2, -1)
+        lengths = self._lengths(np.concatenate([before, here]), np.concatenate([here, after])).reshape(2, -1)
+        means, squares = 0.5 * (at + beside), self.weights**2
+        pull = (means / np.maximum(lengths, np.finfo(float).tiny))[:, :, None] * (here - np.stack([before, after]))
+        down = -(0.5 * lengths.sum(axis=0)[:, None] * slopes / squares + pull.sum(axis=0))
+        # Sideways only: along the path, points would gather where it is cheap.
+        along = (after - before) * self.weights
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+        down *= self.weights
+        down -= (down * along).sum(axis=1, keepdims=True) * along
+        down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), np.finfo(float).tiny)
+        there = here.copy()
+        step = (steps[rows] * lengths.mean(axis=0))[:, None] * down / self.weights
+        there[:, space.columns] += step[:, space.columns]
+        np.clip(there, lower, upper, out=there)
+        then = self._lengths(np.concatenate([before, there]), np.concatenate([there, after])).reshape(2, -1)
+        cheaper = (then * 0.5 * (self._densities(there)[0] + beside)).sum(axis=0) < (lengths * means).sum(axis=0)
+        cheaper &= self._free(before, there, after, cheaper)
+        path[rows[cheaper]] = there[cheaper]
+        steps[rows] *= np.where(cheaper, LONGER, SHORTER)
+
+    def _free(self, before: Floats, there: Floats, after: Floats, chosen: Bools) -> Bools:
+        """Return which points have free motions to both sides; only the `chosen` ones are tried."""
+        free = np.zeros(len(there), dtype=bool)
+        a, b = np.concatenate([before[chosen], there[chosen]]), np.concatenate([there[chosen], after[chosen]])
+        free[chosen] = self.judge.free(a, b).reshape(2, -1).all(axis=0)
+        return free
+
+    def _divided(self, path: Floats) -> Floats:
+        """Divide the motions of a path into parts of about equal lengths."""
+        lengths = self._lengths(path[:-1], path[1:])
+        counts = np.maximum(np.ceil(MOTIONS * lengths / max(lengths.sum(), np.finfo(float).tiny)).astype(int), 1)
+        if counts.sum() > MOST_MOTIONS:
+            counts[:] = 1
+        rows = [a + (b - a) * (np.arange(n) / n)[:, None] for a, b, n in zip(path[:-1], path[1:], counts, strict=True)]
+        return np.concatenate([*rows, path[-1:]])
+
+    def _thinned(self, path: Floats, deadline: float) -> Floats:
+        """Leave out points wherever the motion past them is free and costs hardly more."""
+        path, left = path.copy(), True
+        while left and len(path) > 2 and time.monotonic() < deadline:
+            left = False
+            for first in (1, 2):
+                rows = np.arange(first, len(path) - 1, 2)
+                if len(rows) == 0:
+                    continue
+                before, here, after = path[rows - 1], path[rows], path[rows + 1]
+                part = SHARE * self._lengths(path[:-1], path[1:]).sum()
+                with_it = self._costs(before, here, part) + self._costs(here, after, part)
+                cheap = self._costs(before, after, part) <= (1.0 + TOLERATED) * with_it
+                cheap[cheap] = self.judge.free(before[cheap], after[cheap])
+                path, left = np.delete(path, rows[cheap], axis=0), left or bool(cheap.any())
+        return path
+
+    def _lengths(self, a: Floats, b: Floats) -> Floats:
+        """Weighted lengths of motions."""
+        return np.asarray(np.linalg.norm((b - a) * self.weights, axis=1))
+
+    def _costs(self, a: Floats, b: Floats, part: float) -> Floats:
+        """Costs of motions, in parts of at most this length."""
+        lengths = self._lengths(a, b)
+        counts = np.maximum(np.ceil(lengths / max(part, np.finfo(float).tiny)), 1).astype(int)
+        motion = np.repeat(np.arange(len(a)), counts + 1)
+        k = np.arange(len(motion)) - np.repeat(np.cumsum(counts + 1) - counts - 1, counts + 1)
+        share = (k / counts[motion])[:, None]
+        densities = self._densities(a[motion] + share * (b - a)[motion])[0]
+        ends = (k == 0) | (k == counts[motion])
+        means = np.bincount(motion, np.where(ends, 0.5, 1.0) * densities, len(a)) / counts
+        return np.asarray(lengths * means)
+
+    def _densities(self, Q: Floats, gradient: bool = False) -> tuple[Floats, Floats]:
+        """Costs per length at configurations, and their gradients if requested."""
+        slopes = np.zeros_like(Q)
+        if len(self.ready.pairs) == 0 or len(Q) == 0:
+            return np.ones(len(Q)), slopes
+        found = distances.nearest(self.ready, np.ascontiguousarray(Q), True, gradient)
+        short = np.maximum(1.0 - np.maximum(found.distance, 0.0) / self.wanted, 0.0)
+        if found.gradient is not None:
+            slopes = (-2.0 * RISE / self.wanted * short)[:, None] * found.gradient
+        return 1.0 + RISE * short * short, slopes
