@@ -50,6 +50,7 @@ html_title = f"loewner {release}"
 html_show_copyright = False
 html_copy_source = False
 html_static_path = ["_static"]
+html_logo = html_favicon = "_static/logo.svg"
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]
 # Prompts, and what a program prints, are not copied.
