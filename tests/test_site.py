@@ -86,6 +86,7 @@ def test_gallery_has_twelve_pictures():
     assert sorted(files) == sorted((DOCS / "images/gallery").iterdir())
     assert max(code.count("\n") for _, code in shown) <= 15
     assert sum(path.stat().st_size for path in files) < 800_000
+    assert (DOCS / "images/front.png").stat().st_size < 150_000
 
 
 def test_index_leads_to_every_page():

@@ -13,9 +13,9 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 # Width of the picture; heights of a question's line, of a rival's line with its bar, and of the gap after a question.
-WIDTH, LINE, ROW, GAP, TOP = 520, 19, 31, 12, 26
+WIDTH, LINE, ROW, GAP, TOP = 545, 19, 31, 12, 26
 MARKS = (1, 2, 5, 10, 20, 50, 100)
-LETTERS = 54  # that fit in a line
+LETTERS = 57  # that fit in a line
 
 
 def main() -> None:
