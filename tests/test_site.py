@@ -77,6 +77,17 @@ def test_links_have_titles():
     assert [page for page in DOCS.rglob("*.md") if links.search(page.read_text())] == []
 
 
+def test_tables_name_their_columns():
+    """No heading of a column is empty."""
+    heads = [
+        line
+        for page in DOCS.rglob("*.md")
+        for line in re.findall(r"^(\|.*\|)\n\|[-:| ]+\|$", page.read_text(), flags=re.M)
+    ]
+    assert len(heads) > 50
+    assert [line for line in heads if re.search(r"\| *\|", line.replace("\\|", ""))] == []
+
+
 def test_gallery_has_twelve_pictures():
     """Each has its code below it, and all together are small."""
     text = (DOCS / "gallery.md").read_text()
