@@ -11,6 +11,7 @@
 #   make test-models   robots of MuJoCo that packages ship, 80 MB, against MuJoCo
 #   make newest   the quick suite with the newest versions of packages: PACKAGES="numpy scipy numba" TESTS=tests
 #   make docs     the documentation, as pages in docs/_build/html
+#   make test-docs     these pages in a browser: links, accessibility, screenshots in docs/_build/screenshots
 #   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
 #   make test-wheel    the quick suite against that wheel, installed
 #   make dist-c   headers and libraries for C and C++, in dist/
@@ -33,9 +34,9 @@ TESTS ?= tests
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize newest bench check docs wheel sdist dist-c test-wheel clean
+.PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize newest bench check docs wheel sdist dist-c test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 17
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 18
 
 # $(call built_with,STAMP): build the library while the packages of a stamp are installed.
 built_with = @{ $(BUILD); } & building=$$!; \
@@ -121,6 +122,9 @@ check: $(VENV)/.compiler
 # Every warning is an error, a link that leads nowhere among them. Nothing is downloaded.
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
+
+test-docs: docs $(VENV)/.dev
+	LOEWNER_SITE=docs/_build/html $(PYTEST) tests/test_built_site.py
 
 # auditwheel names the oldest C library of Linux that will do; elsewhere the tag is that of this machine.
 wheel: $(VENV)/.wheel

@@ -1,6 +1,6 @@
 // OMPL's RRT-Connect in C++ with three checkers of motions, one after the other on each problem:
 //
-//   proven     MotionValidator on loewner's certify_edges
+//   proven     MotionValidator on loewner's is_free
 //   sampled    OMPL's DiscreteMotionValidator at a resolution of FRACTION, with loewner's exact collide
 //   fcl        the same with FCL: a dynamic AABB tree for the scene, boxes and then shapes for pairs of links
 //
@@ -246,7 +246,7 @@ public:
     }
     bool checkMotion(const ob::State *a, const ob::State *b) const override
     {
-        const bool free = checker_.certify_edge(workspace_, start_(a), end_(b)).verdict == loewner::Verdict::Free;
+        const bool free = checker_.is_free(workspace_, start_(a), end_(b));
         ++(free ? valid_ : invalid_);
         return free;
     }

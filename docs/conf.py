@@ -7,6 +7,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import command
 import measured
+import no_break
 from pygments.lexers.special import TextLexer
 
 import loewner
@@ -16,14 +17,15 @@ author = "The loewner developers"
 copyright = author
 version = release = loewner.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "sphinx_copybutton"]
+extensions += ["sphinx_design"]
 root_doc = "index"
 exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 
 # -- pages in Markdown --------------------------------------------------------------------------
 
-myst_enable_extensions = ["attrs_inline", "deflist"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]  # ARCHITECTURE.md and its like are whole pages on their own and included here
 
@@ -48,15 +50,21 @@ html_title = f"loewner {release}"
 html_show_copyright = False
 html_copy_source = False
 html_static_path = ["_static"]
-html_css_files = ["tables.css"]
+html_logo = html_favicon = "_static/logo.svg"
+html_css_files = ["site.css"]
+html_js_files = ["site.js"]
+# Prompts, and what a program prints, are not copied.
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
 html_theme_options = {"source_repository": "", "navigation_with_keys": True}
-pygments_style = "friendly"
-pygments_dark_style = "native"
+pygments_style = "a11y-high-contrast-light"
+pygments_dark_style = "a11y-high-contrast-dark"
 
 
 def setup(app):
     """Write the pages that are made by programs before Sphinx looks for pages; find public names from any module."""
     app.add_lexer("mermaid", TextLexer)
+    app.add_post_transform(no_break.NoBreak)
     app.connect("builder-inited", _write_pages)
     app.connect("missing-reference", _public_name)
 

@@ -28,12 +28,16 @@ TITLES = {
     "accuracy": "The estimate on ambiguous pairs, by family of shapes",
 }
 
-INTRODUCTION = """# Measured
+# Whether a ratio reaches its target, as the files have it.
+REACHED = {"yes": "reached", "no": "missed"}
+
+INTRODUCTION = """# Measurements
 
 This page is made from the files in `benchmarks/results` when the site is built. Times are those of one item (a pair, a
 body, a configuration), in nanoseconds of processor time. A ratio is the time of the other library over that of loewner,
-from one run in which both took turns; where it is below 1, the other library is faster. The page on
-[benchmarks](benchmarks.md) says how the comparison is kept fair, and what its limits are."""
+from one run in which both took turns; where it is below 1, the other library is faster, and the row names it. A target
+is a goal that loewner has set itself for a ratio. The page on [benchmarks](benchmarks.md) describes how the comparison
+is kept fair, and its limits."""
 
 
 RATIOS_TITLE = """## Ratios by commit
@@ -55,7 +59,7 @@ def page(results: Path) -> str:
     """All results of all machines."""
     parts = [INTRODUCTION, _ratios(RATIOS)]
     for machine in sorted(folder for folder in results.iterdir() if folder.is_dir()):
-        parts.append(f"## {machine.name}")
+        parts.append(f"## Measured on {_name(machine)}")
         described = machine / "machine.json"
         if described.exists():
             parts.append(_machine(json.loads(described.read_text())))
@@ -73,16 +77,18 @@ def _ratios(path: Path) -> str:
         history.setdefault(tuple(row[name] for name in ("machine", "benchmark", "case", "us", "rival")), []).append(row)
     lines = [
         RATIOS_TITLE,
-        _line(["case", "loewner", "compared with", "target", "latest", "earlier"]),
+        _line(["case", "loewner", "compared with", "loewner's own target", "latest", "earlier"]),
         _line(["---"] * 6),
     ]
+    several = len({key[0] for key in history}) > 1
     for (machine, benchmark, case, us, rival), of_one in sorted(history.items()):
         *earlier, latest = [
             f"{_cell(row['ratio'])} ({row['commit']}, {row['date'][:10]}{row['load'] and ', load ' + row['load']})"
             for row in of_one
         ]
         before = "; ".join(reversed(earlier))
-        told = (f"{benchmark}: {case}, {machine}", us, rival, _cell(of_one[-1]["required"]))
+        place = f"; {_name(RESULTS / machine)}" if several else ""
+        told = (f"{benchmark}: {case}{place}", us, rival, _cell(of_one[-1]["required"]))
         lines.append(_line([*map(_cell, told), latest, before]))
     return "\n".join(lines)
 
@@ -91,6 +97,15 @@ def _place(path: Path) -> tuple[int, str]:
     """Files in the order of the titles, unknown ones last."""
     known = list(TITLES)
     return (known.index(path.stem) if path.stem in known else len(known)), path.stem
+
+
+def _name(machine: Path) -> str:
+    """Processor and cores, or the name of the folder."""
+    try:
+        facts = json.loads((machine / "machine.json").read_text())
+        return f"{facts['processor']}, {facts['cores']} cores"
+    except (FileNotFoundError, KeyError):
+        return machine.name
 
 
 def _machine(facts: dict) -> str:
@@ -122,12 +137,16 @@ def _comparison(row: dict[str, str]) -> dict[str, str]:
         "items": row["items"],
         "loewner": f"{row['us']}: {_cell(row['us_ns_cpu'])} ns" if row["us_ns_cpu"] else row["us"],
         "compared with": f"{row['rival']}: {_cell(row['rival_ns_cpu'])} ns" if row["rival_ns_cpu"] else row["rival"],
-        "ratio": row["ratio"],
+        "ratio": f"{_cell(row['ratio'])}: {row['rival']} is faster" if _below_one(row["ratio"]) else row["ratio"],
         "by wall time": row["ratio_wall"],
-        "target ratio": f"{_cell(row['required'])}: {row['met']}" if row["required"] else "",
+        "loewner's own target": f"{_cell(row['required'])}: {REACHED[row['met'].lower()]}" if row["required"] else "",
         "answers that differ": row["differing"],
         "note": row["note"],
     }
+
+
+def _below_one(ratio: str) -> bool:
+    return bool(ratio) and float(ratio) < 1
 
 
 def _line(cells: Iterable[str]) -> str:

@@ -52,8 +52,8 @@ FIRST = (
     "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond", "piece_trees", "triangle_tree",
     "cut_up", "equal_vertices", "part_vertices", "body_boxes", "curve_order", "box_tree", "meeting_boxes",
     "first_fault", "contact_of_pairs", "near_points_of_pairs", "link_poses", "link_jacobians", "check_configurations",
-    "check_motion", "memory_size", "certify_motions", "motion_memory", "connect_trees", "shorten_path", "polish_path",
-    "memory_of_clearances", "clearances", "pair_gradients", "measure_moving", "place_static",
+    "check_motion", "memory_size", "certify_motions", "free_motions", "motion_memory", "connect_trees", "shorten_path",
+    "polish_path", "memory_of_clearances", "clearances", "pair_gradients", "measure_moving", "place_static",
 )  # fmt: skip
 
 

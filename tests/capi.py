@@ -189,6 +189,14 @@ class Checker(Handle):
         ask("checker_certify_edges", self, self.workspace, a, b, size(len(a)), ctypes.byref(options), out, at, bodies)
         return out, at, bodies
 
+    def free(self, Q0: Any, Q1: Any, tolerance: float = 1e-5, joint_error: Any = None) -> np.ndarray:
+        a, b = self._rows(Q0), self._rows(Q1)
+        out = np.full(len(a), 9, dtype=np.int8)
+        errors = None if joint_error is None else np.array(joint_error, dtype=float)
+        options = ProofOptions(tolerance, None if errors is None else errors.ctypes.data)
+        ask("checker_motions_free", self, self.workspace, a, b, size(len(a)), ctypes.byref(options), out)
+        return out
+
     def certify_curves(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
         points = np.ascontiguousarray(points)
         out, at = np.full(len(points), 9, dtype=np.int8), np.empty(len(points))

@@ -41,6 +41,12 @@ static void *ask(void *given)
     expect(loewner_checker_collide(checker, workspace, configurations, COUNT, answers->verdicts[1]));
     expect(loewner_checker_certify_edges(checker, workspace, configurations, configurations + dof, COUNT - 1, NULL,
                                          answers->verdicts[2], NULL, NULL));
+    int8_t is_free[COUNT];
+    expect(loewner_checker_motions_free(checker, workspace, configurations, configurations + dof, COUNT - 1, NULL,
+                                        is_free));
+    for (int k = 0; k < COUNT - 1; k++)
+        if (is_free[k] != (answers->verdicts[2][k] == LOEWNER_FREE))
+            exit(3);
     expect(loewner_checker_distance(checker, workspace, configurations, COUNT, distances, gradients));
     answers->sum = 0;
     for (int k = 0; k < COUNT; k++)

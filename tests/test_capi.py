@@ -74,6 +74,8 @@ def assert_same(checker, mine, Q, *, exactly=True):
     verdicts, at, bodies = mine.certify(a, b)
     certified = checker.certify_edges(a, b)
     assert np.array_equal(verdicts, certified.verdict)
+    for _ in range(2):  # the second time with the order of pairs that it has learned
+        assert np.array_equal(mine.free(a, b), verdicts == 0)
     if exactly:
         assert np.array_equal(at, certified.fraction, equal_nan=True)
         names = [["", ""] if x < 0 else [capi.ask("checker_body_name", mine, int(k)).decode() for k in (x, y)]
@@ -92,12 +94,34 @@ def test_an_arm_answers_as_in_python(pair):
     a, b = Q[:300], Q[:300] + 0.1 * (Q[300:600] - Q[:300])
     found, _, _ = mine.certify(a, b, tolerance=1e-4, joint_error=np.full(mine.dof, 2e-3))
     assert np.array_equal(found, checker.certify_edges(a, b, tolerance=1e-4, joint_error=2e-3).verdict)
+    assert np.array_equal(mine.free(a, b, tolerance=1e-4, joint_error=np.full(mine.dof, 2e-3)), found == 0)
     for q in Q[:20]:
         by_pair = mine.collide_by_pair(q)
         assert np.array_equal(by_pair == 1, checker.collide_by_pair(q))
         worst, placed = mine.placed(mine.link_poses(q)[0])
         assert worst == checker.collide(q)
         assert np.array_equal(placed, by_pair)
+
+
+def test_motions_one_by_one_between_other_queries(pair):
+    """What is learned from motion to motion survives other queries in the same workspace, and changes no answer."""
+    checker, mine = pair
+    Q = checker.robot.random_configurations(600, seed=5)
+    a, b = Q[:300], Q[:300] + 0.15 * (Q[300:] - Q[:300])
+    wanted = checker.certify_edges(a, b).verdict == 0
+    assert 0.2 < wanted.mean() < 0.9
+    for k in range(300):
+        assert mine.free(a[k], b[k])[0] == wanted[k]
+        if k % 3 == 0:
+            mine.verdicts("collide", a[k])
+        elif k % 50 == 1:
+            mine.certify(a[k], b[k])
+            mine.distance(a[k])
+    with pytest.raises(capi.Error, match="tolerance"):
+        mine.free(a, b, tolerance=-1.0)
+    with pytest.raises(capi.Error, match="ends.0.: expected finite"):
+        mine.free(a, np.full_like(b, np.nan))
+    assert np.array_equal(mine.free(a, b), wanted)
 
 
 def test_paths_are_those_of_python(pair):
@@ -173,6 +197,7 @@ def test_every_kind_of_joint(tmp_path, rng):
     wanted = checker.certify_edges(turned, ends)
     assert np.array_equal(found, wanted.verdict)
     assert np.array_equal(at, wanted.fraction, equal_nan=True)
+    assert np.array_equal(mine.free(turned, ends), found == 0)
     Q[0, 3] += 0.1
     with pytest.raises(capi.Error, match="quaternions"):
         mine.verdicts("collide", Q[:1])

@@ -64,13 +64,50 @@ def test_pages_print_what_they_say(page, folder_with_mesh):
     exec(compile(program, str(page), "exec"), {"said": said})
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
+def test_code_fits_its_column(page):
+    """No line of Python on a page is wider than 76 columns, unless it shows what it prints."""
+    blocks = re.findall(CODE, page.read_text(), flags=re.M | re.S)
+    assert [line for line in "".join(blocks).splitlines() if len(line) > 76 and "# ->" not in line] == []
+
+
+def test_links_have_titles():
+    """No link of a page shows the name of a source file."""
+    links = re.compile(r"\[[^\]]*\w\.md[^\]]*\]\(")
+    assert [page for page in DOCS.rglob("*.md") if links.search(page.read_text())] == []
+
+
+def test_tables_name_their_columns():
+    """No heading of a column is empty."""
+    heads = [
+        line
+        for page in DOCS.rglob("*.md")
+        for line in re.findall(r"^(\|.*\|)\n\|[-:| ]+\|$", page.read_text(), flags=re.M)
+    ]
+    assert len(heads) > 50
+    assert [line for line in heads if re.search(r"\| *\|", line.replace("\\|", ""))] == []
+
+
+def test_gallery_has_twelve_pictures():
+    """Each has its code below it, and all together are small."""
+    text = (DOCS / "gallery.md").read_text()
+    shown = re.findall(r"\(images/(gallery/[\w.-]+)\)\{\.picture\}\n\n```python\n(.*?)^```", text, flags=re.M | re.S)
+    files = [DOCS / "images" / name for name, _ in shown]
+    assert len(files) == 12
+    assert sorted(files) == sorted((DOCS / "images/gallery").iterdir())
+    assert max(code.count("\n") for _, code in shown) <= 15
+    assert sum(path.stat().st_size for path in files) < 800_000
+    assert (DOCS / "images/front.png").stat().st_size < 150_000
+
+
 def test_index_leads_to_every_page():
     """Every page is in a table of contents, and every entry of one exists."""
     listed = set()
-    for page in [*DOCS.glob("*.md"), *DOCS.glob("reference/*.md")]:
+    for page in DOCS.rglob("*.md"):
         for entries in re.findall(r"^```\{toctree\}\n(.*?)^```", page.read_text(), flags=re.M | re.S):
             names = [line for line in entries.splitlines() if line and not line.startswith(":")]
-            listed |= {(page.parent / name).relative_to(DOCS).as_posix() for name in names}
+            absolute = [DOCS / name[1:] if name.startswith("/") else page.parent / name for name in names]
+            listed |= {path.relative_to(DOCS).as_posix() for path in absolute}
     pages = {p.relative_to(DOCS).with_suffix("").as_posix() for p in DOCS.rglob("*") if p.suffix in (".md", ".rst")}
     pages = {p for p in pages if not p.startswith(("_", "reference/generated/"))}
     made_by_the_build = {"measured", "reference/command"}
@@ -269,7 +306,7 @@ def test_accuracy_page_has_the_measured_numbers():
         rows = {(row["family"], row["rule"]): row for row in csv.DictReader(stream)}
     families, rules = (list(dict.fromkeys(key)) for key in zip(*rows, strict=True))
     text = (DOCS / "theory/estimate.md").read_text()
-    header = "| | ambiguous | " + " | ".join(f"`{rule}`" for rule in rules) + " |"
+    header = "| family | ambiguous | " + " | ".join(f"`{rule}`" for rule in rules) + " |"
     assert header in text
     lines = re.findall(rf"^\| ({'|'.join(map(re.escape, families))}) \| (.*) \|$", text, flags=re.M)
     assert [name for name, _ in lines] == 2 * families

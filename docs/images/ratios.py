@@ -1,50 +1,57 @@
 """Draws ratios.svg: how many times as fast as other libraries, from the table of README.md.
 
 python docs/images/ratios.py [README.md]
+
+The page includes the picture as a part of itself, so that text and lines have the page's colours in the dark, too.
 """
 
 import re
 import sys
+import textwrap
 from math import log10
 from pathlib import Path
 from xml.sax.saxutils import escape
 
-LEFT, ACROSS, ROW, TOP = 440, 420, 22, 46  # of the bars, in pixels
+# Width of the picture; heights of a question's line, of a rival's line with its bar, and of the gap after a question.
+WIDTH, LINE, ROW, GAP, TOP = 545, 19, 31, 12, 26
 MARKS = (1, 2, 5, 10, 20, 50, 100)
+LETTERS = 57  # that fit in a line
 
 
 def main() -> None:
     """Write the picture beside this file."""
     readme = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[2] / "README.md"
-    bars = ratios(readme.read_text(encoding="utf-8"))
-    height = TOP + sum(ROW * len(rows) + 10 for _, rows in bars)
     parts, y = [], float(TOP)
-    for mark in MARKS:
-        x = place(mark)
-        parts.append(f'<line x1="{x:.0f}" y1="{TOP - 10}" x2="{x:.0f}" y2="{height}" stroke="#dddddd"/>')
-        parts.append(f'<text x="{x:.0f}" y="{TOP - 16}" text-anchor="middle">{mark}</text>')
-    parts.append(f'<text x="{LEFT + ACROSS / 2:.0f}" y="14" text-anchor="middle">times as fast as</text>')
-    for question, rows in bars:
-        parts.append(f'<text x="{LEFT - 12}" y="{y + 14:.0f}" text-anchor="end">{escape(question)}</text>')
+    for question, rows in ratios(readme.read_text(encoding="utf-8")):
+        for line in textwrap.wrap(question, LETTERS):
+            y += LINE
+            parts.append(f'<text x="0" y="{y - 5:.0f}" font-weight="bold">{escape(line)}</text>')
         for rival, low, high in rows:
+            times = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+            parts.append(f'<text x="0" y="{y + 13:.0f}">{escape(rival)}</text>')
+            parts.append(f'<text x="{WIDTH}" y="{y + 13:.0f}" text-anchor="end">{times} ×</text>')
             for end, colour in ((high, "#99bbdd"), (low, "#4477aa")):
-                width = place(end) - LEFT
-                parts.append(
-                    f'<rect x="{LEFT}" y="{y + 3:.0f}" width="{width:.0f}" height="{ROW - 8}" fill="{colour}"/>'
-                )
-            parts.append(f'<text x="{place(high) + 8:.0f}" y="{y + 14:.0f}">{escape(rival)}</text>')
+                bar = f'x="0" y="{y + 18:.0f}" width="{place(end):.0f}" height="8"'
+                parts.append(f'<rect {bar} fill="{colour}"/>')
             y += ROW
-        y += 10
+        y += GAP
+    marks = []
+    for mark in MARKS:
+        anchor = {1: "start", 100: "end"}.get(mark, "middle")
+        marks.append(f'<line x1="{place(mark):.0f}" y1="{TOP - 6}" x2="{place(mark):.0f}" y2="{y:.0f}"/>')
+        marks.append(f'<text x="{place(mark):.0f}" y="14" text-anchor="{anchor}" stroke="none">{mark}</text>')
     head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1180 {height}" width="1180" '
-        'font-family="sans-serif" font-size="13" fill="#333333"><rect width="100%" height="100%" fill="#ffffff"/>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="ratios" viewBox="0 0 {WIDTH} {y:.0f}" role="img" '
+        'aria-label="Ratios to other libraries, as in the table of the README" font-family="sans-serif" font-size="16" '
+        'fill="currentColor"><g stroke="currentColor" stroke-opacity="0.2">'
     )
-    Path(__file__).with_suffix(".svg").write_text(head + "\n".join(parts) + "</svg>\n", encoding="utf-8")
+    text = "\n".join([head, *marks, "</g>", *parts, "</svg>", ""])
+    Path(__file__).with_suffix(".svg").write_text(text, encoding="utf-8")
 
 
 def place(ratio: float) -> float:
     """Where a ratio is across the picture: logarithms."""
-    return LEFT + ACROSS * log10(ratio) / 2
+    return WIDTH * log10(ratio) / 2
 
 
 def ratios(text: str) -> list[tuple[str, list[tuple[str, float, float]]]]:
@@ -54,9 +61,11 @@ def ratios(text: str) -> list[tuple[str, list[tuple[str, float, float]]]]:
     for line in table:
         question, _, named, ratio, *_ = (cell.strip().replace("`", "") for cell in line.strip("|").split("|"))
         rows = []
+        library, colon, _ = named.partition(":")  # the rivals after it are other ways to use this library
         for rival, numbers in zip(named.split(";"), ratio.split(";"), strict=True):
             ends = [float(number) for number in re.findall(r"[\d.]+", numbers)]
-            rows.append((rival.strip(), ends[0], ends[-1]))
+            whole = rival if not colon or colon in rival else f"{library}: {rival.strip()}"
+            rows.append((whole.strip(), ends[0], ends[-1]))
         found.append((question, rows))
     return found
 

@@ -9,12 +9,12 @@ import numpy as np
 
 import loewner
 
-SCALE, WIDTH, HEIGHT = 36.0, 300, 190
+SCALE, WIDTH, HEIGHT = 29.0, 240, 180
 LEFT, RIGHT = ("#4477aa", "#cc6677")
 CAPTIONS = (
-    ("FREE", "the outer ones are apart: proven"),
-    ("AMBIGUOUS", "neither: estimate, or ask exactly"),
-    ("COLLIDING", "the inner ones overlap: proven"),
+    ("FREE", "outer ones are apart"),
+    ("AMBIGUOUS", "neither"),
+    ("COLLIDING", "inner ones overlap"),
 )
 SHIFTS = ((3.9, 0.1), (2.55, 0.3), (1.3, 0.2))
 
@@ -31,13 +31,13 @@ def main() -> None:
             drawn.append(ellipse(loewner.mvce(points).ellipsoid, "#777777", "5 4"))
             drawn.append(ellipse(loewner.mvie(points).ellipsoid, "#228833", "none"))
         parts.append(
-            f'<g transform="translate({(k + 0.5) * WIDTH:.0f} {HEIGHT / 2 - 12:.0f})">{"".join(drawn)}'
-            f'<text y="{HEIGHT / 2 - 14:.0f}" font-weight="bold">{name}</text>'
-            f'<text y="{HEIGHT / 2 + 4:.0f}" font-size="13">{caption}</text></g>'
+            f'<g transform="translate({(k + 0.5) * WIDTH:.0f} {HEIGHT / 2 - 20:.0f})">{"".join(drawn)}'
+            f'<text y="{HEIGHT / 2 - 20:.0f}" font-weight="bold">{name}</text>'
+            f'<text y="{HEIGHT / 2 + 4:.0f}">{caption}</text></g>'
         )
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {3 * WIDTH} {HEIGHT}" width="{3 * WIDTH}" '
-        'font-family="sans-serif" font-size="15" text-anchor="middle" fill="#333333">'
+        'font-family="sans-serif" font-size="20" text-anchor="middle" fill="#333333">'
         '<rect width="100%" height="100%" fill="#ffffff"/>'
     )
     Path(__file__).with_suffix(".svg").write_text(head + "\n".join(parts) + "</svg>\n")

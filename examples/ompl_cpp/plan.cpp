@@ -49,7 +49,7 @@ public:
     Proof(const ob::SpaceInformationPtr &si, const loewner::Checker &checker) : MotionValidator(si), checker_(checker) {}
     bool checkMotion(const ob::State *a, const ob::State *b) const override
     {
-        const bool free = prove(a, b).verdict == loewner::Verdict::Free;
+        const bool free = is_free(a, b);
         ++(free ? valid_ : invalid_);
         return free;
     }
@@ -62,7 +62,7 @@ public:
         last.second = 0;
         for (double fraction = 0.5; fraction > 1e-3 && last.second == 0; fraction /= 2) {
             si_->getStateSpace()->interpolate(a, b, fraction, end);
-            if (prove(a, end).verdict == loewner::Verdict::Free)
+            if (is_free(a, end))
                 last.second = fraction;
         }
         if (last.first != nullptr)
@@ -72,9 +72,9 @@ public:
     }
 
 private:
-    loewner::Motion prove(const ob::State *a, const ob::State *b) const
+    bool is_free(const ob::State *a, const ob::State *b) const
     {
-        return checker_.certify_edge(workspace(), values(checker_, a), values(checker_, b));
+        return checker_.is_free(workspace(), values(checker_, a), values(checker_, b));
     }
     const loewner::Checker &checker_;
 };

@@ -44,6 +44,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(check_configurations, CHECK_TAKES, "")                                                                           \
     X(memory_size, "i i i", "i")                                                                                       \
     X(certify_motions, "i i F3 F2 f i i i B1 F1 I1 I2 i", "")                                                          \
+    X(free_motions, "i i i F3 i f i i i I1 B1 i", "")                                                                  \
     X(motion_memory, "i i i", "i")                                                                                     \
     X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \
     X(shorten_path, "i i I1 F1 F2 I1 F2 F2", "i")                                                                      \
@@ -221,6 +222,8 @@ struct loewner_workspace {
     int64_t table[TABLE_WORDS], pack;
     int64_t *order, *hits, seen, next_look;
     char *memory; /* for kernels */
+    char *validator;         /* for `free_motions`, which keeps an order of pairs in it from call to call */
+    int64_t is_ready;        /* whether it does */
     double *link_poses, *poses, *courses, *off, *fractions, *numbers, *vectors, *slopes;
     int64_t *found_pairs, *work, *pieces;
     int8_t *tiers, *pair_verdicts, *found;
@@ -245,6 +248,7 @@ static inline void leave_workspace(loewner_workspace **held)
 
 /* Configurations and motions that are handled together. */
 enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
+#define TOLERANCE 1e-5 /* of proofs of motions, in metres, unless a caller gives another */
 
 /* Take over changes of the scene, and prepare a workspace. */
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);

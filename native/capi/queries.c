@@ -557,7 +557,7 @@ static loewner_status prove_block(const loewner_checker *checker, loewner_worksp
                                   double *fractions, int32_t (*bodies)[2])
 {
     TRY(prove(checker, workspace, workspace->courses, count, degree,
-              options != NULL && options->tolerance > 0 ? options->tolerance : 1e-5,
+              options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
               options != NULL ? options->joint_error : NULL, verdicts, workspace->fractions, workspace->found_pairs));
     if (fractions != NULL)
         memcpy(fractions, workspace->fractions, count * sizeof *fractions);
@@ -588,6 +588,71 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
             straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
         TRY(prove_block(checker, workspace, count, 1, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
+    }
+    return LOEWNER_OK;
+}
+
+/* Whether straight courses in the workspace are free, for motions that are proven anyway where solids matter. */
+static loewner_status find_free(const loewner_checker *checker, loewner_workspace *workspace, int64_t count,
+                                const loewner_proof_options *options, int8_t *is_free)
+{
+    const Half *half = half_of_motions(checker);
+    int64_t tally[2] = {0, 0}, dof = checker->file->dof, nothing;
+    const double *error = options != NULL ? options->joint_error : NULL;
+    int is_off = 0;
+    for (int64_t c = 0; error != NULL && c < dof; c++)
+        is_off |= error[c] > 0;
+    const struct {
+        int64_t prepared, first, last;
+        Array3 courses;
+        int64_t error;
+        double tolerance;
+        int64_t pack, problem, tables;
+        Array1 tally, out;
+        void *memory;
+    } arguments = {
+        workspace->is_ready,
+        0,
+        count,
+        {workspace->courses, count, 2, dof},
+        is_off ? (int64_t)error : 0,
+        options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
+        (int64_t)half->words,
+        half->handle,
+        half->motions,
+        {tally, 2},
+        {is_free, count},
+        workspace->validator,
+    };
+    workspace->is_ready = 0;
+    TRY(call(kernels()->free_motions, &arguments, &nothing));
+    workspace->is_ready = 1;
+    for (int64_t k = 0; checker->state.starts_matter && k < count; k++)
+        if (is_free[k]) {
+            int8_t found;
+            TRY(collide(checker, workspace, EXACT, workspace->courses + 2 * k * dof, 1, &found));
+            is_free[k] = found == LOEWNER_FREE;
+        }
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_motions_free(const loewner_checker *checker, loewner_workspace *workspace,
+                                            const double *starts, const double *ends, size_t n,
+                                            const loewner_proof_options *options, int8_t *is_free)
+{
+    HOLD(workspace);
+    TRY(prepare(checker, workspace));
+    TRY(check_configurations(checker, starts, n, "starts"));
+    TRY(check_configurations(checker, ends, n, "ends"));
+    TRY(check_options(checker, options));
+    if (is_free == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "is_free: expected a pointer, found NULL");
+    size_t dof = (size_t)checker->file->dof;
+    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
+        size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
+        for (size_t k = 0; k < count; k++)
+            straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
+        TRY(find_free(checker, workspace, (int64_t)count, options, is_free + first));
     }
     return LOEWNER_OK;
 }

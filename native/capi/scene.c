@@ -747,6 +747,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     size_t memory = (size_t)(half->memory > state->whole.memory ? half->memory : state->whole.memory);
     const Part parts[] = {
         {(void **)&workspace->memory, memory},
+        {(void **)&workspace->validator, (size_t)half->memory},
         {(void **)&workspace->order, 8 * pairs},
         {(void **)&workspace->hits, 8 * pairs},
         {(void **)&workspace->link_poses, 128 * (size_t)state->tree.links},
@@ -788,6 +789,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     workspace->table[3 * ORDER_ROW] = (int64_t)workspace->order;
     workspace->pack = (int64_t)state->whole.words;
     workspace->seen = 0;
+    workspace->is_ready = 0;
     workspace->next_look = FIRST_LOOK;
     workspace->serial = checker->serial;
     return LOEWNER_OK;

@@ -218,6 +218,20 @@ public:
         return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}};
     }
 
+    /* Whether one straight motion is proven free, for a planner's validator of motions. */
+    bool is_free(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5,
+                 Numbers joint_error = {}) const
+    {
+        std::int8_t found = 0;
+        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data()};
+        expect_rows(start, 1);
+        expect_rows(end, 1);
+        if (joint_error.size() != 0)
+            expect_rows(joint_error, 1);
+        expect(loewner_checker_motions_free(get(), workspace.get(), start.data(), end.data(), 1, &options, &found));
+        return found == 1;
+    }
+
     /* Prove motions, whose starts follow each other, and so do their ends. */
     void certify_edges(Workspace &workspace, Numbers starts, Numbers ends, View<std::int8_t> verdicts,
                        double tolerance = 1e-5) const

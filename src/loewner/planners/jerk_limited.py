@@ -2,7 +2,7 @@
 
 Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes from one
 motion's direction to the other's in up to three phases: the acceleration grows, stays and falls. Both kinds of pieces
-begin and end without acceleration. docs/motions.md and docs/design/trajectories.md describe them.
+begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe them.
 """
 
 from __future__ import annotations

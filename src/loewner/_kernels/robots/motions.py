@@ -477,6 +477,9 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
     _place_at(motion, W)
     at = depth * _POSES
     both = at + PARTS + 1
+    for row in range(at, at + _POSES):
+        for c in range(4):
+            to[row, 3, c] = 0.0
     for r in range(3):
         for c in range(4):
             to[at, r, c], to[at + PARTS, r, c] = poses[row_low, r, c], poses[row_high, r, c]
@@ -1011,14 +1014,13 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
-    rows, same, poses, ends = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion), _ends_of(motion)
+    rows, same, ends = _rows_of(motion), _relative_of(motion), _ends_of(motion)
     near_pairs = _near_pairs_of(motion)
     for pair in range(len(near_pairs)):
         near_pairs[pair] = 1
     for lane in range(LANES):
         rows[lane] = lane
     same[:] = 0.0
-    poses[:] = 0.0
     ends[:] = 0.0
     for c in range(4):
         same[0, c, c] = 1.0
@@ -1095,3 +1097,28 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
             order[at] = order[at - 1]
         order[k // 2] = found.pair
     return found.verdict == FREE
+
+
+@njit()
+def free_motions(
+    prepared, start, stop, courses, error, tolerance, pack, problem_handle, tables_handle, tally, out, memory
+):
+    """Find out which of the straight motions start .. stop are FREE, as `certified` does, for validators of motions.
+
+    Parameters
+    ----------
+    prepared : int
+        0 in the first call with a memory. The order of the pairs stays in it from call to call.
+    courses, tolerance, pack, problem_handle, tables_handle, memory
+        As for `certify_motions`; courses of two points.
+    error : int
+        As for `certified`.
+    tally : ndarray of int64, shape (2,)
+        Is changed.
+    out : ndarray of int8, shape (N,)
+        Receives 1 for motions that are free, 0 for the others.
+    """
+    if prepared == 0:
+        make_ready(pack, problem_handle, tables_handle, courses.shape[2], memory)
+    for k in range(start, stop):
+        out[k] = certified(pack, problem_handle, tables_handle, tolerance, error, courses[k], tally, memory)
