@@ -124,6 +124,27 @@ def test_motions_one_by_one_between_other_queries(pair):
     assert np.array_equal(mine.free(a, b), wanted)
 
 
+def test_the_longest_motion_that_is_free(pair):
+    """Where the last bits decide whether a motion is proven, C and Python have the same verdicts."""
+    checker, mine = pair
+    Q = checker.robot.random_configurations(4000, seed=6)
+    Q = Q[~checker.collide(Q)]
+    start, way = Q[:1500], 0.2 * (Q[1500:3000] - Q[:1500])
+    blocked = mine.free(start, start + way) == 0
+    start, way = start[blocked][:200], way[blocked][:200]
+    low, high = np.zeros(len(start)), np.ones(len(start))
+    for _ in range(55):
+        middle = 0.5 * (low + high)
+        free = mine.free(start, start + middle[:, None] * way) == 1
+        low, high = np.where(free, middle, low), np.where(free, high, middle)
+    assert len(start) > 100
+    for share in (low, high):
+        ends = start + share[:, None] * way
+        verdicts = checker.certify_edges(start, ends).verdict
+        assert np.array_equal(mine.certify(start, ends)[0], verdicts)
+        assert np.array_equal(mine.free(start, ends), verdicts == 0)
+
+
 def test_paths_are_those_of_python(pair):
     """Equal seeds give equal paths, rough and shortened."""
     checker, mine = pair

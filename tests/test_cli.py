@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -730,6 +731,20 @@ def test_plan_prints_a_table(with_end, capsys):
         re.search(r"^nearest +([0-9.]+) mm, on motion \d+: the least of the exact distances at 33", out, flags=re.M)[1]
     )
     assert nearest == min(float(part) for _, _, part in rows)
+
+
+def test_a_path_can_be_viewed(with_end, capsys, monkeypatch, tmp_path):
+    """`loewner view` plays the path that `loewner plan` wrote, and says what a path without times cannot have."""
+    out = tmp_path / "path.csv"
+    assert run(capsys, *AROUND, "--out", str(out))[0] == 0
+    shown = []
+    page = SimpleNamespace(url="http://here", wait=lambda: None)
+    monkeypatch.setattr("loewner.viewer.show_robot", lambda *given, **more: shown.append(more) or page)
+    robot = ["--robot", *ROBOT, "--scene", "end.yaml", "--trajectory", str(out), "--no-browser"]
+    assert run(capsys, "view", *robot)[0] == 0
+    assert len(shown[0]["path"]) > 2
+    status, _, err = run(capsys, "view", *robot, "--start-time", "1")
+    assert (status, "--start-time: expected times in" in err) == (2, True)
 
 
 def test_plan_improves_the_path(with_end, capsys):

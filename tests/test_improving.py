@@ -212,6 +212,8 @@ def test_a_path_keeps_its_distance_where_it_can(checker, seed):
     length = improving.cost_of(np.ones(3), plan.path)
     assert short.cost < length < 1.2 * short.cost
     assert plan.bound <= length <= plan.cost
+    assert plan.clearance == pytest.approx(least_distance(checker, plan.path), abs=2e-3)
+    assert short.clearance is None
     cost = Clearing.of(Judge.of(checker, 0.0), np.ones(3), 0.1).cost_of
     assert plan.cost == cost(plan.path) < 0.5 * cost(short.path)
     again = planners.plan(checker, LEFT, RIGHT, improve_iterations=60, clearance=0.1, **given)
@@ -234,7 +236,32 @@ def test_nothing_to_keep_away_from(robot):
     checker = CollisionChecker(robot, Scene())
     plan = planners.plan(checker, LEFT, RIGHT, improve_iterations=10, clearance=0.1, full=True)
     np.testing.assert_array_equal(plan.path, [LEFT, RIGHT])
-    assert (plan.cost, plan.iterations) == (1.0, 0)
+    assert (plan.cost, plan.iterations, plan.clearance) == (1.0, 0, np.inf)
+    assert "clearance inf m" in repr(plan)
+
+
+@pytest.mark.parametrize("step", [1e-16, 3e-16, 1e-15, 1e-12])
+def test_a_goal_that_is_almost_reached(checker, step):
+    """A few last bits away and beside the wall, the path is the straight way, without a warning."""
+    x = -0.05 - RADIUS - 0.01
+    start, goal = np.array([x, -0.5, UP]), np.array([x, -0.5 + step, UP])
+    plan = planners.plan(checker, start, goal, improve_iterations=20, clearance=0.1, full=True)
+    np.testing.assert_array_equal(plan.path[[0, -1]], [start, goal])
+    assert np.ptp(plan.path, axis=0).max() < 1e-6
+    assert proven(checker, plan.path)
+
+
+@pytest.mark.parametrize("wanted", [0.1, 0.5, 1.0])
+def test_never_worse_than_the_first_path(checker, wanted):
+    """By the cost near obstacles, the result costs no more than the path that is not improved."""
+    cost = Clearing.of(Judge.of(checker, 0.0), np.ones(3), wanted).cost_of
+    for seed in range(5):
+        first = planners.plan(checker, LEFT, RIGHT, seed=seed)
+        for rounds in (1, 2, 5):
+            plan = planners.plan(
+                checker, LEFT, RIGHT, seed=seed, improve_iterations=rounds, clearance=wanted, full=True
+            )
+            assert plan.cost <= cost(first) * (1 + 1e-12)
 
 
 def test_other_joints_stay_with_a_clearance(checker):
@@ -274,6 +301,7 @@ def test_a_plan_is_read_only_and_prints_itself(checker):
         ({"improve_iterations": 0, "clearance": 0.1}, "clearance: expected improve_for or improve_iterations"),
         ({"improve_for": 1, "clearance": 0.0}, "clearance: expected a finite number > 0"),
         ({"improve_for": 1, "clearance": np.nan}, "clearance: expected"),
+        ({"improve_for": 1, "clearance": 1e-10}, "clearance: expected at least 1e-09 m, found 1e-10"),
         ({"improve_for": 1, "planner": "RRTConnect"}, "planner: expected none with improve_for"),
     ],
 )

@@ -54,7 +54,7 @@ def obstacles() -> loewner.Scene:
     for name, body, at in (
         ("box", Body.box([0.2, 0.22, 0.24]), [0.56, 0.02, 0.12]),
         ("ball", Body.sphere(0.09), [0.4, -0.34, 0.09]),
-        ("post", Body.cylinder(0.05, 0.5), [0.5, 0.42, 0.25]),
+        ("post", Body.cylinder(0.05, 0.5), [0.6, 0.485, 0.25]),
     ):
         T = np.eye(4)
         T[:3, 3] = at

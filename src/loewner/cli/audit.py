@@ -115,16 +115,9 @@ def _read(path: Path, robot: loewner.Robot) -> planners.ControllerPoints | Float
     try:
         return planners.ControllerPoints.load(path)
     except LoewnerError:
-        if path.suffix.lower() not in configurations.WRITTEN or not configurations.is_path(path, TIMES):
+        if not configurations.is_path(path, TIMES):
             raise
-    hint = "; points with times have a first column time" if path.suffix.lower() == ".csv" else ""
-    try:
-        rows = np.atleast_2d(robot.checked(configurations.read(path, robot, named=True), str(path)))
-    except LoewnerError as error:
-        raise FileError(f"{error}{hint}") from None
-    if len(rows) < 2:
-        raise FileError(f"{path}: expected two configurations or more, found {len(rows)}{hint}")
-    return rows
+    return configurations.path_of(path, robot)
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:

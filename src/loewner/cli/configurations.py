@@ -16,7 +16,7 @@ import loewner
 from loewner import _archives, _tables, _validate
 from loewner._files import read_regular, replacing
 from loewner._validate import Floats
-from loewner.errors import FileError, InputError
+from loewner.errors import FileError, InputError, LoewnerError
 
 # Endings of files from which configurations are read, and to which paths are written.
 READ = (".npy", ".csv", ".json")
@@ -47,8 +47,22 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
     return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
 
 
+def path_of(path: Path, robot: loewner.Robot) -> Floats:
+    """Read a path without times, as `write` writes it, of shape (two or more, dof)."""
+    hint = "; points with times have a first column time" if path.suffix.lower() == ".csv" else ""
+    try:
+        rows = np.atleast_2d(robot.checked(read(path, robot, named=True), str(path)))
+    except LoewnerError as error:
+        raise FileError(f"{error}{hint}") from None
+    if len(rows) < 2:
+        raise FileError(f"{path}: expected two configurations or more, found {len(rows)}{hint}")
+    return rows
+
+
 def is_path(path: Path, times: Sequence[str]) -> bool:
     """Return whether a file names its columns, as `write` does, and the first has none of the names of times."""
+    if path.suffix.lower() not in WRITTEN:
+        return False
     try:
         text = read_regular(path, "configurations", MOST_BYTES).decode("utf-8-sig")
         if path.suffix.lower() == ".json":

@@ -14,8 +14,9 @@ import numpy as np
 
 import loewner
 from loewner import _validate
-from loewner.cli import inputs
+from loewner.cli import configurations, inputs
 from loewner.errors import InputError
+from loewner.planners.controller_points import TIMES
 
 EXAMPLES = """examples:
   loewner view arm.npz table.stl --pose-b "0.5 0 0"
@@ -42,7 +43,12 @@ def add(commands: Any) -> None:
     )
     view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
     view.add_argument("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
-    view.add_argument("--trajectory", metavar="FILE", type=Path, help="path of the robot to play: .csv or .json")
+    view.add_argument(
+        "--trajectory",
+        metavar="FILE",
+        type=Path,
+        help="path of the robot to play, with or without times: .csv or .json",
+    )
     view.add_argument("--start-time", type=float, metavar="T", help="when it starts, for bodies that move (the file's)")
     view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
     view.add_argument("--decompose", action="store_true", help="for the robot: the same as --model pieces")
@@ -107,12 +113,16 @@ def _view_robot(options: argparse.Namespace) -> Any:
         raise InputError(
             f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
         )
-    played = None if options.trajectory is None else planners.Trajectory.load(options.trajectory)
+    checker, file = loewner.CollisionChecker(inputs.robot(options), scene), options.trajectory
+    if file is not None and configurations.is_path(file, TIMES):
+        if options.start_time is not None:
+            raise InputError(f"--start-time: expected times in {file}, found a path without")
+        return viewer.show_robot(checker, path=configurations.path_of(file, checker.robot), port=options.port)
+    played = None if file is None else planners.Trajectory.load(file)
     if options.start_time is not None:
         if played is None:
             raise InputError("view: expected --trajectory with --start-time, found none")
         played = replace(played, start_time=_validate.real(options.start_time, "--start-time"))
-    checker = loewner.CollisionChecker(inputs.robot(options), scene)
     return viewer.show_robot(checker, trajectory=played, port=options.port)
 
 

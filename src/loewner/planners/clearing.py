@@ -64,6 +64,14 @@ class Clearing:
         lengths = self._lengths(path[:-1], path[1:])
         return float(self._costs(path[:-1], path[1:], SHARE * lengths.sum()).sum())
 
+    def least_distance(self, path: Floats) -> float:
+        """Compute the least distance from the scene, at the points where the cost is computed."""
+        if len(self.ready.pairs) == 0:
+            return np.inf
+        lengths = self._lengths(path[:-1], path[1:])
+        _, Q = self._points(path[:-1], path[1:], SHARE * lengths.sum())[:2]
+        return float(np.min(distances.nearest(self.ready, Q, True, False).distance))
+
     def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
         """Move a path whose motions are free; return the cheaper one of both, and the number of rounds.
 
@@ -97,7 +105,8 @@ class Clearing:
         beside = self._densities(sides)[0].reshape(2, -1)
         lengths = self._lengths(np.concatenate([before, here]), np.concatenate([here, after])).reshape(2, -1)
         means, squares = 0.5 * (at + beside), self.weights**2
-        pull = (means / np.maximum(lengths, np.finfo(float).tiny))[:, :, None] * (here - np.stack([before, after]))
+        apart = np.maximum(lengths, np.finfo(float).tiny)[:, :, None]
+        pull = means[:, :, None] * ((here - np.stack([before, after])) / apart)  # a quotient of two zeros is 0 here
         down = -(0.5 * lengths.sum(axis=0)[:, None] * slopes / squares + pull.sum(axis=0))
         # Sideways only: along the path, points would gather where it is cheap.
         along = (after - before) * self.weights
@@ -154,15 +163,17 @@ class Clearing:
 
     def _costs(self, a: Floats, b: Floats, part: float) -> Floats:
         """Costs of motions, in parts of at most this length."""
-        lengths = self._lengths(a, b)
-        counts = np.maximum(np.ceil(lengths / max(part, np.finfo(float).tiny)), 1).astype(int)
+        motion, Q, counts, at_end = self._points(a, b, part)
+        means = np.bincount(motion, np.where(at_end, 0.5, 1.0) * self._densities(Q)[0], len(a)) / counts
+        return np.asarray(self._lengths(a, b) * means)
+
+    def _points(self, a: Floats, b: Floats, part: float) -> tuple[Ints, Floats, Ints, Bools]:
+        """Divide motions: number of the motion of each point, the point, parts of each motion, points at an end."""
+        counts = np.maximum(np.ceil(self._lengths(a, b) / max(part, np.finfo(float).tiny)), 1).astype(int)
         motion = np.repeat(np.arange(len(a)), counts + 1)
         k = np.arange(len(motion)) - np.repeat(np.cumsum(counts + 1) - counts - 1, counts + 1)
-        share = (k / counts[motion])[:, None]
-        densities = self._densities(a[motion] + share * (b - a)[motion])[0]
-        ends = (k == 0) | (k == counts[motion])
-        means = np.bincount(motion, np.where(ends, 0.5, 1.0) * densities, len(a)) / counts
-        return np.asarray(lengths * means)
+        Q = a[motion] + (k / counts[motion])[:, None] * (b - a)[motion]
+        return motion, Q, counts, (k == 0) | (k == counts[motion])
 
     def _densities(self, Q: Floats, gradient: bool = False) -> tuple[Floats, Floats]:
         """Costs per length at configurations, and their gradients if requested."""

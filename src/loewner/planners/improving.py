@@ -50,6 +50,9 @@ NOTHING_LEFT = 1e-9
 # Weights outside this range, or their inverses, would make squares of costs overflow in the worst case.
 LARGEST_WEIGHT = 1e9
 
+# Below this, the gradient of the cost near obstacles might overflow [m].
+LEAST_CLEARANCE = 1e-9
+
 
 class Options(TypedDict, total=False):
     """The options of `plan` that improve a path, all of them optional."""
@@ -83,6 +86,9 @@ class Plan:
         Duration of the call, without writing a proof.
     proof : Proof or None
         A proof that the path is free, if one was requested.
+    clearance : float or None
+        Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 points or more of
+        the path; infinite if there are no such bodies. None unless a `clearance` was requested.
 
     Examples
     --------
@@ -99,6 +105,7 @@ class Plan:
     iterations: int
     seconds: float
     proof: Proof | None = None
+    clearance: float | None = None
 
     @property
     def gap(self) -> float:
@@ -108,8 +115,9 @@ class Plan:
         return float((self.cost - self.bound) / self.bound) if self.bound > 0.0 else math.inf
 
     def __repr__(self) -> str:
+        kept = "" if self.clearance is None else f"clearance {self.clearance:.3g} m, "
         return (
-            f"Plan({len(self.path)} configurations, cost {self.cost:.6g} >= {self.bound:.6g}, "
+            f"Plan({len(self.path)} configurations, cost {self.cost:.6g} >= {self.bound:.6g}, {kept}"
             f"{self.iterations} iterations, {self.seconds:.3g} s)"
         )
 
@@ -158,6 +166,8 @@ class Improvement:
         clearance = given.get("clearance")
         if clearance is not None:
             clearance = _validate.positive_scalar(clearance, "clearance")
+            if clearance < LEAST_CLEARANCE:
+                raise InputError(f"clearance: expected at least {LEAST_CLEARANCE:g} m, found {clearance:g}")
             if not wanted:
                 raise InputError("clearance: expected improve_for or improve_iterations with it")
         until = began + (timeout if seconds is None else seconds)
@@ -176,7 +186,8 @@ class Improvement:
         rounded = 1 - (len(self.weights) + 4) * np.finfo(float).eps
         bound = 0.0 if others else least_cost(ends.space, self.weights, ends.start, targets) * rounded
         path.flags.writeable = False
-        return Plan(path, cost, min(bound, cost), iterations, time.monotonic() - self.began)
+        least = None if clearing is None else clearing.least_distance(path)
+        return Plan(path, cost, min(bound, cost), iterations, time.monotonic() - self.began, clearance=least)
 
 
 def _checked_weights(robot: Robot, given: ArrayLike | None) -> Floats:
@@ -351,8 +362,9 @@ def improved(
         return _shorter(space, judge, path, goals, asked, seed)
     now = time.monotonic()
     first = replace(asked, most=asked.most // 2, deadline=now + 0.5 * (asked.deadline - now))
-    path, done = _shorter(space, judge, path, goals, first, seed)
-    path, more = clearing.cleared(space, path, asked.most - done, asked.deadline)
+    shorter, done = _shorter(space, judge, path, goals, first, seed)
+    best = min(shorter, path, key=clearing.cost_of)  # the shortest path may be the one that is nearest to obstacles
+    path, more = clearing.cleared(space, best, asked.most - done, asked.deadline)
     return path, done + more
 
 
