@@ -67,7 +67,7 @@ class Options(TypedDict, total=False):
 class Plan:
     """A path with its cost and a lower bound on the cost of every such path: the result of `plan` with `full=True`.
 
-    The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a `clearance`
+    The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a clearance
     was given, it is higher near obstacles.
 
     Attributes
@@ -88,7 +88,7 @@ class Plan:
         A proof that the path is free, if one was requested.
     clearance : float or None
         Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 points or more of
-        the path; infinite if there are no such bodies. None unless a `clearance` was requested.
+        the path; infinite if there are no such bodies. None unless a clearance was requested.
 
     Examples
     --------
