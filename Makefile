@@ -124,7 +124,7 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
 
 test-docs: docs $(VENV)/.dev
-	LOEWNER_SITE=docs/_build/html $(PYTEST) tests/test_built_site.py
+	LOEWNER_SITE=docs/_build/html $(PYTEST) -n $(THREADS) tests/test_built_site.py
 
 # auditwheel names the oldest C library of Linux that will do; elsewhere the tag is that of this machine.
 wheel: $(VENV)/.wheel
