@@ -177,11 +177,12 @@ class Improvement:
         """Return the cost near obstacles, if one was requested."""
         return Clearing.of(judge, self.weights, self.clearance) if self.clearance else None
 
-    def plan(self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, judge: Judge) -> Plan:
+    def plan(
+        self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, clearing: Clearing | None
+    ) -> Plan:
         """Make the full result for a path to one of the given free goals; `others` may exist besides."""
         kept = {goal.tobytes() for goal in goals}
         targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
-        clearing = self.clearing(judge)
         cost = cost_of(self.weights, path) if clearing is None else clearing.cost_of(path)
         rounded = 1 - (len(self.weights) + 4) * np.finfo(float).eps
         bound = 0.0 if others else least_cost(ends.space, self.weights, ends.start, targets) * rounded
@@ -350,14 +351,19 @@ class Rounds:
 
 
 def improved(
-    space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement, seed: int
+    space: Space,
+    judge: Judge,
+    path: Floats,
+    goals: Floats,
+    asked: Improvement,
+    seed: int,
+    clearing: Clearing | None,
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return it with the number of rounds.
 
     All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time make the path
     short, and the rest moves it away from obstacles.
     """
-    clearing = asked.clearing(judge)
     if clearing is None or asked.most == 0:
         return _shorter(space, judge, path, goals, asked, seed)
     now = time.monotonic()

@@ -264,7 +264,7 @@ def plan(
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
         goals = kept.checked(robot, q, goals)
-    rounds = 0
+    rounds, clearing = 0, None
     if make is not None:
         found = ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed)
     else:
@@ -272,13 +272,14 @@ def plan(
         if simplify:
             found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
         if better is not None:
-            found, rounds = improving.improved(space, judge, found, goals, better, seed)
+            clearing = better.clearing(judge)
+            found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
     path = ends.joined(found)
     if kept is not None and not kept.on(path[:-1], path[1:]).all():
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     if better is None or not full:
         return path
-    made = better.plan(path, ends, goals, rounds, posed, judge)
+    made = better.plan(path, ends, goals, rounds, posed, clearing)
     if model is None:
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
