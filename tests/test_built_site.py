@@ -6,7 +6,6 @@ also take screenshots, into the folder `screenshots` beside the site.
 
 import os
 import re
-import shutil
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,8 +13,9 @@ from urllib.parse import urldefrag
 
 import pytest
 
+from browsers import chromium, missing
+
 SITE = Path(os.environ.get("LOEWNER_SITE", "nowhere")).resolve()
-REQUIRED = os.environ.get("LOEWNER_BROWSER") == "required"
 pytestmark = pytest.mark.skipif("LOEWNER_SITE" not in os.environ, reason="make test-docs builds the site")
 
 # Pages in a browser, and the sizes of its window.
@@ -123,28 +123,15 @@ def test_numbers_keep_their_units():
 # -- in a browser -------------------------------------------------------------------------------
 
 
-def missing(what):
-    if REQUIRED:
-        pytest.fail(f"{what}; LOEWNER_BROWSER=required asks for it (.ci/run installs it where it can)")
-    pytest.skip(what)
-
-
 @pytest.fixture(scope="module")
 def browser():
     """Chromium, and axe's checks as a function of a page."""
     try:
         from axe_playwright_python.sync_playwright import Axe
-        from playwright.sync_api import sync_playwright
     except ImportError:
-        missing("no playwright or axe: pip install -r requirements/dev.txt")
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if path is None:
-        missing("no Chromium: apt-get install chromium")
-    with sync_playwright() as driver:
-        shown = {"args": ["--no-sandbox"], "ignore_default_args": ["--hide-scrollbars"]}
-        browser = driver.chromium.launch(executable_path=path, headless=True, **shown)
+        missing("no axe: pip install -r requirements/dev.txt")
+    with chromium(args=["--no-sandbox"], ignore_default_args=["--hide-scrollbars"]) as browser:
         yield browser, Axe()
-        browser.close()
 
 
 # Code whose column cuts it off without a bar to scroll it, and pages that are wider than the window.
@@ -161,8 +148,8 @@ CUT_OFF = """() => {
 @pytest.mark.parametrize("width", WIDTHS)
 def test_pages_can_be_read_by_all(browser, width, scheme):
     """axe finds no fault; no code is cut off without a bar; the page fits the window; nothing foreign is loaded."""
-    chromium, axe = browser
-    page = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    opened, axe = browser
+    page = opened.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     requests, faults = [], []
     page.on("request", lambda request: requests.append(request.url))
     for name in SHOWN:

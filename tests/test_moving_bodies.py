@@ -317,13 +317,13 @@ def test_parts_of_courses_are_exact_but_for_rounding(rng):
 @pytest.mark.parametrize("mutant", ["the body waits", "the body does not turn", "its time is another"])
 def test_mutants_are_caught(slider, mutant, monkeypatch):
     """What the proof takes of a moving body is needed: without any one part, motions that collide count as free."""
-    made, cut = in_time._courses, in_time.pieces
+    made, cut = in_time._write_courses, in_time.pieces
 
-    def wrong_courses(a, b, points):
-        b = a if mutant == "the body waits" else b
+    def wrong_courses(a, b, out):
+        b = a.copy() if mutant == "the body waits" else b
         if mutant == "the body does not turn":
             b = np.concatenate([b[..., :3], a[..., 3:]], axis=-1)
-        return made(a, b, points)
+        return made(a, b, out)
 
     def wrong_pieces(robot, paths, courses, off, t0, t1):
         return cut(robot, paths, courses, off, 0.98 * t0, 0.98 * t1)
@@ -350,7 +350,7 @@ def test_mutants_are_caught(slider, mutant, monkeypatch):
         return wrong
 
     assert refuted() == 0
-    monkeypatch.setattr(in_time, "_courses", wrong_courses)
+    monkeypatch.setattr(in_time, "_write_courses", wrong_courses)
     if mutant == "its time is another":
         monkeypatch.setattr(in_time, "pieces", wrong_pieces)
     assert refuted() > 0

@@ -7,7 +7,6 @@ import itertools
 import os
 import re
 import runpy
-import shutil
 import signal
 import socket
 import subprocess
@@ -22,13 +21,12 @@ import pytest
 from PIL import Image
 
 import loewner
+from browsers import chromium, missing
 from families import translation
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, cli, planners, viewer
 from loewner.viewer import drawing, framing, guard, playing
 from loewner.viewer.visuals import visual_meshes
 from robot_oracle import robots_folder
-
-REQUIRED = os.environ.get("LOEWNER_BROWSER") == "required"
 
 # Chromium as root in a container, with no network and no graphics card.
 FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"]
@@ -58,12 +56,6 @@ ARM = """
 """
 
 
-def missing(what):
-    if REQUIRED:
-        pytest.fail(f"{what}; LOEWNER_BROWSER=required asks for it (.ci/run installs it where it can)")
-    pytest.skip(what)
-
-
 @pytest.fixture(autouse=True)
 def viser():
     try:
@@ -75,17 +67,8 @@ def viser():
 
 @pytest.fixture(scope="module")
 def browser():
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        missing("no playwright: pip install -r requirements/dev.txt")
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if path is None:
-        missing("no Chromium: apt-get install chromium")
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, headless=True, args=FLAGS)
+    with chromium(args=FLAGS) as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture

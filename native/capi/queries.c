@@ -551,6 +551,27 @@ static loewner_status check_options(const loewner_checker *checker, const loewne
     return LOEWNER_OK;
 }
 
+static loewner_status check_edges(const loewner_checker *checker, const double *starts, const double *ends, size_t n,
+                                  const loewner_proof_options *options, const int8_t *answers, const char *name)
+{
+    TRY(check_configurations(checker, starts, n, "starts"));
+    TRY(check_configurations(checker, ends, n, "ends"));
+    TRY(check_options(checker, options));
+    if (answers == NULL && n > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected a pointer, found NULL", name);
+    return LOEWNER_OK;
+}
+
+/* Write the courses of as many motions from the first on as are proven at once, and return how many these are. */
+static size_t write_courses(const loewner_checker *checker, loewner_workspace *workspace, const double *starts,
+                            const double *ends, size_t first, size_t n)
+{
+    size_t dof = (size_t)checker->file->dof, count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
+    for (size_t k = 0; k < count; k++)
+        straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
+    return count;
+}
+
 /* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
 static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t count,
                                   int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
@@ -576,23 +597,16 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
 {
     HOLD(workspace);
     TRY(prepare(checker, workspace));
-    TRY(check_configurations(checker, starts, n, "starts"));
-    TRY(check_configurations(checker, ends, n, "ends"));
-    TRY(check_options(checker, options));
-    if (verdicts == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
-    size_t dof = (size_t)checker->file->dof;
+    TRY(check_edges(checker, starts, ends, n, options, verdicts, "verdicts"));
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
-        for (size_t k = 0; k < count; k++)
-            straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
+        size_t count = write_courses(checker, workspace, starts, ends, first, n);
         TRY(prove_block(checker, workspace, count, 1, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
     }
     return LOEWNER_OK;
 }
 
-/* Whether straight courses in the workspace are free, for motions that are proven anyway where solids matter. */
+/* Find out which of the straight courses in the workspace are free. */
 static loewner_status find_free(const loewner_checker *checker, loewner_workspace *workspace, int64_t count,
                                 const loewner_proof_options *options, int8_t *is_free)
 {
@@ -642,16 +656,9 @@ loewner_status loewner_checker_motions_free(const loewner_checker *checker, loew
 {
     HOLD(workspace);
     TRY(prepare(checker, workspace));
-    TRY(check_configurations(checker, starts, n, "starts"));
-    TRY(check_configurations(checker, ends, n, "ends"));
-    TRY(check_options(checker, options));
-    if (is_free == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "is_free: expected a pointer, found NULL");
-    size_t dof = (size_t)checker->file->dof;
+    TRY(check_edges(checker, starts, ends, n, options, is_free, "is_free"));
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
-        for (size_t k = 0; k < count; k++)
-            straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
+        size_t count = write_courses(checker, workspace, starts, ends, first, n);
         TRY(find_free(checker, workspace, (int64_t)count, options, is_free + first));
     }
     return LOEWNER_OK;

@@ -170,9 +170,7 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
     times = np.where(shares == 1.0, end, begin + shares * (end - begin))
     if ready.paths is not None:
         own = courses.shape[2] - in_time.WIDTH * len(ready.paths.far)
-        courses[..., own:], off[..., own:] = in_time.courses_of_bodies(
-            ready.paths, times[:-1], times[1:], courses.shape[1]
-        )
+        in_time.write_bodies(ready.paths, times[:-1], times[1:], courses[..., own:], off[..., own:])
     return Curve(None, times, courses, off)
 
 

@@ -94,9 +94,8 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
     counts = np.maximum(last - first, 0) + 1
     if counts.max(initial=1) == 1:
-        bodies, errors = courses_of_bodies(paths, t0, t1, courses.shape[1])
         uncut = np.arange(len(t0)), np.zeros(len(t0)), np.ones(len(t0)), np.stack([t0, t1], axis=1)
-        return Pieces(*uncut, np.concatenate([courses, bodies], axis=2), np.concatenate([off, errors], axis=1))
+        return Pieces(*uncut, *_joined(paths, t0, t1, courses, off))
     total, width = int(counts.sum()), courses.shape[2] + WIDTH * len(paths.far)
     _validate.fits_memory(8 * total * width * (2 * courses.shape[1] + 2), f"{total} pieces of motions")
     owner = np.repeat(np.arange(len(courses)), counts)
@@ -120,50 +119,58 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
                 interpolated(robot, whole[:, 0], whole[:, 1], f[cut, None]) for f in (starts, ends)
             )
         strays[cut] += CURVE_ROUNDINGS * np.abs(whole).max(axis=1)
-    bodies, errors = courses_of_bodies(paths, begin, end, courses.shape[1])
-    joined = np.concatenate([of_robot, bodies], axis=2), np.concatenate([strays, errors], axis=1)
-    return Pieces(owner, starts, ends, np.stack([begin, end], axis=1), *joined)
+    times = np.stack([begin, end], axis=1)
+    return Pieces(owner, starts, ends, times, *_joined(paths, begin, end, of_robot, strays))
 
 
-def courses_of_bodies(paths: PackedPaths, begin: Floats, end: Floats, points: int) -> tuple[Floats, Floats]:
-    """Make courses of all bodies between times, shape (M,) each, between which no body changes its rates.
+def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> tuple[Floats, Floats]:
+    """Append the courses of all bodies between times, and how far values may deviate from them."""
+    M, points, dof = courses.shape
+    width = dof + WIDTH * len(paths.far)
+    made, allowed = np.empty((M, points, width)), np.empty((M, width))
+    made[..., :dof], allowed[:, :dof] = courses, off
+    write_bodies(paths, begin, end, made[..., dof:], allowed[:, dof:])
+    return made, allowed
 
-    Returns
-    -------
+
+def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> None:
+    """Write courses of all bodies between times, shape (M,) each, between which no body changes its rates.
+
+    Parameters
+    ----------
     courses : ndarray, shape (M, points, 7 bodies)
+        Receives them.
     off : ndarray, shape (M, 7 bodies)
-        How far values may deviate from the courses.
+        Receives how far values may deviate from the courses.
     """
-    made, bent = _courses(paths.values(begin), paths.values(end), points)
-    ticks = TIME_ROUNDINGS * (np.abs([begin, end]).max(axis=0)[:, None] + paths.spans)  # (M, bodies)
-    errors = np.empty((len(begin), len(paths.far), WIDTH))
+    made, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off))
+    bent = _write_courses(paths.values(begin), paths.values(end), made)
+    ticks = TIME_ROUNDINGS * (np.maximum(np.abs(begin), np.abs(end))[:, None] + paths.spans)  # (M, bodies)
     errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
     errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
-    return made, errors.reshape(len(begin), WIDTH * len(paths.far))
 
 
-def _courses(a: Floats, b: Floats, points: int) -> tuple[Floats, Floats]:
-    """Make courses of bodies between their values a and b, shape (M, bodies, 7), side by side.
+def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:
+    """Write courses of bodies between their values a and b, shape (M, bodies, 7), to shape (M, points, bodies, 7).
 
-    Returns
-    -------
-    courses : ndarray, shape (M, points, 7 bodies)
-    bent : ndarray, shape (M, bodies)
-        How far the quaternions of courses miss a turn at a constant rate.
+    Returns how far their quaternions miss a turn at a constant rate, shape (M, bodies), or 0.
     """
-    share = np.linspace(0.0, 1.0, points)[:, None, None]
+    points = out.shape[1]
     p, q = a[..., 3:], b[..., 3:]
-    q = np.where((p * q).sum(axis=-1, keepdims=True) < 0.0, -q, q)
-    out, flat = np.empty((len(a), points, *a.shape[1:])), (len(a), points, WIDTH * a.shape[1])
-    out[..., :3] = (1.0 - share) * a[:, None, :, :3] + share * b[:, None, :, :3]
+    q *= np.where(np.einsum("mbk,mbk->mb", p, q) < 0.0, -1.0, 1.0)[..., None]
+    out[:, 0], out[:, -1] = a, b
+    for k in range(1, points - 1):
+        share = k / (points - 1)
+        out[:, k, :, :3] = (1.0 - share) * a[..., :3] + share * b[..., :3]
     if points <= 3:  # motions of degree 1 turn at a constant rate, and in others of so few points nothing turns
-        out[:, 0, :, 3:], out[:, 1:, :, 3:] = p, q[:, None]
-        return out.reshape(flat), np.zeros(a.shape[:2])
+        out[:, 1:-1, :, 3:] = q[:, None]
+        return 0.0
     arc = 2.0 * np.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
     cosine, third = np.cos(arc), np.where(arc < 1e-6, 1.0, arc / np.maximum(np.sin(arc), 1e-12)) / 3.0
     cubic = np.stack([p, p + third * (q - cosine * p), q + third * (p - cosine * q), q], axis=1)
     out[..., 3:] = elevated(cubic.reshape(len(a), 4, 4 * a.shape[1]), points - 4).reshape(len(a), points, *p.shape[1:])
-    return out.reshape(flat), ARC_ERROR * (1.0 + 1e-9) * arc[..., 0] ** 4
+    error: Floats = ARC_ERROR * (1.0 + 1e-9) * arc[..., 0] ** 4
+    return error
 
 
 def prove_edges(

@@ -54,9 +54,14 @@ NEARLY_HALF_TURN = 1e-6
 
 ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
 
-# Steps are chosen for this share of the curvature that the bounds allow; with 0.3, pairs take a tenth more rounds. A
-# step that is not proven is reduced at least by the second number.
-SHARE, REDUCED = 0.6, 0.7
+# Steps are chosen for this share of the curvature that the bounds allow, from which the best is flat: 0.3 and 0.6 take
+# 2 % more rounds. A step that is not proven is reduced to a share between these two, see `_reduced`.
+SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
+REACHED = 0.5  # share of the widest step back from a plane that is not yet proven
+
+# Shares of the tolerance: how far from contact a step ends before the last one, and how far apart the last two may be.
+BEFORE, LAST = 0.25, 0.9
+
 SURFACE_SHARE = 0.95  # of the longest step that the speed of surfaces allows
 NEAR = 1e-9  # share of the distance of a surface that is left to its rounding, before it is proven
 
@@ -273,6 +278,32 @@ def _look(A, B, n, margin, far, memory):
 
 
 @inline
+def _nearing(way_a, way_b, n, at_a, at_b):
+    """How fast two points approach each other along n."""
+    a = plus(_three(way_a, WAY), cross(_three(way_a, SPIN), at_a))
+    b = plus(_three(way_b, WAY), cross(_three(way_b, SPIN), at_b))
+    return dot(n, minus(a, b))
+
+
+@inline
+def _turned(n, m):
+    """Bound on the difference of two unit normals."""
+    off = minus(n, m)
+    return np.sqrt(dot(off, off)) + 16.0 * UNIT_ROUNDOFF
+
+
+@inline
+def _reduced(w, gap, nearing, low, curve):
+    """The step to try instead of one that lost curve w² and is not proven, so that both halves are likely to be.
+
+    The gap at its end is `low`: from there the plane reaches back as far as the loss, also taken as a multiple of the
+    square, is less.
+    """
+    most = min(REDUCED * w, 0.9 * _root(gap, nearing, curve))
+    return min(max(w - REACHED * np.sqrt(max(low, 0.0) / curve), LEAST * w), most)
+
+
+@inline
 def _root(gap, nearing, curve):
     """The step after which the gap, which shrinks at a rate, has shrunk to curve times the step's square."""
     below = nearing + np.sqrt(nearing * nearing + 4.0 * curve * gap)
@@ -303,6 +334,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     surface = is_surface(A) or is_surface(B)
     t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
     gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
+    # The last plane that was not proven from t; often it is, from the time between.
+    later, later_gap, later_above, later_nearing, later_normal = np.inf, 0.0, np.inf, 0.0, normal
     _place(motions, 0.0, poses)
     n = minus(plus(shift_between(A, B), _middle(B)), _middle(A))
     for r in range(ROUNDS):
@@ -316,43 +349,47 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                     return FREE, horizon, np.inf, r
             n = normal
         meets, n, low, top, at_a, at_b = _look(A, B, n, margin, far, memory)
-        proven, curve = False, 0.0
+        proven, curve, rate = False, 0.0, _nearing(way_a, way_b, n, at_a, at_b)
         if meets:
             hit = at
         else:
             proven = min(gap, low) > 0.0 and gap + low > speed * w
             if not surface and r > 0:
-                off = minus(n, normal)
-                change = np.sqrt(dot(off, off)) + 16.0 * UNIT_ROUNDOFF
+                change = _turned(n, normal)
                 lost = lost_between(speed, bend, change, w)
                 proven = proven or min(gap, low) > lost
                 # The curvature by which the model of the last step missed.
                 curve = (lost + max(gap - nearing * w - low, 0.0)) / (w * w)
                 if proven:
                     turning = change / w
+                else:
+                    later, later_gap, later_above, later_nearing, later_normal = at, low, top, rate, n
         if proven:
-            t, gap, above, normal = at, low, top, n
-            v = plus(_three(way_b, WAY), cross(_three(way_b, SPIN), at_b))
-            nearing = dot(n, minus(plus(_three(way_a, WAY), cross(_three(way_a, SPIN), at_a)), v))
+            t, gap, above, nearing, normal = at, low, top, rate, n
+            if t < later < hit:
+                change, w = _turned(later_normal, normal), later - t
+                if min(gap, later_gap) > lost_between(speed, bend, change, w):
+                    t, gap, above, nearing, normal = later, later_gap, later_above, later_nearing, later_normal
+                    later, turning = np.inf, change / w
             if t >= horizon or gap > speed * (horizon - t):
                 return FREE, horizon, np.inf, r
         elif r == 0:
             break
-        if (hit - t) * speed <= tolerance:
-            return COLLIDING, t, hit, r
-        if horizon < 1.0 and (horizon - t) * speed <= tolerance:
-            return FREE, t, np.inf, r
+        # Nothing closes the gap before it has shrunk at full speed.
+        if (hit - t) * speed - gap <= tolerance:
+            return COLLIDING, min(t + gap / speed, hit), hit, r
+        if horizon < 1.0 and (horizon - t) * speed - gap <= tolerance:
+            return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
             w = _root(gap, nearing, SHARE * (bend + 2.0 * turning * speed))
             if surface:
                 w = SURFACE_SHARE * 2.0 * gap / (speed + nearing)
             if nearing > 0.0:
-                if 2.0 * gap * speed <= tolerance * nearing:
-                    w = 2.0 * gap / nearing  # beyond the contact that is expected
-                else:
-                    w = min(w, (gap - 0.25 * tolerance * nearing / speed) / nearing)
+                due, before = gap / nearing, BEFORE * tolerance / speed
+                last = (LAST * tolerance + gap) / speed
+                w = 0.5 * (due + last) if due + before <= last else min(w, due - before)
         else:
-            w = min(REDUCED * w, 0.9 * _root(gap, nearing, curve)) if curve > 0.0 else 0.5 * w
+            w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w
         at = min(t + w, horizon)
         if at >= hit:
             at = 0.5 * (t + hit)

@@ -109,9 +109,12 @@ class Query(NamedTuple):
 
     Attributes
     ----------
-    mode : CERTIFY or EXACT first_hit : 1 if the first collision ends the query, otherwise 0 pack, problem : handles of
-    the pieces, see `pieces.pack`, and of the problem, see `pack.problem_of` counts : numbers of bodies, pieces, pairs
-    and links hits : counts of the collisions found, by pair work : address of `MEMORY`
+    mode : CERTIFY or EXACT
+    first_hit : 1 if the first collision ends the query, otherwise 0
+    pack, problem : handles of the pieces, see `pieces.pack`, and of the problem, see `pack.problem_of`
+    counts : numbers of bodies, pieces, pairs and links
+    hits : counts of the collisions found, by pair
+    work : address of `MEMORY`
     """
 
     mode: Any

@@ -164,14 +164,27 @@ def place_links(tree, Q, rows, at, W):
     W : ndarray, shape (workspace_size(links, dof),) or longer
         Entries after the poses are scratch.
     """
-    parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
-    multiplier, offset, constants = borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants)
-    links, dof = parent.size, Q.shape[1]
-    behind = links * (POSE * LANES)
+    columns = columns_of(tree, W)
     for lane in range(LANES):
         row = rows[at + lane]
-        for k in range(dof):
-            W[behind + k * LANES + lane] = Q[row, k]
+        for k in range(Q.shape[1]):
+            columns[k * LANES + lane] = Q[row, k]
+    place_columns(tree, W)
+
+
+@inline
+def columns_of(tree, W):
+    """The part of W in which `place_columns` expects the values of eight configurations, by columns."""
+    return borrowed(W)[tree.parent.size * (POSE * LANES) :]
+
+
+@apart
+def place_columns(tree, W):
+    """As `place_links`, for configurations that are in W already."""
+    parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
+    multiplier, offset, constants = borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants)
+    links = parent.size
+    behind = links * (POSE * LANES)
     for link in range(links):
         what = kind[link]
         q = behind + column[link] * LANES

@@ -153,8 +153,8 @@ def _arc(ends, at):
         a, b = ends[0, at + k] / p, ends[1, at + k] / q
         squares += (a - b) * (a - b)
         same = same and ends[0, at + k] == ends[1, at + k]
-    angle = 4.0 * np.arcsin(min(np.sqrt(squares) / 2.0, 1.0))
-    return 0.0 if same else angle * UPWARD + SMALLEST_TURN, max(abs(p - 1.0), abs(q - 1.0))
+    angle = 0.0 if same else 4.0 * np.arcsin(min(np.sqrt(squares) / 2.0, 1.0)) * UPWARD + SMALLEST_TURN
+    return angle, max(abs(p - 1.0), abs(q - 1.0))
 
 
 @inline
@@ -263,10 +263,12 @@ def write_strays(tree, off, rates, strays):
 
     Returns
     -------
-    float
+    slides : float
         Sum of the additional distances of all sliding joints from 0 [m].
+    turns : float
+        Sum of the additional angles of all turning joints [rad].
     """
-    travel = 0.0
+    slides, turns = 0.0, 0.0
     for link in range(tree.kind.size):
         kind, at, by = tree.kind[link], tree.column[link], tree.multiplier[link]
         turn, slide = 0.0, 0.0
@@ -286,8 +288,9 @@ def write_strays(tree, off, rates, strays):
         strays.turn[link], strays.slide[link] = turn * UPWARD, slide * UPWARD
         strays.far[link] = rates.far[link] + slide * UPWARD
         strays.turning[link], strays.sliding[link] = 0.0, 0.0
-        travel += slide * UPWARD
-    return travel
+        slides += slide * UPWARD
+        turns += turn * UPWARD
+    return slides, turns
 
 
 @inline

@@ -10,49 +10,51 @@ the control points of its derivative are the differences of neighbours times d.
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.robots.kinematics import quaternion_of
-from loewner._kernels.simd.vectors import rounded_product
+from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sines, sqrt, store
 
 SMALL_ANGLE = 1e-6  # rad; below it the chord equals the arc
+SMALL_COSINE = 1.0 - 4e-13  # of an angle that is certainly below it
 SMALLEST_SINE = 1e-12
 
 
 @inline
-def _slerp(course, at, t, Q, row):
-    """Write the quaternion on the arc between two, which are at most a right angle apart."""
-    cosine = 0.0
-    for k in range(at, at + 4):
-        cosine += course[0, k] * course[1, k]
-    angle = np.arccos(min(cosine, 1.0))
-    sine = max(np.sin(angle), SMALLEST_SINE)
-    of_p, of_q = 1.0 - t, t
-    if angle >= SMALL_ANGLE:
-        of_p, of_q = np.sin((1.0 - t) * angle) / sine, np.sin(t * angle) / sine
-    for k in range(at, at + 4):
-        Q[row, k] = of_p * course[0, k] + of_q * course[1, k]
-
-
-@inline
-def _scale_to_unit(Q, row, at):
-    squares = 0.0
-    for k in range(at, at + 4):
-        squares += Q[row, k] * Q[row, k]
-    norm = np.sqrt(squares)
-    for k in range(at, at + 4):
-        Q[row, k] /= norm
-
-
-@inline
-def _polynomial(course, c, t):
-    """Value of a column at a fraction, by Horner's scheme for Bernstein polynomials."""
+def _value(course, c, t):
+    """Value of a column at a fraction, or at eight; of polynomials by Horner's scheme for Bernstein's form."""
     degree = course.shape[0] - 1
-    s, power, binomial, value = 1.0 - t, 1.0, 1.0, course[0, c]
+    if degree == 1:
+        a, b = course[0, c], course[1, c]
+        return select(t >= 1.0, b, a + rounded_product(t, b - a))
+    s, binomial = 1.0 - t, 1.0
+    power, value = 1.0 + 0.0 * t, course[0, c] + 0.0 * t
     for k in range(1, degree + 1):
-        power *= t
+        power = power * t
         binomial = binomial * (degree - k + 1) / k
         value = value * s + binomial * power * course[k, c]
     return value
+
+
+@inline
+def _quaternion(course, at, t):
+    """Unit quaternion at a fraction, or at eight: on the arc between two (at most a right angle), or a polynomial."""
+    if course.shape[0] == 2:
+        cosine = 0.0
+        for k in range(at, at + 4):
+            cosine += course[0, k] * course[1, k]
+        angle = np.arccos(cosine) if cosine < SMALL_COSINE else 0.0
+        of_p, of_q = 1.0 - t, t
+        if angle >= SMALL_ANGLE:
+            sine = max(np.sin(angle), SMALLEST_SINE)
+            of_p, of_q = sines((1.0 - t) * angle) / sine, sines(t * angle) / sine
+        w, x = of_p * course[0, at] + of_q * course[1, at], of_p * course[0, at + 1] + of_q * course[1, at + 1]
+        y, z = of_p * course[0, at + 2] + of_q * course[1, at + 2], of_p * course[0, at + 3] + of_q * course[1, at + 3]
+    else:
+        w, x, y, z = (
+            _value(course, at, t), _value(course, at + 1, t), _value(course, at + 2, t), _value(course, at + 3, t),
+        )  # fmt: skip
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return w / norm, x / norm, y / norm, z / norm
 
 
 @njit()
@@ -69,19 +71,28 @@ def configuration_at(tree, course, t, Q, row):
     Q : ndarray, shape (N, dof)
     row : int
     """
-    straight = course.shape[0] == 2
     for c in range(course.shape[1]):
-        if straight:
-            a, b = course[0, c], course[1, c]
-            Q[row, c] = a + rounded_product(t, b - a) if t != 1.0 else b
-        else:
-            Q[row, c] = _polynomial(course, c, t)
+        Q[row, c] = _value(course, c, t)
     for link in range(tree.kind.size):
         at = quaternion_of(tree, link)
         if at >= 0:
-            if straight:
-                _slerp(course, at, t, Q, row)
-            _scale_to_unit(Q, row, at)
+            Q[row, at], Q[row, at + 1], Q[row, at + 2], Q[row, at + 3] = _quaternion(course, at, t)
+
+
+@apart
+def configurations_at(tree, course, times, first, columns):
+    """Write the configurations at eight fractions of a course, times[first : first + 8], to a flat array by columns."""
+    t = load(times, first)
+    for c in range(course.shape[1]):
+        store(columns, c * LANES, _value(course, c, t))
+    for link in range(tree.kind.size):
+        at = quaternion_of(tree, link)
+        if at >= 0:
+            w, x, y, z = _quaternion(course, at, t)
+            store(columns, at * LANES, w)
+            store(columns, (at + 1) * LANES, x)
+            store(columns, (at + 2) * LANES, y)
+            store(columns, (at + 3) * LANES, z)
 
 
 @njit()

@@ -34,7 +34,7 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.kinematics import link_entries, place_links
+from loewner._kernels.robots.kinematics import columns_of, link_entries, place_columns
 from loewner._kernels.robots.motion_bounds import (
     VALUE_ROUNDINGS,
     Rates,
@@ -43,7 +43,7 @@ from loewner._kernels.robots.motion_bounds import (
     ways_between,
     write_strays,
 )
-from loewner._kernels.robots.motion_path import configuration_at, write_part
+from loewner._kernels.robots.motion_path import configurations_at, write_part
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
@@ -82,6 +82,10 @@ DECIDED = 0.5
 
 # Where joints may stray, an interval is settled once its points move by less than this share of V(δ).
 SETTLED_STRAY = 0.125
+
+# Strays that move no point by more than this share of the tolerance count as rounding, from which the strays of bodies
+# that follow a motion come.
+ROUNDED_STRAY = 1e-3
 
 # Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
 WAITING = 256
@@ -170,7 +174,6 @@ _LINK_ENTRIES = link_entries(LINKS, DOF)
 _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 
 MEMORY = Arena(
-    rows=integers(LANES),  # of the configurations
     times=floats(LANES),  # of the block
     scratch=floats(PIECE),  # a piece relative to another body
     near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
@@ -191,7 +194,6 @@ MEMORY = Arena(
     course=raw(8 * MOST_POINTS * DOF),
     part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
     scratch_points=floats(MOST_POINTS),  # for `write_part`
-    configurations=floats(LANES, DOF),  # eight configurations
     part_times=floats(LANES),  # eight fractions, and gaps at these
     gaps=floats(4 * LANES),
     planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
@@ -206,14 +208,14 @@ MEMORY = Arena(
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
 )  # fmt: skip
-_rows_of, _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
-    "rows times scratch relative waiting waiting_normals"
+_times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
+    "times scratch relative waiting waiting_normals"
 )
 _cut_times_of, _cut_poses_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
     "cut_times cut_poses stack stack_normals gjk exact"
 )
-_vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
-    "vectors simplex course part scratch_points configurations"
+_vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of = MEMORY.accessors(
+    "vectors simplex course part scratch_points"
 )
 _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
     "cut_links rates ways swept order off strays"
@@ -396,13 +398,12 @@ def _open_between(motion, near, low, high, n):
 @apart
 def _place_between(motion, low, high, times, W):
     """Place the links at eight times from `low` to `high`, and write these; return the longest interval."""
-    tree, course, Q, widest = problem_of(motion.problem).tree, _course_of(motion), _configurations_of(motion), 0.0
+    widest = 0.0
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(tree, course, times[k], Q, k)
         if k > 0:
             widest = max(widest, times[k] - times[k - 1])
-    _place_at(motion, W)
+    _place_at(motion, times, 0, W)
     return widest
 
 
@@ -414,9 +415,11 @@ def _ways(motion, astray, body, link, fixed):
 
 
 @apart
-def _place_at(motion, W):
-    """Place the links at the configurations that have been written."""
-    place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), 0, W)
+def _place_at(motion, times, first, W):
+    """Place the links at eight times, from entry `first` on."""
+    tree = problem_of(motion.problem).tree
+    configurations_at(tree, _course_of(motion), times, first, columns_of(tree, W))
+    place_columns(tree, W)
 
 
 @inline
@@ -466,15 +469,11 @@ def _place_body(motion, body):
 @njit()
 def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other_low, other_high):
     """Write times and poses of an interval in eight parts to a depth; the ones at its ends are copied."""
-    problem = problem_of(motion.problem)
-    times, to, W = _cut_times_of(motion), _cut_poses_of(motion), _cut_links_of(motion)
-    course, Q = _course_of(motion), _configurations_of(motion)
-    times[depth, 0], times[depth, PARTS] = low, high
-    for k in range(1, PARTS):
-        times[depth, k] = low + (high - low) * (k / PARTS)
-        configuration_at(problem.tree, course, times[depth, k], Q, k - 1)
-    configuration_at(problem.tree, course, high, Q, LANES - 1)
-    _place_at(motion, W)
+    times, to, W = _cut_times_of(motion)[depth], _cut_poses_of(motion), _cut_links_of(motion)
+    for k in range(PARTS):
+        times[k] = low + (high - low) * (k / PARTS)
+    times[PARTS] = high
+    _place_at(motion, times, 1, W)
     at = depth * _POSES
     both = at + PARTS + 1
     for row in range(at, at + _POSES):
@@ -962,14 +961,18 @@ def _certify(motion, tally):
     """Settle one motion, whose course has been written."""
     problem, tables, course = problem_of(motion.problem), motion_tables_of(motion.tables), _course_of(motion)
     most, travel, angles, places = _measure(motion, course, 1.0)
-    if motion.strays:
-        travel += write_strays(problem.tree, _off_of(motion), _rates_of(motion), _strays_of(motion))
-    off, length, turned = uncertainty(tables, travel, angles, places)
+    strays, slides, turns = motion.strays, 0.0, 0.0
+    if strays:
+        slides, turns = write_strays(problem.tree, _off_of(motion), _rates_of(motion), _strays_of(motion))
+    off, length, turned = uncertainty(tables, travel + slides, angles, places)
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
+    astray = 2.0 * (1.0 + skew) * (turns * length + slides)  # of all joints together, for any two bodies
+    if astray < ROUNDED_STRAY * motion.tolerance:
+        rounding, strays = rounding + astray, False
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.strays, motion.points,
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, strays, motion.points,
         motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
@@ -1014,12 +1017,9 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
-    rows, same, ends = _rows_of(motion), _relative_of(motion), _ends_of(motion)
-    near_pairs = _near_pairs_of(motion)
+    same, ends, near_pairs = _relative_of(motion), _ends_of(motion), _near_pairs_of(motion)
     for pair in range(len(near_pairs)):
         near_pairs[pair] = 1
-    for lane in range(LANES):
-        rows[lane] = lane
     same[:] = 0.0
     ends[:] = 0.0
     for c in range(4):

@@ -240,12 +240,12 @@ def _both(builder, sig, args):
 
 @intrinsic
 def rounded_product(typingctx, x, y):
-    """x * y of two floats, rounded separately and never fused with an addition, so that it equals NumPy's product."""
+    """x * y, rounded separately and never fused with an addition, so that it equals NumPy's product."""
 
     def generate(context, builder, sig, args):
-        return builder.fmul(*args)
+        return builder.fmul(*_both(builder, sig, args))
 
-    return types.float64(types.float64, types.float64), generate
+    return signature(_result((x, y)), x, y), generate
 
 
 @intrinsic
