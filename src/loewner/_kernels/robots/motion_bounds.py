@@ -321,7 +321,7 @@ def shared_joints(tables, a, b):
     return k
 
 
-@njit()
+@inline
 def ways_between(tables, rates, body, link, fixed):
     """Bounds on the motion of a body's points relative to a link.
 

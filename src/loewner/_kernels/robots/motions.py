@@ -873,10 +873,11 @@ def _measure(motion, course, width):
     travel, angles, places
         As for `rates_of`.
     """
-    problem, ways, most = problem_of(motion.problem), _ways_of(motion), 0.0
-    travel, angles, places = rates_of(problem.tree, course, width, _rates_of(motion))
+    problem, tables, rates = problem_of(motion.problem), motion_tables_of(motion.tables), _rates_of(motion)
+    ways, most = _ways_of(motion), 0.0
+    travel, angles, places = rates_of(problem.tree, course, width, rates)
     for body in range(motion.counts.moving):
-        seen = _ways(motion, False, body, problem.link[body], -1)
+        seen = ways_between(tables, rates, body, problem.link[body], -1)
         ways[body, 0], ways[body, 1] = seen.bend, seen.speed
         most = max(most, seen.bend)
     return most, travel, angles, places

@@ -27,6 +27,7 @@ from loewner._kernels.simd.vectors import (
     maximum,
     minimum,
     movemask,
+    next_lanes,
     scatter_transpose,
     share_of_roots,
     sqrt,
@@ -177,19 +178,18 @@ def sweep(problem, pieces, body, to):
         half = wide, wide, wide
     _store_three(to.bodies, at, center)
     _store_three(to.bodies, at + 3 * STRIDE, half)
-    later = _load_three(to.bodies, at + 1)
+    later = next_lanes(center[0]), next_lanes(center[1]), next_lanes(center[2])
     way = minus(later, center)
     store(to.bodies, at + _HALF_CHORD, 0.5 * sqrt(dot(way, way)))
     for c in range(3):
-        store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (load(to.bodies, at + c * STRIDE) + later[c]))
-        first, last = load(to.bodies, at + c * STRIDE), load(to.bodies, at + c * STRIDE + 1)
-        wide, end = load(to.bodies, at + (3 + c) * STRIDE), load(to.bodies, at + (3 + c) * STRIDE + 1)
-        low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
+        first, wide = center[c], half[c]
+        low, high = first - wide, first + wide
+        least, most = lowest(low), highest(high)
+        to.bodies[at + _WHOLE + c], to.bodies[at + _WHOLE + 3 + c] = 0.5 * (least + most), 0.5 * (most - least)
+        low, high = minimum(low, next_lanes(low)), maximum(high, next_lanes(high))
+        store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (first + later[c]))
         store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
         store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
-        least, most = lowest(first - wide), highest(first + wide)
-        to.bodies[at + _WHOLE + c] = 0.5 * (least + most)
-        to.bodies[at + _WHOLE + 3 + c] = 0.5 * (most - least)
 
 
 @inline

@@ -322,6 +322,16 @@ def halves_swapped(typingctx, x):
 
 
 @intrinsic
+def next_lanes(typingctx, x):
+    """The lanes of a vector from the second one on, the last one twice."""
+
+    def generate(context, builder, sig, args):
+        return builder.shuffle_vector(args[0], args[0], _indices([min(lane + 1, LANES - 1) for lane in range(LANES)]))
+
+    return signature(vector, vector), generate
+
+
+@intrinsic
 def numbers_from(typingctx, first):
     """A whole number and the seven after it, as `numbers`."""
 
