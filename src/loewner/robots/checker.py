@@ -434,15 +434,16 @@ class CollisionChecker:
         errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
         ready = self._ready(timed=times is not None)
         model = model_of(ready) if _validate.flag(proof, "proof") else None
-        if times is not None:
+        if times is not None and times[0].shape != shape:
             whole = _validate.broadcast({"motions": shape, "t0, t1": times[0].shape})
             if whole != shape:
                 a, b = (
                     edges.flat(np.broadcast_to(Q.reshape(*shape, Q.shape[1]), (*whole, Q.shape[1]))) for Q in (a, b)
                 )
-            shape, times = whole, (np.broadcast_to(times[0], whole).ravel(), np.broadcast_to(times[1], whole).ravel())
+            shape, times = whole, (np.broadcast_to(times[0], whole), np.broadcast_to(times[1], whole))
         if times is not None and ready.paths is not None:
-            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, tolerance, errors)
+            begin_and_end = times[0].ravel(), times[1].ravel()
+            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), begin_and_end, tolerance, errors)
         else:
             found = proofs.prove_by_rules(ready, a, b, tolerance, errors)
         found.expect_short(a, b)
@@ -838,8 +839,9 @@ def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
     if t0 is None or t1 is None:
         raise InputError(f"expected both t0 and t1, found {'t1' if t0 is None else 't0'} only")
     begin, end = _validate.finite_array(t0, "t0", ("...",)), _validate.finite_array(t1, "t1", ("...",))
-    _validate.broadcast({"t0": begin.shape, "t1": end.shape})
-    begin, end = np.broadcast_arrays(begin, end)
+    if begin.shape != end.shape:
+        _validate.broadcast({"t0": begin.shape, "t1": end.shape})
+        begin, end = np.broadcast_arrays(begin, end)
     for k in np.flatnonzero(~(begin <= end))[:1]:
         raise InputError(f"t1: expected times at or after t0, found {begin.flat[k]:g} and then {end.flat[k]:g}")
     with np.errstate(over="ignore"):

@@ -193,20 +193,24 @@ def prove_edges(
     found = motions.settle(ready, cut.courses, tolerance, cut.off)
     refuse_starts(ready, cut.courses[:, 0], found)
     found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
-    begin = np.flatnonzero(np.diff(cut.owner, prepend=-1))
-    work = np.add.reduceat(found.work, begin) if len(begin) else found.work
-    made = Found(np.full(len(a), codes.FREE, dtype=np.int8), np.full(len(a), np.nan), np.full(len(a), -1), work)
+    made = found if len(cut.owner) == len(a) else _gathered(cut, found, len(a))
+    at = (made.verdicts == codes.COLLIDING).nonzero()[0]
+    if len(at):
+        fractions = made.fractions[at]
+        Q = interpolated(robot, a[at], b[at], fractions[:, None])
+        Q = with_bodies(ready, Q, t0[at] + fractions * (t1 - t0)[at])
+        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING
+        made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
+    return made
+
+
+def _gathered(cut: Pieces, found: Found, total: int) -> Found:
+    """Join the answers about pieces to those about their motions: the worst one, where it is first met."""
+    work = np.add.reduceat(found.work, np.flatnonzero(np.diff(cut.owner, prepend=-1)))
+    made = Found(np.full(total, codes.FREE, dtype=np.int8), np.full(total, np.nan), np.full(total, -1), work)
     for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # the later ones count more
         at = np.flatnonzero(found.verdicts == verdict)[::-1]  # of a motion's pieces, the first is written last
         at_owner = cut.owner[at]
         made.verdicts[at_owner], made.pairs[at_owner] = verdict, found.pairs[at]
         made.fractions[at_owner] = cut.low[at] + found.fractions[at] * (cut.high[at] - cut.low[at])
-    at = np.flatnonzero(made.verdicts == codes.COLLIDING)
-    if len(at):
-        fractions = made.fractions[at]
-        Q = with_bodies(
-            ready, interpolated(robot, a[at], b[at], fractions[:, None]), t0[at] + fractions * (t1 - t0)[at]
-        )
-        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING
-        made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
     return made
