@@ -1395,7 +1395,7 @@ def test_the_slider_of_a_path_in_the_browser(tab, arm):
             eventually(lambda node=node, at=expected: np.allclose(position(tab, node), at), PATIENCE / 1000)
             value = arm.distance(page.q, exact=True).distance
             word = "depth" if value < 0 else "clearance"
-            tab.locator(f'[data-loewner="{word}"]', has_text=f"{abs(value):.6g} m").wait_for()
+            tab.locator(f'[data-loewner="{word}"]', has_text=framing.length_text(abs(value))).wait_for()
         assert shown(tab, "COLLIDING") == "COLLIDING"
         assert page.time == page._way.duration
 

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from html import escape
@@ -46,7 +47,7 @@ TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
 BAD: Rgb = (102, 102, 102)
 
 
-class Viewer:
+class Viewer(ABC):
     """An open page; made by `show_pair` or `show_robot`.
 
     `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. If several moves are
@@ -152,21 +153,21 @@ class Viewer:
         if self._closed.is_set():
             raise InputError("page: expected an open page, found a closed one; show_pair and show_robot open another")
 
+    @abstractmethod
     def _build(self) -> None:
         """Put everything on the page."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _take(self, done: dict[str, Any]) -> None:
         """Apply the actions on the page, given as the last value of each control, keyed by name."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _answer(self) -> None:
         """Compute the verdict and show it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _show_gizmos(self) -> None:
         """Show the handles of the bodies that can be dragged, unless a picture is being taken."""
-        raise NotImplementedError
 
     @contextmanager
     def _without_gizmos(self) -> Iterator[None]:

@@ -33,7 +33,7 @@ from loewner.viewer.drawing import (
     place,
     spanned,
 )
-from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_length
+from loewner.viewer.framing import add_ground, aim, diagonal, framed, length_text, round_length
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, note_lines
 from loewner.viewer.playing import (
     Standing,
@@ -664,7 +664,7 @@ class RobotViewer(Viewer):
         if found.distance is None or found.names is None:
             yield "clearance", f"not settled: {found.lower:.4g} .. {found.upper:.4g} m"
         else:
-            yield "depth" if found.distance < 0 else "clearance", f"{abs(found.distance):.6g} m"
+            yield "depth" if found.distance < 0 else "clearance", length_text(abs(found.distance))
             yield "nearest pair", " – ".join(found.names)
         yield "ellipsoids", certified_words(self.verdict)
         yield "pairs", f"{len(self.contacts)} touch of {len(self.checker.checked_pairs)} checked"
