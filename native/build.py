@@ -196,7 +196,11 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
         for name in FOR_C:
             compile_api(work / name)
-        run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
+        run(
+            [str(HERE / "emit.py")],
+            os.environ | {"LOEWNER_QUIET": "1"},
+            "the kernels need a Numba that can be built with",
+        )
         # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
         halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
         codes = [emission(n, "code", levels[0], half, work / f"code-{n}") for n, half in enumerate(halves)]

@@ -68,9 +68,8 @@ def add(commands: Any) -> None:
     audit.add_argument(
         "--start-time",
         type=float,
-        default=0.0,
         metavar="T",
-        help="seconds that are added to the file's times: when it starts, on the clock of bodies that move (0)",
+        help="when the trajectory starts, on the clock of bodies that move (what the file says, or 0)",
     )
     audit.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
@@ -93,8 +92,9 @@ def _run(options: argparse.Namespace) -> int:
     given = _read(options.trajectory, robot)
     if isinstance(given, planners.ControllerPoints):
         given = _complete(_executed(given, options.controller), robot, others)
-        given.times = given.times + _validate.real(options.start_time, "--start-time")
-    elif options.start_time:
+        if options.start_time is not None:
+            given.start_time = _validate.real(options.start_time, "--start-time")
+    elif options.start_time is not None:
         raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
     elif options.controller not in (None, "linear"):
         raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
@@ -133,7 +133,9 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
         wanted = ("velocities", "accelerations")[_derivatives(points)]
         raise InputError(f"--controller {controller}: expected points with {wanted}, found none in the file")
     kept = [one if k < used else None for k, one in enumerate(held)]
-    return planners.ControllerPoints(points.times, points.positions, *kept, names=points.names)
+    return planners.ControllerPoints(
+        points.times, points.positions, *kept, names=points.names, start_time=points.start_time
+    )
 
 
 def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: Floats) -> planners.ControllerPoints:
@@ -148,7 +150,7 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
         for held in (points.velocities, points.accelerations)
     ]
     names = [*points.names, *(robot.configuration_names[k] for k in missing)]
-    return planners.ControllerPoints(points.times, positions, *rates, names=names)
+    return planners.ControllerPoints(points.times, positions, *rates, names=names, start_time=points.start_time)
 
 
 def _answer(
@@ -273,7 +275,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
     if answer["moving"]:
         print(
             f"clock     the trajectory begins at {answer['begins']:.6g} s on the clock of the bodies that move "
-            f"({', '.join(answer['moving'])}); --start-time shifts it"
+            f"({', '.join(answer['moving'])}); --start-time sets when"
         )
     if answer["proof"] is not None:
         print(f"written   {answer['proof']}, for loewner verify")

@@ -46,6 +46,8 @@ class ControllerPoints:
         velocities.
     names : sequence of str, optional
         Names of the columns. By default the columns are in the order of `Robot.configuration_names`.
+    start_time : float
+        Seconds that are added to the times, unless a query is given another `t0`; as for `Trajectory`.
 
     Raises
     ------
@@ -68,7 +70,9 @@ class ControllerPoints:
         accelerations: ArrayLike | None = None,
         *,
         names: Sequence[str] | None = None,
+        start_time: float = 0.0,
     ) -> None:
+        self.start_time = _validate.real(start_time, "start_time")
         self.times = _validate.finite_array(times, "times", ("n",))
         if len(self.times) < 2 or not (np.diff(self.times) > 0).all():
             raise InputError(
@@ -165,15 +169,15 @@ class ControllerPoints:
             wanted = [name + kind for name in names]
             return table[:, [header.index(name) for name in wanted]] if set(wanted) & set(header) else None
 
-        return cls(table[:, 0] + start_time, columns(""), columns(VELOCITY), columns(ACCELERATION), names=names)
+        derivatives = columns(VELOCITY), columns(ACCELERATION)
+        return cls(table[:, 0], columns(""), *derivatives, names=names, start_time=start_time)
 
     @classmethod
     def _of_message(cls, held: Any) -> ControllerPoints:
         """Read points from a message or from a file written by `Trajectory.save`."""
         if isinstance(held, Mapping) and ("blended" in held or "jumps" in held):
             arrays = held["positions"], held.get("velocities"), held.get("accelerations")
-            began = _validate.real(held.get("start_time", 0.0), "start_time")
-            return cls(began + _validate.finite_array(held["times"], "times", ("n",)), *arrays, names=held["names"])
+            return cls(held["times"], *arrays, names=held["names"], start_time=held.get("start_time", 0.0))
         message = _message(held, DEEPEST)
         if message is None:
             raise KeyError("points")

@@ -247,7 +247,8 @@ def plan(
     if rare or full:
         better = improving.Improvement.of(robot, rare, full, make is None, timeout)
     if timed:
-        _expect_in_time(times, better is not None or keep is not None or make is not None or step > 0)
+        others = {"planner": make is not None, "certified=False": step > 0, "full=True": full, "keep": keep is not None}
+        _expect_in_time(times, [*(name for name, given in others.items() if given), *rare])
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
@@ -289,14 +290,14 @@ def plan(
         raise ConvergenceError(str(error), partial=made) from None
 
 
-def _expect_in_time(times: Times, others: bool) -> None:
+def _expect_in_time(times: Times, others: list[str]) -> None:
     """Check that the start time is given, and no arguments of paths."""
     if times.get("start_time") is None:
         raise InputError("start_time: expected it with velocity or arrive_by, found none")
     if others:
         raise InputError(
-            "start_time: expected no planner, certified=False, full, keep, weights or improvement with it; plans in "
-            "time are proven and shortened, by a search of their own"
+            f"start_time: expected no {' or '.join(others)} with it; plans in time are proven and shortened, by a "
+            "search of their own"
         )
 
 

@@ -498,7 +498,7 @@ class CollisionChecker:
         t0 : float, optional
             Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
             bodies that follow motions, and the times of the result include it. Default: the `start_time` of a
-            `planners.Trajectory`, and 0 for other curves.
+            `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other curves.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
 
@@ -810,7 +810,8 @@ class CollisionChecker:
             raise InputError(
                 f"expected a time, since bodies of the scene follow motions ({names}): collide, classify, pairs and "
                 "distances take t=, certify_edges takes t0= and t1=, and planners.plan takes start_time=. Other "
-                "queries have no time and cannot be used while such bodies are in the scene"
+                "queries and planners have no time and cannot be used while such bodies are in the scene; without "
+                "them, use a copy of the scene (scene.copy, scene.remove)"
             )
         return ready
 
