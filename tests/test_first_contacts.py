@@ -455,3 +455,24 @@ def test_cases_that_others_missed():
     rod = Body.capsule(0.1, 3.0).transformed(pose((0, np.pi / 2, 0), (1.5, 0, 0)))
     found = first_contact(rod, (None, pose((0, 0, 3.1))), Body.sphere(0.2), pose(at=(0, 2.0, 0)))
     expect_times(found, np.array((np.pi / 2 - np.arcsin(0.3 / 2)) / 3.1), 9.3)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_slow_pair_does_not_widen_the_bracket_of_a_fast_one(order):
+    """Between both times, the distance of unions changes by the tolerance, however slow a pair of pieces is."""
+    # One ball goes round, and another one moves away from the ball below it.
+    arm = np.array([[1000.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    motion = pose(), pose([0.0, 0.0, 3.0], [0.0, 0.0, 1.0])
+    tip = (on_the_way(motion, 0.5) @ [1000.0, 0.0, 0.0, 1.0])[:3]
+
+    def found(gap):
+        a, b = (Body.spheres(x[::order], [0.1, 0.1]) for x in (arm, np.array([tip, [0.0, 0.0, -0.2 - gap]])))
+        return a, b, first_contact(a, motion, b, None, tolerance=TOLERANCE)
+
+    hit = found(5.0)[2].touching_at
+    for share in (0.1, 0.5, 0.9):
+        a, b, answer = found(1.00001 * hit - share * TOLERANCE)
+        at = on_the_way(motion, np.array([answer.free_until, answer.touching_at]))
+        before, after = distance(a, at, b, None, exact=True).distance
+        assert answer.verdict == COLLIDING
+        assert before - after <= 2.0 * TOLERANCE

@@ -86,8 +86,8 @@ def first_contact(
         rest. None is the identity.
     tolerance : float
         Length in metres by which the bodies may approach each other from the time until which they are proven free to
-        the time at which they touch. It can be as small as about 1e-11 of the lengths involved; below that, pairs are
-        AMBIGUOUS.
+        the time at which they touch. It can be as small as about 1e-11 of the lengths involved, and 1e-8 for
+        ellipsoids, cylinders and cones; below that, pairs are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 

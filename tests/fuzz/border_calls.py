@@ -1264,6 +1264,7 @@ CALLS: dict[str, Call] = {
             "velocities": array(PATH, FINITE, NONE, "turned over"),
             "accelerations": array(PATH, FINITE, NONE, "turned over"),
             "names": arg(lambda: ["y", "turn", "x"], NONE),
+            "start_time": arg(0.5, NUMBERS, ZERO, NEGATIVE),
         },
     ),
     "planners.ControllerPoints.load": Call(planners.ControllerPoints.load, {"path": arg("moved.json")}),

@@ -378,7 +378,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         # Nothing closes the gap before it has shrunk at full speed.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
-        if horizon < 1.0 and (horizon - t) * speed - gap <= tolerance:
+        if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # so these two are within the tolerance then
             return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
             w = _root(gap, nearing, SHARE * (bend + 2.0 * turning * speed))
@@ -387,7 +387,9 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                w = 0.5 * (due + last) if due + before <= last else min(w, due - before)
+                # Beyond the contact that is expected, but no farther than that is away: a search that cannot settle a
+                # contact so shallow settles one nearer to touching.
+                w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w
         at = min(t + w, horizon)

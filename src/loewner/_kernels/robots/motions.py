@@ -943,7 +943,8 @@ def _settle_block(motion, low, high, found, tally):
             if live == 0:
                 continue
             if motion.strays:
-                stray = _stray(motion, one, problem.link[one], problem.link[other])
+                # Both bound how much the two can approach each other.
+                stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
