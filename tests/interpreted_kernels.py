@@ -2,11 +2,10 @@
 
 import builtins
 import types
-from pathlib import Path
 
 import numpy as np
 
-import loewner._kernels
+from loewner._kernels._sources import sources
 
 INTERPRETED = {"linalg3", "robots.kinematics", "robots.reach", "robots.lines"}
 PREFIX = "loewner._kernels."
@@ -35,8 +34,8 @@ STAND_INS = {
 
 
 def source_of(name):
-    """The text of a module of kernels."""
-    return Path(loewner._kernels.__path__[0], *name.split(".")).with_suffix(".py").read_text()
+    """The text of a module of kernels, which a wheel has in an archive."""
+    return sources()[name.replace(".", "/") + ".py"].decode()
 
 
 def interpreted(name, text=None):
