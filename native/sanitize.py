@@ -56,8 +56,8 @@ def instrumented(to: Path) -> None:
 def threads_are_clean(to: Path) -> bool:
     """Run eight threads under the sanitizer of threads, and under that of addresses with its search for leaks."""
     cell, kernels = to / "cell.lwn", library.HOME
-    save = [sys.executable, str(HERE.parent / "examples" / "save_cell.py"), str(cell)]
-    subprocess.run(save, check=True, env=os.environ | {"PYTHONPATH": str(SOURCES)})
+    save = [sys.executable, str(HERE.parent / "examples" / "save_cell.py"), cell.name]
+    subprocess.run(save, check=True, cwd=to, env=os.environ | {"PYTHONPATH": str(SOURCES)})
     sources = [str(HERE / "capi" / name) for name in API] + [str(HERE.parent / "tests" / "capi_threads.c")]
     clean = True
     for kind in ("thread", "address,undefined"):
