@@ -199,7 +199,7 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         run(
             [str(HERE / "emit.py")],
             os.environ | {"LOEWNER_QUIET": "1"},
-            "the kernels need a Numba that can be built with",
+            "expected a Numba with which the kernels can be built, found another or none",
         )
         # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
         halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)

@@ -25,6 +25,7 @@ from browsers import chromium, missing
 from families import translation
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, cli, planners, viewer
 from loewner.viewer import drawing, framing, guard, playing
+from loewner.viewer.page import length_text
 from loewner.viewer.visuals import visual_meshes
 from robot_oracle import robots_folder
 
@@ -1395,7 +1396,7 @@ def test_the_slider_of_a_path_in_the_browser(tab, arm):
             eventually(lambda node=node, at=expected: np.allclose(position(tab, node), at), PATIENCE / 1000)
             value = arm.distance(page.q, exact=True).distance
             word = "depth" if value < 0 else "clearance"
-            tab.locator(f'[data-loewner="{word}"]', has_text=framing.length_text(abs(value))).wait_for()
+            tab.locator(f'[data-loewner="{word}"]', has_text=length_text(abs(value))).wait_for()
         assert shown(tab, "COLLIDING") == "COLLIDING"
         assert page.time == page._way.duration
 

@@ -70,11 +70,6 @@ def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
     return grid, cell
 
 
-def length_text(length: float) -> str:
-    """Write a length in metres; in millimetres if it is less than a metre."""
-    return f"{1e3 * length:.4g} mm" if length < 1.0 else f"{length:.4g} m"
-
-
 def round_length(most: float) -> float:
     """Round a length down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(most))

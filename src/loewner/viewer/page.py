@@ -319,6 +319,11 @@ class PoseInputs:
         self.turn.value = tuple((np.round(turn, 2) + 0.0).tolist())
 
 
+def length_text(length: float) -> str:
+    """Write a length in metres; in millimetres if it is less than a metre."""
+    return f"{1e3 * length:.4g} mm" if length < 1.0 else f"{length:.4g} m"
+
+
 def certified_words(verdict: Verdict) -> str:
     """Describe the verdict of the ellipsoids alone."""
     return f"{verdict.name}, " + ("settled by the exact search" if verdict == Verdict.AMBIGUOUS else "proven")

@@ -33,8 +33,8 @@ from loewner.viewer.drawing import (
     place,
     spanned,
 )
-from loewner.viewer.framing import add_ground, aim, diagonal, framed, length_text, round_length
-from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, note_lines
+from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_length
+from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
 from loewner.viewer.playing import (
     Standing,
     Way,
