@@ -15,7 +15,8 @@
 #   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
 #   make test-wheel    the quick suite against that wheel, installed
 #   make dist-c   headers and libraries for C and C++, in dist/
-# PYTHON=python3.13 chooses the interpreter that .venv is made with.
+# PYTHON=python3.13 chooses the interpreter that .venv is made with. verify, fuzz, bounds and sanitize take PART=2/4, the
+# second of four parts; two parts can run beside each other.
 
 PYTHON ?= python3
 VENV := .venv
@@ -28,6 +29,7 @@ THREADS ?= 2
 SECONDS ?= 20
 PACKAGES ?= numpy scipy numba
 TESTS ?= tests
+PART ?= 1/1
 
 # The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
 # now; beside a library that does nothing.
@@ -38,9 +40,9 @@ COMPILE := $(BIN)/python -m loewner compile
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 18
 
-# $(call built_with,STAMP): build the library while the packages of a stamp are installed.
+# $(call built_with,STAMP[,COMMAND]): build the library while the packages of a stamp are installed and a command runs.
 built_with = @{ $(BUILD); } & building=$$!; \
-  $(MAKE) --no-print-directory $(1); installed=$$?; wait $$building; exit $$installed
+  { $(MAKE) --no-print-directory $(1)$(if $(2), && $(2)); }; done=$$?; wait $$building; exit $$done
 
 demo: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.demo)
@@ -52,9 +54,9 @@ demo: $(VENV)/.compiler
 test fuzz bounds newest test-wheel: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
-	$(call built_with,$(VENV)/.dev)
+	$(call built_with,$(VENV)/.dev,$(PYTEST) -q -m light tests)
 	$(COMPILE)
-	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz and not light" tests
 
 test-torch: $(VENV)/.torch
 	$(BUILD)
@@ -62,7 +64,7 @@ test-torch: $(VENV)/.torch
 	$(PYTEST) -k "torch or frameworks" tests/test_docs.py tests/test_site.py
 
 test-gpu: $(VENV)/.gpu
-	$(BUILD)
+	$(BIN)/python native/build.py --gpu || true
 	$(PYTEST) -s tests/test_gpu.py tests/test_gpu_threads.py tests/test_gpu_hardware.py
 
 test-models: $(VENV)/.models
@@ -71,12 +73,12 @@ test-models: $(VENV)/.models
 
 verify: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)
-	$(PYTEST) -s -m verify tests
+	$(PYTEST) -s -m verify --part $(PART) tests
 
 fuzz: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)
 	$(COMPILE)
-	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
+	$(PYTEST) -s -n $(THREADS) -m fuzz --part $(PART) tests/fuzz
 
 # What was reached is kept in build/bytes, and the next run goes on from there.
 fuzz-bytes: $(VENV)/.bytes
@@ -86,14 +88,14 @@ fuzz-bytes: $(VENV)/.bytes
 # The extension alone is compiled anew, into build/sanitize; the kernels are those that were built.
 sanitize: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)
-	$(BIN)/python native/sanitize.py
+	$(BIN)/python native/sanitize.py --part $(PART)
 
 # Compiled code of its own: Numba puts a check before every access to an array.
 bounds: export LOEWNER_JIT := 1
 bounds: export NUMBA_BOUNDSCHECK := 1
 bounds: $(VENV)/.dev
 	$(COMPILE)
-	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" --part $(PART) tests
 
 # In an environment of its own, since it is no longer the pinned one.
 newest:

@@ -76,7 +76,7 @@ def _build(folder: str) -> None:
     """Build the library, or end with one message that says what is missing."""
     if missing := [name for name in NEEDED if not _installed(name)]:
         raise SystemExit(f"expected {', '.join(NEEDED)} to build with, found no {', '.join(missing)}{HELP}")
-    command = [sys.executable, str(ROOT / "native" / "build.py"), "--levels", "all", "--to", folder]
+    command = [sys.executable, str(ROOT / "native" / "build.py"), "--levels", "all", "--gpu", "--to", folder]
     if subprocess.run(command, check=False).returncode:
         raise SystemExit(f"the native library cannot be built, as said above.{HELP}")
 

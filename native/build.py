@@ -1,8 +1,8 @@
-"""Build the native library: the kernels as machine code, for levels of processors, and the extension that calls it; and
-the threads' functions as PTX, for GPUs.
+"""Build the native library: the kernels as machine code, for levels of processors, and the extension that calls it.
 
     python native/build.py                     for this machine's level, if it is not there already
-    python native/build.py --levels all        for all levels of this architecture, as a wheel has them
+    python native/build.py --gpu               the threads' functions as PTX, too; elsewhere a GPU's first use makes it
+    python native/build.py --levels all --gpu  for all levels of this architecture, as a wheel has them
     python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
 
 It takes Numba, NumPy's headers and a C compiler.
@@ -19,6 +19,7 @@ import sys
 import sysconfig
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from loewner._kernels import codes, columns  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST  # noqa: E402
+from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner.planners import compiled as compiled_planner  # noqa: E402
 from loewner.planners import joint_limits, judge  # noqa: E402
 from loewner.robots import checker, contacts, motion_tables, robot, watch  # noqa: E402
@@ -44,6 +46,11 @@ LEVELS = {
     "arm64": {"arm64": ""},
 }
 CPU_OF = {"arm64": "generic"}
+
+# For estimates of the time that is left: functions that make up the entries of each half, and steps of machine code;
+# seconds of one core for the code of both halves, for a level and for GPUs, where the check of Numba takes `CHECK`.
+FUNCTIONS, STEPS = (470, 630), 3
+CODE, LEVEL, GPU, CHECK = 245.0, 71.0, 28.0, 2.3
 
 # Entries that one process compiles while another compiles the rest, which takes as long. It begins with those that
 # share little: by the time that it reaches the robots, the other has compiled the searches for them.
@@ -107,14 +114,34 @@ API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + 
 ]
 
 
+# Seconds between words on the progress, and what the first estimate counts for beside the share that is done.
+EVERY, FIRST_WEIGHT = 10.0, 0.1
+
+
 class Command(NamedTuple):
-    """What is made, arguments of Python, variables of its environment, the file made, and those needed first."""
+    """What is made, arguments of Python, variables of its environment, the file made, and those needed first.
+
+    The command prints how many of its `steps` are done, a number a line, and names of what it is at. `seconds` weighs
+    it against the others.
+    """
 
     what: str
     arguments: list[str]
     environment: dict[str, str]
     to: Path
     needed: tuple[Path, ...] = ()
+    steps: int = 1
+    seconds: float = 1.0
+
+    def progress(self) -> tuple[float, str]:
+        """Fraction that is done, and what the command is at."""
+        try:
+            lines = self.to.with_suffix(".told").read_text(encoding="utf-8", errors="replace").split()
+        except OSError:
+            return 0.0, ""
+        done = [int(line) for line in lines if line.isdecimal()]
+        names = [line for line in lines if not line.isdecimal()]
+        return min(done[-1] / self.steps, 0.99) if done else 0.0, names[-1] if names else ""
 
 
 class BuildError(Exception):
@@ -144,11 +171,11 @@ def recipe() -> str:
     return digest.hexdigest()
 
 
-def is_built(levels: list[str], home: Path = HOME) -> bool:
-    """Tell whether the library is there for these levels, and whole."""
+def is_built(levels: list[str], home: Path = HOME, gpu: bool = False) -> bool:
+    """Tell whether the library is there for these levels, and for GPUs, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
-        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, _ptx.NAME, *FOR_C]
+        wanted = [f"kernels-{level}.so" for level in levels] + [CALL, *FOR_C, *([_ptx.NAME] if gpu else [])]
         return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
@@ -164,7 +191,9 @@ def told(level: str) -> dict[str, str]:
 
 
 def machine_level() -> str:
-    """Level of this machine's processor, asked of the extension."""
+    """Level of this machine's processor, asked of the extension that was built, or of one made for this."""
+    if known := built_levels():
+        return known[0]
     with tempfile.TemporaryDirectory() as folder:
         extension = Path(folder, CALL)
         compile_extension(extension)
@@ -176,8 +205,8 @@ def machine_level() -> str:
     return found[0]
 
 
-def build(levels: list[str], home: Path = HOME) -> list[Path]:
-    """Build for these levels; what was there is replaced only when all is done.
+def build(levels: list[str], home: Path = HOME, gpu: bool = False) -> list[Path]:
+    """Build for these levels, and for GPUs if asked; what was there is replaced only when all is done.
 
     Returns
     -------
@@ -191,32 +220,39 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
     """
     home.mkdir(parents=True, exist_ok=True)
     before = source_hash()
-    with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
+    what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
+    print(f"native library: {what} ...", file=sys.stderr, flush=True)
+    with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder, ThreadPoolExecutor() as pool:
         work = Path(folder)
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
-        for name in FOR_C:
-            compile_api(work / name)
+        for_c = [pool.submit(compile_api, work / name) for name in FOR_C]
+        start = time.perf_counter()
         run(
             [str(HERE / "emit.py")],
             os.environ | {"LOEWNER_QUIET": "1"},
             "expected a Numba with which the kernels can be built, found another or none",
         )
+        slowness = (time.perf_counter() - start) / CHECK
         # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
         halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
         codes = [emission(n, "code", levels[0], half, work / f"code-{n}") for n, half in enumerate(halves)]
+        codes = [code._replace(steps=count, seconds=CODE / 2) for code, count in zip(codes, FUNCTIONS, strict=True)]
         # Several levels keep processes busy. For one level each half becomes an object file of its own, which together
         # are an eighth larger, since some functions are in both.
         parts = tuple(code.to for code in codes)
         groups = [parts] if len(levels) > 1 else [(part,) for part in parts]
         jobs = [(level, group) for level in levels for group in groups]
         objects = [emission(2 + n, "object", *job, work / f"{job[0]}-{n}.o") for n, job in enumerate(jobs)]
-        run_all([*codes, *objects, ptx(work / _ptx.NAME)])
+        objects = [one._replace(steps=STEPS, seconds=LEVEL / len(groups)) for one in objects]
+        run_all([*codes, *objects, *([ptx(work / _ptx.NAME)] if gpu else [])], slowness)
+        for library in for_c:
+            library.result()
         for level in levels:
             link(sorted(work.glob(f"{level}-*.o")), level, work / f"kernels-{level}.so")
         # Processes read the sources as they need them: code of two versions may not be called code of one.
         if source_hash.__wrapped__() != before:
             raise BuildError("the kernels' sources changed while they were compiled; build again")
-        made = [*sorted(work.glob("*.so")), work / _ptx.NAME]
+        made = [*sorted(work.glob("*.so")), *work.glob(_ptx.NAME)]
         files = {path.name: _sum(path) for path in made}
         listed = {
             "recipe": recipe(),
@@ -249,24 +285,39 @@ def ptx(to: Path) -> Command:
     """Write the threads' functions as PTX, which are the same for all processors."""
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}
-    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to)
+    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to, seconds=GPU)
 
 
-def run_all(commands: list[Command]) -> None:
-    """Run commands, each in a process of its own, as many at a time as there are processors; print what begins."""
+def run_all(commands: list[Command], slowness: float = 1.0) -> None:
+    """Run commands, each in a process of its own, as many at a time as there are processors.
+
+    Print what begins and, every ten seconds, what is being compiled; and how long the rest will take, at first by the
+    speed of the machine, then by what was done so far.
+    """
     start, done = time.perf_counter(), set[Path]()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
+    cores = min(os.cpu_count() or 1, len(commands))
+    whole = sum(command.seconds for command in commands)
+    next_word = start + EVERY
+
+    def say(what: str) -> None:
+        elapsed = time.perf_counter() - start
+        share = sum(one.seconds * (1.0 if one.to in done else one.progress()[0]) for one in commands) / whole
+        expected = (elapsed + FIRST_WEIGHT * whole * slowness / cores) / (share + FIRST_WEIGHT)
+        left = f"about {max(expected - elapsed, 1):.0f} s left"
+        print(f"native library: {elapsed:4.0f} s, {left}: {what}", file=sys.stderr, flush=True)
+
     try:
         while waiting or running:
             ready = [command for command in waiting if done.issuperset(command.needed)]
             for command in ready[: (os.cpu_count() or 1) - len(running)]:
                 waiting.remove(command)
-                elapsed = time.perf_counter() - start
-                print(f"native library: {elapsed:4.0f} s: {command.what} ...", file=sys.stderr, flush=True)
+                say(f"{command.what} ...")
                 environment = os.environ | command.environment | {"LOEWNER_QUIET": "1"}
-                with command.to.with_suffix(".log").open("wb") as log:
+                told, log = (command.to.with_suffix(suffix).open("wb") for suffix in (".told", ".log"))
+                with told, log:
                     call = [sys.executable, *command.arguments]
-                    running.append((subprocess.Popen(call, env=environment, stdout=log, stderr=log), command))
+                    running.append((subprocess.Popen(call, env=environment, stdout=told, stderr=log), command))
             time.sleep(0.05)
             for process, command in [one for one in running if one[0].poll() is not None]:
                 running.remove((process, command))
@@ -274,6 +325,9 @@ def run_all(commands: list[Command]) -> None:
                     said = command.to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
                 done.add(command.to)
+            if time.perf_counter() > next_word:
+                next_word += EVERY
+                say(", ".join(name for _, command in running if (name := command.progress()[1])) or "...")
     finally:
         for process, _ in running:
             process.kill()
@@ -341,6 +395,7 @@ def main() -> int:
     """Build what is asked for, unless it is there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
+    parser.add_argument("--gpu", action="store_true", help="code for NVIDIA's GPUs, too")
     parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="where what is built goes")
     arguments = parser.parse_args()
     asked, home = arguments.levels, arguments.to
@@ -351,9 +406,9 @@ def main() -> int:
         levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
         if any(level not in known for level in levels):
             raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
-        if not is_built(levels, home):
+        if not is_built(levels, home, arguments.gpu):
             start = time.perf_counter()
-            made = build(levels, home)
+            made = build(levels, home, arguments.gpu)
             size = sum(path.stat().st_size for path in made)
             print(f"native library: {', '.join(levels)}, {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
     except BuildError as error:

@@ -52,9 +52,13 @@ class _OwnLibrary(_parts._PartLibrary):
     Numba links copies of all that a function calls into it, and of what these call.
     """
 
+    finished = 0  # in this process
+
     def finalize(self):
         self._raise_if_finalized()
         self._finalize_final_module()
+        _OwnLibrary.finished += 1
+        report(_OwnLibrary.finished)
 
     def serialize_using_object_code(self):
         return self.name, "bitcode", Exchange.of_process.write(self)
@@ -99,6 +103,11 @@ class Exchange:
                 library.add_linking_library(self.read(one))
             self._names[library], self._libraries[name] = name, library
         return self._libraries[name]
+
+
+def report(done: int) -> None:
+    """Print how many functions, or steps, are done; `build.py` reads this."""
+    print(done, flush=True)
 
 
 def remember_operators() -> None:
@@ -252,9 +261,11 @@ def check_numba() -> None:
 def intermediate(entries: list[Entry]) -> bytes:
     """Intermediate code of entries: names of libraries that were handed over, and the functions that call them."""
     shims = ir.Module("shims")
-    results = [compiled(entry) for entry in entries]
-    for entry, result in zip(entries, results, strict=True):
-        shim(shims, entry, result)
+    results = []
+    for entry in entries:
+        print(entry.name, flush=True)
+        results.append(compiled(entry))
+        shim(shims, entry, results[-1])
     return pickle.dumps(([Exchange.of_process.write(result.library) for result in results], str(shims)))
 
 
@@ -263,13 +274,17 @@ def machine_code(codes: list[bytes]) -> bytes:
     codegen = cpu_target.target_context.codegen()
     library = codegen.create_library("loewner")
     read = [pickle.loads(code) for code in codes]
-    for part in parts_of([Exchange.of_process.read(name) for names, _ in read for name in names]):
-        library._final_module.link_in(part._final_module)
-    for _, shims in read:
-        library._final_module.link_in(llvm.parse_assembly(shims))
+    print("linking", flush=True)
+    parts = parts_of([Exchange.of_process.read(name) for names, _ in read for name in names])
+    shims = [llvm.parse_assembly(shims) for _, shims in read]
+    library._final_module = in_one([part._final_module for part in parts] + shims)
     hide(library._final_module, "linkonce_odr")
+    print("optimising", flush=True)
+    report(1)
     # The same passes that Numba runs over what Python calls, with everything linked in.
     CPUCodeLibrary._optimize_final_module(library)
+    print("instructions", flush=True)
+    report(2)
     module = llvm.parse_assembly(uncounted(str(library._final_module)))
     hide(module, "internal")
     for variable in module.global_variables:
@@ -287,6 +302,33 @@ def machine_code(codes: list[bytes]) -> bytes:
 
 
 FUNCTION = re.compile(r"^define .*?^\}$", re.MULTILINE | re.DOTALL)
+NAME = re.compile(r'@(?:"([^"]*)"|([-\w.$]+))\(')
+CHUNK = 32  # modules linked at a time
+
+
+def in_one(modules: list[llvm.ModuleRef]) -> llvm.ModuleRef:
+    """Link modules in chunks, then restore the order that linking them in a line would give their functions.
+
+    Each link takes as long as all that is linked into. The order decides what LLVM inlines, and so the last bits.
+    """
+    order = dict.fromkeys(one.name for module in modules for one in module.functions if not one.is_declaration)
+    while len(modules) > 1:
+        chunks = [modules[at : at + CHUNK] for at in range(0, len(modules), CHUNK)]
+        for first, *others in chunks:
+            for other in others:
+                first.link_in(other)
+        modules = [chunk[0] for chunk in chunks]
+    defined = dict[str, str]()
+
+    def taken(found: re.Match[str]) -> str:
+        name = NAME.search(found[0])
+        defined[name[1] or name[2]] = found[0]
+        return ""
+
+    rest = FUNCTION.sub(taken, str(modules[0]))
+    return llvm.parse_assembly("\n".join([rest, *(defined.pop(name) for name in order), *defined.values()]))
+
+
 VALUE = re.compile(r'%(?:[-\w.$]+|"[^"]*")')
 COUNTED = re.compile(r'  (?:tail )?call void @NRT_(?:inc|dec)ref\(ptr (%(?:[-\w.$]+|"[^"]*"))\)')
 HARMLESS = re.compile(r"  (?:%\S+ = )?(?:(?:tail )?call|icmp) ")

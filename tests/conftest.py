@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -41,6 +42,22 @@ gc.set_threshold(10_000, 10, 10)
 
 def pytest_collection_finish() -> None:
     gc.freeze()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--part", default="1/1", metavar="K/N", help="run the k-th of n parts of the chosen tests")
+
+
+@pytest.hookimpl(trylast=True)  # after tests were chosen by name and by mark
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave every n-th test: neighbours take about as long as each other, so parts do, too."""
+    part = config.getoption("--part")
+    found = re.fullmatch(r"([1-9]\d*)/([1-9]\d*)", part)
+    if not found or int(found[1]) > int(found[2]):
+        raise pytest.UsageError(f"--part: expected K/N with K from 1 to N, found {part!r}")
+    kept = items[int(found[1]) - 1 :: int(found[2])]
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
+    items[:] = kept
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

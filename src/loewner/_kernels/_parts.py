@@ -33,6 +33,14 @@ NOT_NEEDED = {
 class _PartLibrary(JITCodeLibrary):
     """Intermediate code of a part, to which only cheap passes were applied."""
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Run Numba's passes over the functions of a module; Numba also prepares them for each declaration."""
+        ll_module.data_layout = self._codegen._data_layout
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes, builder = self._codegen._function_pass_manager()
+                passes.run(function, builder)
+
     def _optimize_final_module(self) -> None:
         codegen = self._codegen
         passes, builder = codegen._module_pass_manager(
