@@ -11,8 +11,10 @@ from typing import Any
 
 import numba
 import numpy as np
+import pytest
 
 from loewner import _ptx
+from loewner.gpu import driver
 
 INVALID_VALUE, INVALID_CONTEXT, NOT_FOUND = 1, 201, 500
 
@@ -41,6 +43,12 @@ def looped(kernel: str) -> Any:
             thread(k, *arguments)
 
     return loop
+
+
+def put_in(monkeypatch: pytest.MonkeyPatch, made: "StandIn") -> None:
+    """Have a stand-in take the driver's place; it knows kernels by their names, so none is compiled for a GPU."""
+    monkeypatch.setattr(driver, "library", lambda: made)
+    monkeypatch.setattr(_ptx, "text", lambda: b"// the stand-in reads none of this")
 
 
 def value_of(argument: Any) -> Any:

@@ -37,7 +37,7 @@ import surface_samples
 import surfaces
 import threads
 import trajectories
-from gpu_stand_in import StandIn
+from gpu_stand_in import StandIn, put_in
 from loewner import paper
 from loewner.gpu import driver
 from loewner.robots import courses, curves
@@ -64,7 +64,7 @@ def test_a_gpu_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     assert gpu.main(few) == 0
     assert "no GPU to measure: expected NVIDIA's driver" in capsys.readouterr().out
     made = StandIn()
-    monkeypatch.setattr(driver, "library", lambda: made)
+    put_in(monkeypatch, made)
     monkeypatch.setattr(gpu, "copied", lambda device: 1e9)
     assert gpu.main(few) == 0
     said = capsys.readouterr().out

@@ -16,7 +16,7 @@ import loewner
 from checker_oracle import robot_of
 from families import pieces, random_poses
 from gantry import beside_a_post
-from gpu_stand_in import OnGpu, StandIn
+from gpu_stand_in import OnGpu, StandIn, put_in
 from loewner import Bodies, Body, CollisionChecker, GpuError, InputError, PoseError, Verdict, gpu
 from loewner.gpu import arrays, driver, work
 
@@ -37,7 +37,7 @@ def card(monkeypatch: pytest.MonkeyPatch) -> StandIn:
 def installed(monkeypatch: pytest.MonkeyPatch, **options) -> StandIn:
     """A driver with a GPU; options as of `StandIn`."""
     made = StandIn(**options)
-    monkeypatch.setattr(driver, "library", lambda: made)
+    put_in(monkeypatch, made)
     monkeypatch.setattr(driver, "_opened", {})
     return made
 
@@ -443,7 +443,7 @@ def test_a_lost_gpu_is_opened_anew(monkeypatch, rng):
         gpu.classify(bodies, Ta, bodies, Tb)
     lost = driver._opened[0]
     made = StandIn()
-    monkeypatch.setattr(driver, "library", lambda: made)
+    put_in(monkeypatch, made)
     np.testing.assert_array_equal(gpu.classify(bodies, Ta, bodies, Tb), loewner.classify(bodies, Ta, bodies, Tb))
     assert driver._opened[0] is not lost
 

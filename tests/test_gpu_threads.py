@@ -1,5 +1,7 @@
 """The threads of a GPU, run in a loop on the CPU, and the PTX that is made of them."""
 
+import hashlib
+import json
 import re
 import shutil
 import subprocess
@@ -16,9 +18,10 @@ import pytest
 
 from checker_oracle import random_scene, robot_of, simple_bodies
 from families import FAMILIES, pieces, random_poses
-from gpu_stand_in import StandIn
+from gpu_stand_in import StandIn, put_in
 from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
 from loewner._kernels import _jit, _sealed, columns
+from loewner._kernels._sources import source_hash
 from loewner._kernels.simd import scalars, trig
 from loewner._kernels.threads import configurations as threads_of_configurations
 from loewner._native import library
@@ -35,7 +38,10 @@ U24 = 2.0**-24
 @pytest.fixture(scope="module")
 def device() -> Device:
     """A GPU whose threads run one after the other."""
-    return Device(0, StandIn())
+    made = StandIn()
+    with pytest.MonkeyPatch.context() as patch:
+        put_in(patch, made)
+        return Device(0, made)
 
 
 @pytest.fixture(autouse=True)
@@ -376,6 +382,7 @@ def test_paths_bend_no_more_than_the_bound(seed, device, tmp_path):
 
 
 # -- PTX -------------------------------------------------------------------------------------------
+# Compiling it takes half a minute: `make verify`, `make test-gpu` and `.ci/run` run these tests, not the quick suite.
 
 
 @pytest.fixture(scope="module")
@@ -383,6 +390,7 @@ def ptx() -> str:
     return _ptx.text().decode()
 
 
+@pytest.mark.verify
 def test_ptx_rounds_correctly(ptx):
     """Only operations that round to the nearest; nothing approximate, flushed to zero or in double precision."""
     operations = Counter(re.findall(r"^\s+(?:@\S+ )?([a-z]\w*(?:\.\w+)+)", ptx, flags=re.M))
@@ -399,6 +407,7 @@ def test_ptx_rounds_correctly(ptx):
     assert not re.search(r"\bcall\b|\.extern|\.func", ptx)
 
 
+@pytest.mark.verify
 def test_ptx_has_every_kernel(ptx):
     """Each kernel is there, takes its function's arguments, and is for GPUs from the oldest on."""
     kernels = {name for names in _ptx.KERNELS.values() for name in names}
@@ -407,6 +416,7 @@ def test_ptx_has_every_kernel(ptx):
     assert re.search(r"^\.target sm_75$", ptx, flags=re.M)
 
 
+@pytest.mark.verify
 def test_ptx_is_the_same_when_it_is_made_again():
     """What is compiled depends on nothing but the sources."""
     assert _ptx.compiled() == _ptx.compiled()
@@ -430,16 +440,24 @@ def test_ptx_is_kept_and_made_anew_when_damaged(monkeypatch, tmp_path):
     _ptx.text.cache_clear()
 
 
-def test_shipped_ptx_is_that_of_the_sources(monkeypatch, tmp_path):
-    """What was built beside the library is what is compiled now; a copy that is damaged is not used."""
+@pytest.mark.verify
+def test_shipped_ptx_is_that_of_the_sources():
+    """What was built beside the library is what is compiled now."""
     shipped = library.shipped(_ptx.NAME)
     if shipped is None:
-        pytest.skip(f"no library was built: {library.why_not()}")
+        pytest.skip("nothing was built for GPUs: python native/build.py --gpu")
     names = re.compile(rb"[$%][\w$]+")  # of registers and branches, which have numbers
     assert names.sub(b"", zlib.decompress(shipped)) == names.sub(b"", _ptx.compiled())
-    for name in (library.LIST, _ptx.NAME):
-        shutil.copy(library.HOME / name, tmp_path)
+
+
+def test_shipped_ptx_is_not_used_where_it_is_damaged(monkeypatch, tmp_path):
+    """It is as the list of the build has it, or there is none."""
+    shipped = zlib.compress(b"built")
+    (tmp_path / _ptx.NAME).write_bytes(shipped)
+    listed = {"sources": source_hash(), "numba": "0", "files": {_ptx.NAME: hashlib.sha256(shipped).hexdigest()}}
+    (tmp_path / library.LIST).write_text(json.dumps(listed))
     monkeypatch.setattr(library, "HOME", tmp_path)
+    monkeypatch.delenv("LOEWNER_JIT", raising=False)
     assert library.shipped(_ptx.NAME) == shipped
     (tmp_path / _ptx.NAME).write_bytes(shipped[:-1])
     assert library.shipped(_ptx.NAME) is None
@@ -464,6 +482,7 @@ def ptxas() -> Path | None:
     return found[0] if found else (Path(other) if (other := shutil.which("ptxas")) else None)
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize("arch", ["sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120"])
 def test_ptx_assembles_without_spills(arch, ptx, tmp_path):
     """NVIDIA's own assembler takes it for all GPUs since 2018; no kernel spills registers, and none takes many."""

@@ -166,9 +166,11 @@ def test_the_extension_is_for_all_pythons():
 # -- how processes share the work of a build -------------------------------------------------------
 
 
-def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, capsys):
-    """A step starts when the files that it needs are whole; a line tells each step that begins."""
+def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, capsys, monkeypatch):
+    """A step starts when the files that it needs are whole; a line tells each step that begins, and what is left."""
     build = module("build")
+    monkeypatch.setattr(build.time, "perf_counter", lambda: 0.0)
+    monkeypatch.setattr(build.os, "cpu_count", lambda: 2)
     code = "import sys, pathlib as p; p.Path(sys.argv[1]).write_text(''.join(map(open_text, sys.argv[2:])) + 'x')"
     code = f"open_text = lambda path: open(path).read(); {code}"
     first, second, last = (tmp_path / name for name in ("first", "second", "last"))
@@ -176,12 +178,44 @@ def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, caps
     def step(to, *needed):
         return build.Command(f"file {to.name}", ["-c", code, str(to), *map(str, needed)], {}, to, needed)
 
-    build.run_all([step(last, first, second), step(first), step(second, first)])
+    build.run_all([step(last, first, second), step(first), step(second, first)], slowness=20.0)
     assert last.read_text() == "xxxx"
     told = capsys.readouterr().err.splitlines()
+    assert told[0] == "native library:    0 s, about 30 s left: file first ...", "three steps of a second, on two cores"
     assert [line.rpartition(": ")[2] for line in told] == ["file first ...", "file second ...", "file last ..."]
     with pytest.raises(build.BuildError, match=r"file last: .*\n(.*\n)*.*missing"):
         build.run_all([step(last, tmp_path / "missing")._replace(needed=())])
+
+
+def test_progress_of_a_step_is_what_it_printed(tmp_path):
+    """Numbers count what is done, words tell what is next; a step that has not ended is never whole."""
+    step = module("build").Command("code", [], {}, tmp_path / "code", steps=4)
+    assert step.progress() == (0.0, "")
+    for text, share, name in (("one\n", 0.0, "one"), ("one\n1\n2\ntwo\n", 0.5, "two"), ("two\n9\n", 0.99, "two")):
+        (tmp_path / "code.told").write_text(text)
+        assert step.progress() == (share, name)
+
+
+def test_modules_linked_in_chunks_are_those_linked_in_a_line(emit, monkeypatch):
+    """The order of functions decides what LLVM inlines; a declaration of an earlier module does not change it."""
+    import llvmlite.binding as llvm
+
+    def modules():
+        names = [f"f{number}" if number % 3 else f'"f <{number}>"' for number in range(100)]
+        for number, name in enumerate(names):
+            called = [other for other in (names[-number - 1], names[number // 2]) if other != name]
+            declared = "".join(f"declare double @{other}(double)\n" for other in dict.fromkeys(called))
+            calls = "".join(f"  %y{n} = call double @{other}(double %x)\n" for n, other in enumerate(called))
+            yield llvm.parse_assembly(f"{declared}define double @{name}(double %x) {{\n{calls}  ret double %x\n}}\n")
+
+    first, *others = modules()
+    for other in others:
+        first.link_in(other)
+    for size in (1000, 32, 3):
+        monkeypatch.setattr(emit, "CHUNK", size)
+        linked = emit.in_one(list(modules()))
+        assert [one.name for one in linked.functions] == [one.name for one in first.functions]
+        assert str(linked).count("define") == str(first).count("define") == 100
 
 
 # -- what is refused -------------------------------------------------------------------------------
