@@ -11,11 +11,13 @@ from hypothesis import HealthCheck, settings
 
 import loewner
 from loewner import Verdict
-from loewner._native import singles
+from loewner._native import entries, library, singles
 from loewner.robots import verdicts
 from loewner.robots.checker import UNPREPARED
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
+
+import long_cases  # noqa: E402  # beside this file, too
 
 # The same examples every run: a red test must be red again on the next run.
 settings.register_profile(
@@ -43,9 +45,32 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(long_cases)
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Where the long proofs are not run, they are not imported either: all in their folder are marked."""
-    return True if collection_path.name == "verify" and "not verify" in config.option.markexpr else None
+    """Files without a case to run are not imported: the long proofs, all in a folder, or files without a light case."""
+    words = config.option.markexpr
+    if collection_path.name == "verify" and "not verify" in words:
+        return True
+    if words == "light" and collection_path.name.startswith("test_"):
+        return "pytest.mark.light" not in collection_path.read_text() or None
+    return None
+
+
+@pytest.fixture(autouse=True)
+def without_kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light cases run while the library is built, so one that calls a kernel fails instead of compiling it."""
+    if request.node.get_closest_marker("light"):
+
+        def refused(*_: object) -> None:
+            pytest.fail("a case with the mark `light` called a kernel: it runs while the library is built")
+
+        for module, names in ((entries, entries.ENTRIES), (singles, singles.PAIRS)):
+            for name in names:
+                monkeypatch.setitem(vars(module), name, refused)
+        monkeypatch.setattr(library, "_opened", refused)
 
 
 @pytest.fixture

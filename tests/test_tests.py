@@ -11,6 +11,8 @@ KERNELS = ROOT / "src" / "loewner" / "_kernels"
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 
+pytestmark = pytest.mark.light
+
 
 @pytest.mark.parametrize("path", TESTS, ids=lambda path: path.stem)
 def test_every_test_says_its_law(path: Path):
