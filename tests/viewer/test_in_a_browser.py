@@ -96,7 +96,20 @@ def says_what_the_library_says(tab, a, b, T):
     )
 
 
-def test_dragging_a_body_in_the_browser(tab, tmp_path):
+# Where B stops, the verdict of the ellipsoids, and the exact answer. Faces touch at x = 1. With B to the side, the
+# inner balls meet at 0.8 only and the outer ones at 1.62.
+STOPS = [
+    (1.2, "AMBIGUOUS", "FREE"),
+    (0.88, "AMBIGUOUS", "COLLIDING"),
+    (0.4, "COLLIDING", "COLLIDING"),
+    (2.2, "FREE", "FREE"),
+]
+
+
+@pytest.mark.parametrize(
+    "stops", [STOPS[1::2], pytest.param(STOPS, marks=pytest.mark.verify)], ids=lambda stops: f"{len(stops)} stops"
+)
+def test_dragging_a_body_in_the_browser(tab, tmp_path, stops):
     """Dragged by its arrow from free over touching to colliding, and back.
 
     At each stop the page says what the library answers for the place where the browser draws the body: verdict, exact
@@ -107,13 +120,7 @@ def test_dragging_a_body_in_the_browser(tab, tmp_path):
         tab.goto(page.url)
         assert shown(tab, "FREE") == "FREE"
         eventually(lambda: len(page.server.get_clients()) == 1, PATIENCE / 1000)
-        # Faces touch at x = 1. With B to the side, the inner balls meet at 0.8 only and the outer ones at 1.62.
-        for x, verdict, exact in (
-            (1.2, "AMBIGUOUS", "FREE"),
-            (0.88, "AMBIGUOUS", "COLLIDING"),
-            (0.4, "COLLIDING", "COLLIDING"),
-            (2.2, "FREE", "FREE"),
-        ):
+        for x, verdict, exact in stops:
             drag_to(tab, page, x)
             eventually(lambda: says_what_the_library_says(tab, a, b, page.T_world_b), PATIENCE / 1000)
             assert (panel(tab)["ellipsoids"].partition(",")[0], panel(tab)["verdict"]) == (verdict, exact)
@@ -284,7 +291,14 @@ def of_a_moving_arm(arm):
     return page, "FREE"
 
 
-@pytest.mark.parametrize("scene", [of_two_pieces, of_two_surfaces, of_a_panda, of_a_moving_arm])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        of_two_pieces,
+        of_a_moving_arm,
+        *(pytest.param(k, marks=pytest.mark.verify) for k in (of_two_surfaces, of_a_panda)),
+    ],
+)
 def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
     """In wide and narrow windows, light and dark, nothing is cut off, covers something or loads from elsewhere.
 
