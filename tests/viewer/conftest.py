@@ -5,7 +5,7 @@ import pytest
 from browsers import chromium, missing
 from families import translation
 from loewner import Body, CollisionChecker, Robot, Scene
-from pages import PATIENCE, WINDOW
+from viewer_pages import PATIENCE, WINDOW
 
 # Chromium as root in a container, with no network and no graphics card.
 FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"]

@@ -13,7 +13,7 @@ import pytest
 import loewner
 from loewner import Body, viewer
 from loewner.viewer import guard
-from pages import PATIENCE, WINDOW, two_boxes
+from viewer_pages import PATIENCE, WINDOW, two_boxes
 
 UPGRADE = ("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13")
 UPGRADE += ("Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",)

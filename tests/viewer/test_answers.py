@@ -15,7 +15,7 @@ from families import translation
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, cli, planners, viewer
 from loewner.viewer import drawing, framing, playing
 from loewner.viewer.visuals import visual_meshes
-from pages import eventually, two_boxes
+from viewer_pages import eventually, two_boxes
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from families import translation
 from loewner import Body, CollisionChecker, InputError, Verdict, planners, viewer
 from loewner.viewer import drawing, guard
 from loewner.viewer.page import length_text
-from pages import PATIENCE, eventually, panel, shown
 from robot_oracle import robots_folder
+from viewer_pages import PATIENCE, eventually, panel, shown
 
 
 def pixel(tab, page, point):
