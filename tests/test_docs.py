@@ -263,7 +263,12 @@ def test_example_audit_trajectory(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "package"), [("bend_a_path.py", "scipy"), ("bend_a_path_jax.py", "jax"), ("bend_a_path_torch.py", "torch")]
+    ("name", "package"),
+    [
+        ("bend_a_path.py", "scipy"),
+        pytest.param("bend_a_path_jax.py", "jax", marks=pytest.mark.verify),
+        ("bend_a_path_torch.py", "torch"),
+    ],
 )
 def test_example_bend_a_path(name, package, tmp_path):
     """A line that collides becomes a path that keeps two centimetres, every motion of it proven."""

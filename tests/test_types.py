@@ -106,6 +106,7 @@ def said(folder, follow_jax):
 
 
 @pytest.mark.light
+@pytest.mark.slow("one run of the type checker reads the library and all examples")
 def test_results_are_typed(checked):
     """Arrays where bodies are several, None where nothing exact was asked for; no cast anywhere."""
     assert checked["results.py"] == []
