@@ -12,11 +12,13 @@ from hypothesis import HealthCheck, settings
 
 import loewner
 from loewner import Verdict
-from loewner._native import singles
+from loewner._native import entries, library, singles
 from loewner.robots import verdicts
 from loewner.robots.checker import UNPREPARED
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
+
+import long_cases  # noqa: E402  # beside this file, too
 
 # The same examples every run: a red test must be red again on the next run.
 settings.register_profile(
@@ -55,14 +57,38 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     found = re.fullmatch(r"([1-9]\d*)/([1-9]\d*)", part)
     if not found or int(found[1]) > int(found[2]):
         raise pytest.UsageError(f"--part: expected K/N with K from 1 to N, found {part!r}")
-    kept = items[int(found[1]) - 1 :: int(found[2])]
-    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
-    items[:] = kept
+    first, step = int(found[1]) - 1, int(found[2])
+    config.hook.pytest_deselected(items=[item for number, item in enumerate(items) if number % step != first])
+    items[:] = items[first::step]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(long_cases)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Where the long proofs are not run, they are not imported either: all in their folder are marked."""
-    return True if collection_path.name == "verify" and "not verify" in config.option.markexpr else None
+    """Files without a case to run are not imported: the long proofs, all in a folder, or files without a light case."""
+    words = config.option.markexpr
+    if collection_path.name == "verify" and "not verify" in words:
+        return True
+    if words == "light" and collection_path.name.startswith("test_"):
+        return "pytest.mark.light" not in collection_path.read_text() or None
+    return None
+
+
+@pytest.fixture(autouse=True)
+def without_kernels(request: pytest.FixtureRequest) -> None:
+    """Light cases run while the library is built, so one that calls a kernel fails instead of compiling it."""
+    if request.node.get_closest_marker("light"):
+        monkeypatch = request.getfixturevalue("monkeypatch")
+
+        def refused(*_: object) -> None:
+            pytest.fail("a case with the mark `light` called a kernel: it runs while the library is built")
+
+        for module, names in ((entries, entries.ENTRIES), (singles, singles.PAIRS)):
+            for name in names:
+                monkeypatch.setitem(vars(module), name, refused)
+        monkeypatch.setattr(library, "_opened", refused)
 
 
 @pytest.fixture

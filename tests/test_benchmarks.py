@@ -201,9 +201,10 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
 
 
 @pytest.mark.filterwarnings("ignore:.*nearly closed")  # the visual meshes of robots
-def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.verify)])
+def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, count: int):
     """Sections run on tiny sizes, their figures are in the file, and no answer differs from the oracle's."""
-    two = [
+    pairs = [
         surface_samples.Pair(
             "mug and ball",
             surface_samples.Mesh(*surface_samples.mug(12)),
@@ -214,8 +215,8 @@ def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
             surface_samples.Mesh(*surface_samples.torus(0.1, 0.03, 8, 6)),
             surface_samples.Mesh(*surface_samples.terrain(32, 1.0)),
         ),
-    ]
-    monkeypatch.setattr(surface_samples, "pairs", lambda: two)
+    ][:count]
+    monkeypatch.setattr(surface_samples, "pairs", lambda: pairs)
     monkeypatch.setattr(surface_samples, "TRIAL", 30)
     monkeypatch.setattr(surfaces, "QUICK", 8)
     assert (
@@ -223,7 +224,7 @@ def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         == 0
     )
     found = json.loads((tmp_path / "surfaces.json").read_text())
-    assert [entry["pair"] for entry in found["answers"]] == [pair.name for pair in two]
+    assert [entry["pair"] for entry in found["answers"]] == [pair.name for pair in pairs]
     for entry in found["answers"]:
         assert (entry["poses"], entry["grazing"]) == (36, 4)
         assert (entry["differing"], entry["grazing differing"], entry["certified wrongly"]) == (0, 0, 0)

@@ -15,6 +15,8 @@ from loewner import load_scene
 from robot_oracle import robots_folder
 
 ROOT = Path(__file__).parent.parent
+# Pages that are made when the site is built, and may not be there.
+GENERATED = {ROOT / "docs" / name for name in ("measured.md", "reference/command.md")}
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")], key=str)
 
 
@@ -80,14 +82,17 @@ def test_the_scene_in_the_readme_loads(tmp_path):
     assert load_scene(tmp_path / "shelf.yaml").names == ("board",)
 
 
+@pytest.mark.light
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
 def test_links_lead_somewhere(document):
     """Relative links in documents name files that exist."""
     links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", document.read_text())
-    missing = [link for link in links if not (document.parent / link).exists()]
+    targets = {link: (document.parent / link).resolve() for link in links}
+    missing = [link for link, target in targets.items() if target not in GENERATED and not target.exists()]
     assert missing == []
 
 
+@pytest.mark.light
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
 def test_rows_of_a_table_have_as_many_cells_as_its_head(document):
     """Two rows on one line would be rendered as one: the cells beyond the head's are dropped."""
@@ -258,7 +263,12 @@ def test_example_audit_trajectory(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "package"), [("bend_a_path.py", "scipy"), ("bend_a_path_jax.py", "jax"), ("bend_a_path_torch.py", "torch")]
+    ("name", "package"),
+    [
+        ("bend_a_path.py", "scipy"),
+        pytest.param("bend_a_path_jax.py", "jax", marks=pytest.mark.verify),
+        ("bend_a_path_torch.py", "torch"),
+    ],
 )
 def test_example_bend_a_path(name, package, tmp_path):
     """A line that collides becomes a path that keeps two centimetres, every motion of it proven."""

@@ -109,6 +109,7 @@ def crowd(rng: np.random.Generator, names: tuple[str, str], off: float, world: f
     return at, *posed_gaps(faces, pair, Ta, Tb)
 
 
+@pytest.mark.slow("its first case compiles the search, which it calls directly")
 @pytest.mark.parametrize("names", FAMILIES, ids=" and ".join)
 def test_what_is_said_is_true(names: tuple[str, str]):
     """Gaps and depths from a fifth of a rounding to where every answer is given."""

@@ -26,6 +26,8 @@ PAGES = [path for path in PAGES if not GENERATED & set(path.parts)]
 SOURCES = sorted((ROOT / "src" / "loewner").rglob("*.py"))
 WIDTH = 120
 
+pytestmark = pytest.mark.light
+
 # Each comment gives an example, and the words to write instead.
 PATTERNS = {
     # "what it returned": a noun, "the result"

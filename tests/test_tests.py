@@ -1,7 +1,10 @@
 """The tests keep the rules that CONTRIBUTING.md sets them, and its table of tests names every kernel file."""
 
 import ast
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,8 @@ ROOT = Path(__file__).parent.parent
 KERNELS = ROOT / "src" / "loewner" / "_kernels"
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
+
+pytestmark = pytest.mark.light
 
 
 @pytest.mark.parametrize("path", TESTS, ids=lambda path: path.stem)
@@ -46,3 +51,50 @@ def test_files_to_change_exist():
     assert len(named) > 10
     folders = (ROOT, ROOT / "src" / "loewner", KERNELS)
     assert [name for name in sorted(named) if not any((folder / name).is_file() for folder in folders)] == []
+
+
+def test_light_cases_call_no_kernel():
+    """A case with the mark `light` that calls a kernel fails, whatever was called before."""
+    from loewner import Body, collide
+
+    with pytest.raises(pytest.fail.Exception, match="called a kernel"):
+        collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
+
+
+CASES = """
+import pytest
+
+def test_plain():
+    pass
+
+@pytest.mark.slow("it has a reason")
+def test_with_a_reason():
+    pass
+
+@pytest.mark.verify
+def test_of_verify():
+    pass
+"""
+
+
+@pytest.mark.parametrize("long", [True, False])
+def test_long_cases_are_listed(tmp_path, long):
+    """A case above the limit is listed with its reason, a warning on CI if it has none; none of them fails."""
+    (tmp_path / "test_cases.py").write_text(CASES)
+    (tmp_path / "conftest.py").write_text("import long_cases\nlong_cases.LONG = " + ("0.0" if long else "1e9"))
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-c", ROOT / "pyproject.toml", "--rootdir", tmp_path, "-p", "long_cases", "."],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "tests"), "CI": "true"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    listed = re.findall(r"^ *[\d.]+ s (\S+): (.*)$", done.stdout, flags=re.M)
+    warned = re.findall(r"^::warning file=(\S+),line=(\d+)::(\S+):", done.stdout, flags=re.M)
+    assert sorted(listed) == long * [
+        ("test_cases.py::test_plain", "without a mark slow(reason)"),
+        ("test_cases.py::test_with_a_reason", "it has a reason"),
+    ]
+    assert warned == long * [("test_cases.py", "4", "test_cases.py::test_plain")]

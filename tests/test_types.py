@@ -105,11 +105,14 @@ def said(folder, follow_jax):
     return {path.name: [line for line in out.splitlines() if path.name in line] for path in folder.glob("*.py")}
 
 
+@pytest.mark.light
+@pytest.mark.slow("one run of the type checker reads the library and all examples")
 def test_results_are_typed(checked):
     """Arrays where bodies are several, None where nothing exact was asked for; no cast anywhere."""
     assert checked["results.py"] == []
 
 
+@pytest.mark.light
 @pytest.mark.parametrize("name", ["readme.py", *EXAMPLES])
 def test_examples_pass_a_strict_checker(checked, name):
     """Users who check their types strictly can begin with this file."""

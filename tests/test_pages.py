@@ -1,0 +1,46 @@
+"""The code of the site's pages runs, and prints what the pages say."""
+
+import re
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import trimesh
+
+DOCS = Path(__file__).parent.parent / "docs"
+CODE = r"^```python\n(.*?)^```"
+# test_docs.py runs the code of these.
+GUIDES = {"meshes.md", "motions.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
+PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
+
+
+@pytest.fixture
+def folder_with_mesh(tmp_path, monkeypatch):
+    """A working folder that holds the mesh file that the pages name."""
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / "part.stl")
+    monkeypatch.chdir(tmp_path)
+    yield
+    if "jax" in sys.modules:  # a page may have set what holds for all that comes after it
+        sys.modules["jax"].config.update("jax_enable_x64", False)
+
+
+def needs_what_is_missing(block):
+    """Whether it imports PyTorch, which is too large to be there for the usual tests, and it is not."""
+    return "import torch\n" in block and find_spec("torch") is None
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if str(p.relative_to(DOCS)) not in GUIDES], ids=lambda p: str(p.relative_to(DOCS))
+)
+def test_pages_print_what_they_say(page, folder_with_mesh):
+    """All Python blocks of a page run, in order, as one program, and `print(...)  # -> text` prints that text."""
+
+    def said(expected, *values):
+        assert " ".join(map(str, values)) == expected, page
+
+    blocks = re.findall(CODE, page.read_text(), flags=re.M | re.S)
+    program = "\n".join(block for block in blocks if not needs_what_is_missing(block))
+    program = re.sub(r"^(\s*)print\((.+)\)  # -> (.+)$", r"\1said(r'''\3''', \2)", program, flags=re.M)
+    assert "# ->" not in program  # else nobody checks it
+    exec(compile(program, str(page), "exec"), {"said": said})
