@@ -388,7 +388,9 @@ def test_what_is_reached_is_within_the_limits(data):
     bounded = np.flatnonzero(single & np.isfinite(robot.lower) & np.isfinite(robot.upper))
     for k in data.draw(st.lists(st.sampled_from(bounded.tolist()), min_size=1, max_size=3)):
         up, amount = data.draw(st.booleans()), data.draw(AMOUNTS)
-        start[k] = np.nextafter(robot.upper[k] + amount, np.inf) if up else np.nextafter(robot.lower[k] - amount, -np.inf)
+        start[k] = (
+            np.nextafter(robot.upper[k] + amount, np.inf) if up else np.nextafter(robot.lower[k] - amount, -np.inf)
+        )
     others = robot.random_configurations(2, 5)
     T = poses_of(robot, "hand", np.stack([start, *others]))
     every = data.draw(st.booleans())
