@@ -30,7 +30,7 @@ from loewner.robots.written_proofs import proof_of
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
 
-# Values that SciPy computes may differ from those of the proven curve by this many bounds on rounding.
+# Values that SciPy computes may differ from the proven curve by this many bounds on rounding.
 AGREEMENT = 8.0
 
 # Times at which distances along a curve are measured, in addition to the times of verdicts.
@@ -251,8 +251,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     ------
     InputError
         If the curve is of the wrong type, its columns are not the robot's, a number is not finite, times do not
-        increase, the degree is above 7, the curve jumps, or the values of a SciPy curve are not those that its
-        coefficients define.
+        increase, the degree is above 7, the curve jumps, or a SciPy curve has other values than its coefficients
+        define.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)
@@ -298,7 +298,7 @@ def form_of(given: Any, name: str) -> Curve | None:
     c = np.asarray(given.c)
     if np.iscomplexobj(c):
         raise InputError(f"{name}: expected real coefficients, found {c.dtype}")
-    # SciPy has moved the axes of the pieces to the front, whichever `axis` it was given.
+    # SciPy has moved the axes of the pieces to the front, for every `axis`.
     c = c.astype(np.float64)
     interpolate = sys.modules["scipy.interpolate"]
     if isinstance(given, interpolate.BSpline):
@@ -318,7 +318,7 @@ def _is_of_scipy(given: Any) -> bool:
 
 
 def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> None:
-    """Refuse a curve of SciPy whose values, as it computes them itself, are not those of the courses.
+    """Refuse a curve of SciPy whose values, as it computes them itself, are not on the courses.
 
     A subclass may compute its values in another way than from the coefficients that are read here. In each segment as
     many values are compared as determine a polynomial of its degree.
