@@ -296,7 +296,7 @@ static void read_pairs(Block *b, size_t limit) {
         while (skip[s].key < key) s++;
         while (except[e].key < key) e++;
         if (bodies[i].group == bodies[j].group || skip[s].key == key) continue;
-        if (++pair_count > limit) continue; /* each pair needs a byte of the proof, if there are any motions */
+        if (++pair_count > limit) continue; /* each pair needs a byte of the proof */
         if (pair_count > room && !(pairs = realloc(pairs, (room *= 2) * sizeof *pairs))) refuse("not enough memory");
         pairs[pair_count - 1] = (Pair){key, except[e].key == key ? except[e].margin : margin, {0, 0, 0}, 0};
     }
@@ -494,7 +494,7 @@ static void check_motions(Block *b) {
         if (motion->degree == 0 || motion->degree > MAX_DEGREE) refuse("a motion of degree 0, or above 31");
         EACH(k, ((size_t)motion->degree + 1) * value_count) real(b, -INFINITY);
     }
-    if (n && pair_count > b->left / n) refuse("the proof is too short for all pairs");
+    if (n == 0 || pair_count > b->left / n) refuse(n ? "the proof is too short for all pairs" : "a proof without motions");
     while (cache_size > 1 && cache_size * link_count * sizeof *cache > MAX_FILE) cache_size /= 2;
     cache = allocate(cache_size * link_count, sizeof *cache), cached = allocate(cache_size, sizeof *cached);
     for (motion = motions; motion < motions + n; motion++) {

@@ -156,6 +156,12 @@ def test_poses_in_every_form_agree(saved, capsys):
         (["a.npz", "b.npz", "--margin", "-1e-3"], "margin: expected"),
         (["a.npz", "b.npz", "--margin", "nan"], "margin: expected"),
         (["cube.stl", "b.npz", "--threshold", "7"], "threshold: expected"),
+        (
+            ["a.npz", "b.npz", "--scale", "0.001"],
+            "--scale: expected a mesh to make a body of, found saved bodies, a.npz",
+        ),
+        (["a.npz", "b.npz", "--hull"], "--hull: expected a mesh to make a body of, found saved bodies"),
+        (["a.npz", "b.npz", "--max-pieces", "3"], "--max-pieces: expected a mesh to make a body of, found saved"),
     ],
 )
 def test_errors_are_one_line_with_status_2(saved, capsys, arguments, message):
@@ -600,6 +606,7 @@ def test_robot_check_files(folder, capsys):
         ([*ROBOT, "--scene", "none.yaml", "--random", "5"], "none.yaml"),
         ([*ROBOT, "--random", "0"], "--random: expected an integer >= 1, found 0"),
         ([*ROBOT, "--random", "5", "--seed", "-1"], "--seed: expected an integer >= 0, found -1"),
+        ([*ROBOT, "--configs", "q.npy", "--seed", "1"], "--seed: expected --random with it, found none"),
         ([*ROBOT, "--state", "lefd"], "state: expected one of left, wall; found 'lefd' (did you mean 'left'?)"),
         (["gantry.urdf", "--state", "left"], "no SRDF was given"),
         ([*ROBOT, "--state", "left"], "gantry.urdf: expected pairs to check, found none"),
@@ -748,6 +755,41 @@ def test_a_path_can_be_viewed(with_end, capsys, monkeypatch, tmp_path):
     assert (status, "--start-time: expected times in" in err) == (2, True)
 
 
+def test_a_plan_in_time_can_be_viewed_and_audited(with_end, capsys, monkeypatch):
+    """`loewner view` and `loewner audit` read the start time before the header of a table that `loewner plan` wrote."""
+    assert run(capsys, *AROUND, "--start-time", "3", "--velocity", "1", "-o", "plan.csv")[0] == 0
+    assert Path("plan.csv").read_text().startswith("# start_time: 3.0\n")
+    shown, page = [], SimpleNamespace(url="http://here", wait=lambda: None)
+    monkeypatch.setattr("loewner.viewer.show_robot", lambda *given, **more: shown.append(more["trajectory"]) or page)
+    robot = [*ROBOT, "--scene", "end.yaml"]
+    for more, begins in (([], 3.0), (["--start-time", "5"], 5.0)):
+        assert run(capsys, "view", "--robot", *robot, "--trajectory", "plan.csv", "--no-browser", *more)[0] == 0
+        status, out, _ = run(capsys, "audit", robot[0], "plan.csv", *robot[1:], "--json", *more)
+        assert (status, json.loads(out)["begins"], shown.pop().start_time) == (0, begins, begins)
+
+
+@pytest.mark.parametrize("kind", ["no path", "ambiguous", "audit", "bad goal"])
+def test_an_older_proof_does_not_pass_for_the_new_one(with_end, capsys, kind):
+    """Where no proof can be written, none of that name is left, and a file that is no proof is left alone."""
+    asked = {
+        "no path": [*AROUND, "--joints", "turn", "--proof", "p.proof"],
+        "ambiguous": [*AROUND, "--max-iterations", "1", "--timeout", "1e-9", "--proof", "p.proof"],
+        "audit": ["audit", ROBOT[0], "hit.csv", *ROBOT[1:], "--scene", "end.yaml", "--proof", "p.proof"],
+        "bad goal": [*AROUND[: AROUND.index("--goal")], "--goal", "nowhere", "--proof", "p.proof"],
+    }[kind]
+    Path("hit.csv").write_text("x,y,turn\n-0.5,-0.5,1.57\n0.5,-0.5,1.57\n")
+    assert run(capsys, *AROUND, "--proof", "p.proof")[0] == 0
+    assert run(capsys, "verify", "p.proof")[0] == 0
+    assert run(capsys, *asked)[0] in (1, 2)
+    assert not Path("p.proof").exists()
+    Path("p.proof").write_text("mine")
+    run(capsys, *asked)
+    assert Path("p.proof").read_text() == "mine"
+    status, out, err = run(capsys, *asked[:-1], "nowhere/p.proof")
+    assert (status, out) == (2, "")
+    assert "--proof: expected a file in a folder that exists, found nowhere/p.proof" in err
+
+
 def test_plan_improves_the_path(with_end, capsys):
     """More seconds never cost more, and the cost is not below its bound; weights and times that are bad are refused."""
     plain = json.loads(run(capsys, *AROUND, "--json")[1])
@@ -808,10 +850,23 @@ def test_plan_in_time(with_end, capsys):
         (["--arrive-by", "2"], 2, "arrive_by: expected a time after start_time, 3, found 2"),
         (["--velocity", "fast"], 2, "--velocity: expected numbers, found 'fast'"),
         (["--improve-for", "1"], 2, "start_time: expected no improve_for with it"),
+        (["--proof", "in_time.proof"], 2, "--proof cannot be combined with --sampled or --start-time"),
+        (["--leave", "ball", "gate"], 2, "--leave: expected a plan that is not in time, found --start-time and --vel"),
+        (["--reach", "ball", "gate"], 2, "--reach: expected a plan that is not in time, found --start-time and --vel"),
     ):
         status, out, err = run(capsys, *ask, *more)
         assert (status, out) == (wanted, "")
         assert message in err
+    for more, found in (
+        (["--scene", "gate.yaml"], r"bodies that follow motions (gate)"),
+        (["--scene", "end.yaml", "--arrive-by", "9"], "--arrive-by"),
+        (["--scene", "end.yaml", "--velocity", "1"], "--velocity"),
+    ):
+        status, out, err = run(capsys, *AROUND, *more, "--proof", "in_time.proof", "-o", "no.csv")
+        assert (status, out) == (2, "")
+        assert f"--proof: expected a plan that is not in time, found {found}; write the trajectory by --out" in err
+    assert not Path("in_time.proof").exists()
+    assert not Path("no.csv").exists()
 
 
 @pytest.mark.parametrize("name", ["path.csv", "path.json"])

@@ -4,6 +4,7 @@ import json
 import math
 import warnings as warns
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.interpolate import (
     Akima1DInterpolator,
     BPoly,
     BSpline,
+    CubicHermiteSpline,
     CubicSpline,
     PchipInterpolator,
     PPoly,
@@ -19,7 +21,7 @@ from scipy.interpolate import (
 )
 
 from families import translation
-from loewner import Body, CollisionChecker, FileError, InputError, Scene, Verdict
+from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene, Verdict, plots
 from loewner.planners import ControllerPoints, Trajectory, trajectory
 from loewner.robots.courses import configurations
 from loewner.robots.curves import curve_of
@@ -97,6 +99,138 @@ def test_courses_are_the_curves(arm, rng, degree):
             t = curve.times[k] + share * (curve.times[k + 1] - curve.times[k])
             values = configurations(arm, np.broadcast_to(course, (20, *course.shape)), share)
             assert values == pytest.approx(given(t), rel=1e-9, abs=1e-9)
+
+
+BALL = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+SLIDES = "".join(
+    f'<joint name="s{k}" type="prismatic"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="{axis}"/>'
+    f'<limit lower="-9" upper="9"/></joint><link name="l{k + 1}">{"" if k < 3 else BALL}</link>'
+    for k, axis in enumerate(("1 0 0", "0 1 0", "0 0 1", "1 1 1"))
+)
+
+
+@pytest.fixture(scope="module")
+def slides():
+    """Four joints that slide, and a ball at the end."""
+    return Robot.from_urdf(text=f'<robot name="slides"><link name="l0"/>{SLIDES}</robot>')
+
+
+def of_pieces(kind, c, t, axis):
+    """A curve of coefficients of shape (degree + 1, pieces, dof), which are given with time on an axis."""
+    return kind(np.moveaxis(c, 2, 0) if axis else c, t, axis=axis)
+
+
+# Each makes a curve of SciPy from times, and values whose times lie on an axis.
+OF_SCIPY = {
+    "cubic": lambda t, q, axis: CubicSpline(t, q, axis=axis),
+    "periodic": lambda t, q, axis: CubicSpline(t, closed(q, axis), axis=axis, bc_type="periodic"),
+    "hermite": lambda t, q, axis: CubicHermiteSpline(t, q, 0.3 * q, axis=axis),
+    "akima": lambda t, q, axis: Akima1DInterpolator(t, q, axis=axis),
+    "pchip": lambda t, q, axis: PchipInterpolator(t, q, axis=axis),
+    "linear b-spline": lambda t, q, axis: make_interp_spline(t, q, k=1, axis=axis),
+    "cubic b-spline": lambda t, q, axis: make_interp_spline(t, q, k=3, axis=axis),
+    "periodic b-spline": lambda t, q, axis: make_interp_spline(
+        t, closed(q, axis), k=3, axis=axis, bc_type="periodic"
+    ),
+    "own knots": lambda t, q, axis: BSpline([*t[:1], *t, *t[-1:]], q, 1, axis=axis),
+    "powers": lambda t, q, axis: of_pieces(PPoly, CubicSpline(t, q, axis=axis).c, t, axis),
+    "bernstein": lambda t, q, axis: of_pieces(BPoly, BPoly.from_power_basis(CubicSpline(t, q, axis=axis)).c, t, axis),
+}  # fmt: skip
+
+
+def closed(q, axis):
+    q = q.copy()
+    np.moveaxis(q, axis, 0)[-1] = np.moveaxis(q, axis, 0)[0]
+    return q
+
+
+@pytest.mark.parametrize("extrapolate", [True, False, "periodic"])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("form", OF_SCIPY)
+def test_courses_are_the_values_of_scipy_on_every_axis(slides, rng, form, axis, extrapolate):
+    """What is proven is the curve as SciPy evaluates it at a time, also if its coefficients are a square or a cube."""
+    for count in (4, 5):  # so many coefficients of a B-spline, or one polynomial less, as there are joints
+        t = np.cumsum(rng.uniform(0.5, 2.0, count)) - 3.0
+        q = rng.normal(size=(count, 4) if axis == 0 else (4, count))
+        given = OF_SCIPY[form](t, q, axis)
+        given.extrapolate = extrapolate
+        curve = curve_of(slides, given, "curve")
+        assert curve.times[[0, -1]].tolist() == t[[0, -1]].tolist()
+        for k, course in enumerate(curve.courses):
+            for share in (0.0, *rng.random(5)):
+                at = curve.times[k] + share * (curve.times[k + 1] - curve.times[k])
+                value = configurations(slides, course[None], np.array([share]))[0]
+                assert value == pytest.approx(given(at), rel=1e-9, abs=1e-9)
+
+
+def test_a_spline_with_values_in_columns_collides_where_it_goes(slides):
+    """A square array of coefficients whose columns are the times is not taken for one whose rows are."""
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.1), translation(1.0))
+    checker = CollisionChecker(slides, scene)
+    ends = np.array([[0.0, 2.0 / 3, 4.0 / 3, 2.0], [0] * 4, [0] * 4, [0] * 4])
+    given = BSpline([0, 0, 1 / 3, 2 / 3, 1, 1], ends, 1, axis=1)
+    assert checker.collide(given(0.5))
+    found = checker.certify_trajectory(given, proof=True)
+    assert (found.verdict, found.proof) == (COLLIDING, None)
+    contact = checker.first_contact(given)
+    assert contact.verdict == COLLIDING
+    assert contact.free_until == pytest.approx(0.425, abs=1e-4)
+    along = BSpline([0, 0, 1 / 3, 2 / 3, 1, 1], ends.T.copy(), 1)
+    assert checker.first_contact(along).free_until == contact.free_until
+
+
+class _Slower(CubicSpline):
+    def __call__(self, x, nu=0, extrapolate=None):
+        return super().__call__(0.5 * np.asarray(x), nu, extrapolate)
+
+
+class _Wrapped(BSpline):
+    def __call__(self, x, nu=0, extrapolate=None):
+        return np.clip(super().__call__(x, nu, extrapolate), -0.5, 0.5)
+
+
+class _Silent(PPoly):
+    def __call__(self, x, nu=0, extrapolate=None):
+        raise RuntimeError("not at this time")
+
+
+class _Single(PPoly):
+    def __call__(self, x, nu=0, extrapolate=None):
+        return super().__call__(x, nu, extrapolate)[..., :1]
+
+
+@pytest.mark.parametrize(
+    ("made", "text"),
+    [
+        (lambda t, q: _Slower(t, q), "expected the values that its coefficients define"),
+        (lambda t, q: _Wrapped([*t[:1], *t, *t[-1:]], q, 1), "expected the values that its coefficients define"),
+        (lambda t, q: _Silent(CubicSpline(t, q).c, t), "4 values at each of .* RuntimeError: not at this time"),
+        (lambda t, q: _Single(CubicSpline(t, q).c, t), "4 values at each of"),
+    ],
+)
+def test_values_of_a_subclass_decide(slides, made, text):
+    """A subclass that has other values than its coefficients define is refused wherever curves are taken."""
+    t, q = np.arange(5.0), np.linspace(0.0, 1.0, 5)[:, None] * [1.0, -1.0, 0.5, 0.2]
+    given = made(t, q)
+    checker = CollisionChecker(slides)
+    for take in (checker.certify_trajectory, checker.first_contact, partial(plots.trajectory, checker)):
+        with pytest.raises(InputError, match=text):
+            take(given)
+
+
+@pytest.mark.parametrize("scale", [1e-150, 1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("begin", [0.0, -1e9, 1e6])
+@pytest.mark.parametrize("form", OF_SCIPY)
+def test_rounding_of_values_refuses_no_curve(slides, rng, form, begin, scale):
+    """Curves that begin late, of small and large values, agree with SciPy within the bounds of rounding."""
+    t = begin + np.cumsum(rng.uniform(1e-3, 2.0, 12))
+    given = OF_SCIPY[form](t, scale * rng.normal(size=(12, 4)), 0)
+    for extrapolate in (True, "periodic"):
+        given.extrapolate = extrapolate
+        with warns.catch_warnings():
+            warns.simplefilter("ignore")
+            curve_of(slides, given, "curve")
 
 
 def test_controllers_interpolate_points(arm, rng):

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from loewner import Body, CollisionChecker, InputError, PoseError, Robot, Scene, UnknownNameError
 from loewner.robots import reaching
@@ -364,3 +366,85 @@ def test_no_poses(panda):
     found = panda.reach("panda_hand", np.empty((0, 4, 4)), all=True, checker=CollisionChecker(panda))
     assert found.solutions == ()
     assert found.free.shape == found.reached.shape == (0,)
+
+
+def turning(lower, upper, kind="revolute"):
+    return robot_of(joint("j", kind, "base", "tool", f'<axis xyz="0 0 1"/><limit lower="{lower}" upper="{upper}"/>'))
+
+
+AMOUNTS = st.sampled_from([1e-15, 1e-9, 1e-4, 0.2, 3.0, 7.0, 1e3, 1e9])
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+@pytest.mark.filterwarnings("ignore:.*in degrees:UserWarning")  # starts far outside the limits
+def test_what_is_reached_is_within_the_limits(data):
+    """From any start, also one outside, every solution is within the limits of the joints that move, and reaches."""
+    robot = KINDS[data.draw(st.sampled_from([*KINDS]))]
+    kept = data.draw(st.sampled_from([None, "j0", "j3"]))
+    joints = None if kept is None else [name for name in robot.joint_names if name != kept]
+    start = robot.random_configurations(1, data.draw(st.integers(0, 99)))[0]
+    names, single = robot.configuration_names, np.isin(robot.configuration_names, robot.joint_names)
+    bounded = np.flatnonzero(single & np.isfinite(robot.lower) & np.isfinite(robot.upper))
+    for k in data.draw(st.lists(st.sampled_from(bounded.tolist()), min_size=1, max_size=3)):
+        up, amount = data.draw(st.booleans()), data.draw(AMOUNTS)
+        start[k] = (
+            np.nextafter(robot.upper[k] + amount, np.inf) if up else np.nextafter(robot.lower[k] - amount, -np.inf)
+        )
+    others = robot.random_configurations(2, 5)
+    T = poses_of(robot, "hand", np.stack([start, *others]))
+    every = data.draw(st.booleans())
+    found = robot.reach("hand", T, start=start, joints=joints, all=every)
+    moves = np.array([name != kept for name in names])
+    solutions = np.concatenate([found.configuration[found.reached], *(found.solutions or ())])
+    if kept is not None:
+        held = names.index(kept)
+        assert (solutions[:, held] == start[held]).all()
+    assert ((robot.lower <= solutions) & (solutions <= robot.upper))[:, moves].all()
+    shift, turn = misses(robot, "hand", found, T)
+    assert ((shift < 1e-8) & (turn < 1e-8))[found.reached].all()
+    assert ((robot.lower <= found.configuration) & (found.configuration <= robot.upper))[:, moves].all()
+
+
+@pytest.mark.parametrize("every", [False, True])
+def test_a_pose_outside_the_limits_is_not_reached_from_itself(every):
+    """A joint of 0 to 1 rad does not reach the pose of 1.2 rad, nor does an encoder slightly beyond its stop."""
+    robot = turning(0, 1)
+    for value in (1.2, 1.0001, np.nextafter(1.0, 2.0) + 1e-9, -0.3):
+        found = robot.reach("tool", poses_of(robot, "tool", [value]), start=[value], all=every)
+        assert not found.reached
+        assert found.configuration == (1.0 if value > 0 else 0.0)
+        assert np.allclose(found.residual, [0, abs(value - found.configuration[0])], atol=1e-9)
+        assert not every or len(found.solutions) == 0
+    inner = robot.reach("tool", poses_of(robot, "tool", [0.4]), start=[1.2], all=every)
+    assert inner.reached
+    assert inner.configuration == pytest.approx([0.4], abs=1e-9)
+    other = robot_of(joint("j", "revolute", "base", "tool"), joint("k", "revolute", "tool", "end"))
+    held = other.reach("end", poses_of(other, "end", [2.5, 0.3]), start=[2.5, 1.0], joints="k", all=every)
+    assert held.reached  # a joint that does not move keeps its value, and limits are not its own
+    assert held.configuration == pytest.approx([2.5, 0.3], abs=1e-9)
+
+
+@given(
+    middle=st.floats(-100, 100),
+    width=st.floats(2 * np.pi, 50),
+    angle=st.floats(-np.pi, np.pi),
+    start=st.one_of(st.floats(-60, 60), st.floats(-1e5, 1e5)),
+)
+@settings(max_examples=60, deadline=None)
+@pytest.mark.filterwarnings("ignore:.*in degrees:UserWarning")
+def test_ranges_of_many_turns(middle, width, angle, start):
+    """A joint of a turn or more reaches every angle within its limits, as near to the start as they allow."""
+    robot = turning(middle - width / 2, middle + width / 2)
+    lower, upper = robot.lower[0], robot.upper[0]
+    T = poses_of(robot, "tool", [angle])
+    turns = angle + 2 * np.pi * np.arange(np.ceil((lower - angle) / (2 * np.pi)), (upper - angle) / (2 * np.pi))
+    for every in (False, True):
+        found = robot.reach("tool", T, start=[start], all=every)
+        assert found.reached
+        (value,) = found.configuration
+        assert lower <= value <= upper
+        assert np.abs(np.remainder(value - angle + np.pi, 2 * np.pi) - np.pi) < 1e-8
+        if upper - lower > 2 * np.pi + 1e-6 and len(turns):
+            assert abs(value - start) <= np.abs(turns - start).min() + 1e-8
+        assert not every or ((lower <= found.solutions) & (found.solutions <= upper)).all()

@@ -81,6 +81,8 @@ def test_they_agree_about_a_turning_rod(agrees):
     assert not agrees(turning(margin=least + 1e-11))
     assert not agrees(turning(tree=b"\x04"))
     assert not agrees(turning(tree=ALONG_Y + b"\0"))
+    assert not agrees(turning(motions=[], tree=b"", deviations=[0.0]))
+    assert not agrees(sealed(model([], [], []), proof([], b"", [])))
 
 
 def test_they_agree_about_an_arm(panda, agrees, rng):  # noqa: F811

@@ -190,6 +190,7 @@ def test_a_gap_must_exceed_what_is_required():
         (turning(margins=[(0, 1, 0.1), (0, 1, 0.1)]), "named twice"),
         (turning(margins=[(1, 0, 0.1)]), "out of order"),
         (turning(apart=[(0, 2)]), "does not exist"),
+        (turning(motions=[], tree=b"", deviations=[0.0]), "cannot have 0 motions"),
         (turning(motions=[[(0.0,)]]), "degree 0"),
         (turning(motions=[[(0.0,)] * 33]), "degree 32"),
         (turning(motions=[[(0.0,), (math.inf,)]]), "Byte 21 of the proof: inf is not finite"),

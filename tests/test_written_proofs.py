@@ -1,6 +1,7 @@
 """Proofs that the library writes are verified by a program that shares nothing with it, and say what they should."""
 
 import hashlib
+import struct
 import subprocess
 import sys
 from dataclasses import replace
@@ -182,6 +183,7 @@ def test_plans(tmp_path):
     assert found.proof.verify() == report
     assert np.array_equal(report.points, found.proof.motions)
     assert planners.plan(checker, LEFT, RIGHT, full=True).proof is None
+    assert len(planners.plan(checker, LEFT, LEFT, full=True, proof=True).proof.verify().motions) == 1  # it stays there
     for words, options in (
         ("full=True: the proof is an attribute", {"full": False}),
         ("certified=True", {"full": True, "certified": False}),
@@ -192,14 +194,16 @@ def test_plans(tmp_path):
 
 
 def test_without_pairs_or_motions(tmp_path):
-    """Proofs of nothing are proofs."""
+    """A motion without pairs has a proof, no motion has none: it would be verified, whatever the robot does."""
     robot = robot_of(tmp_path, CART[:1], {"l1": Body.sphere(0.1)})
     checker = CollisionChecker(robot)
     assert verify(checker.certify_edges(np.zeros(3), np.ones(3), proof=True).proof.data).sizes["pairs"] == 0
     scene = Scene()
     scene.add("ball", Body.sphere(0.1), translation(x=5))
-    none = np.empty((0, 3))
-    assert verify(CollisionChecker(robot, scene).certify_edges(none, none, proof=True).proof.data).motions == ()
+    none, checker = np.empty((0, 3)), CollisionChecker(robot, scene)
+    assert checker.certify_edges(none, none).proof is None
+    with pytest.raises(InputError, match="proof: expected one motion or more, found none"):
+        checker.certify_edges(none, none, proof=True)
 
 
 def test_unproven_motions_have_no_proof(tmp_path):
@@ -448,6 +452,12 @@ def test_paths_are_compared_exactly(tmp_path, capsys):
         (rows[:2], 1, "DIFFERENT PATH: the proof has 2 motions, and other.npy has 2 configurations"),
         (near, 1, "DIFFERENT PATH: motion 0 is not from configuration 0 of other.npy to configuration 1"),
         (rows[::-1], 1, "DIFFERENT PATH: motion 0"),
+        (rows[:1], 1, "DIFFERENT PATH: expected shape (k, 3) with k >= 2 in other.npy, found (1, 3)"),
+        (rows[0], 1, "DIFFERENT PATH: expected shape (k, 3) with k >= 2 in other.npy, found (1, 3)"),
+        (rows[:0], 1, "DIFFERENT PATH: expected shape (k, 3) with k >= 2 in other.npy, found (0, 3)"),
+        (rows[:, :2], 1, "DIFFERENT PATH: expected shape (k, 3) with k >= 2 in other.npy, found (3, 2)"),
+        (rows[None], 1, "DIFFERENT PATH: expected shape (k, 3) with k >= 2 in other.npy, found (1, 3, 3)"),
+        (rows[[0, 0, 1, 2]], 1, "DIFFERENT PATH: the proof has 2 motions, and other.npy has 4 configurations"),
     ):
         np.save(other, made)
         assert cli.main(["verify", proof, "--path", other]) == status
@@ -456,6 +466,29 @@ def test_paths_are_compared_exactly(tmp_path, capsys):
     np.save(other, rows[:2])
     assert cli.main(["verify", proof, "--path", other]) == 1
     assert "DIFFERENT PATH: motion 0 has the degree 2, and is not straight" in capsys.readouterr().out
+
+
+def test_a_proof_without_motions_opens_for_no_path(tmp_path, capsys):
+    """A file whose motions were cut out, with its checksum made good, is refused, and so is a path that has none."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    whole = checker.certify_edges(LEFT, LEFT + 0.1, proof=True).proof
+    cut, file, path = struct.pack("<3dI", 0, 0, 0, 0), tmp_path / "cut.proof", tmp_path / "one.csv"
+    head = whole.data[:16] + struct.pack("<II", len(whole.model), len(cut)) + whole.model + cut
+    file.write_bytes(head + hashlib.sha256(head).digest())
+    with pytest.raises(FileError, match="0 motions"):
+        Proof.load(file).verify()
+    for rows in ("", "0,-0.5,1.57\n"):
+        path.write_text(f"x,y,turn\n{rows}")
+        assert cli.main(["verify", str(file), "--path", str(path)]) == 1
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.startswith("refused: The proof cannot have 0 motions")
+        whole.save(tmp_path / "whole.proof")
+        assert cli.main(["verify", str(tmp_path / "whole.proof"), "--path", str(path)]) == 1
+        told = capsys.readouterr().out
+        assert "DIFFERENT PATH: expected shape (k, 3) with k >= 2 in one.csv, found (" in told
+        assert "verified" not in told
 
 
 def test_audits_write_proofs(tmp_path, capsys):

@@ -421,7 +421,7 @@ class _Checker:
 
     def run(self) -> None:
         motions, self.deviations = self.points, self.reader.doubles(len(self.values), "deviation")
-        for number in range(self.reader.count(1, "motions")):
+        for number in range(self.reader.count(1, "motions", 1)):
             (degree,) = self.reader.take("B")
             if not 0 < degree <= MOST_DEGREE:
                 raise Refused(f"Motion {number} has the degree {degree}.")

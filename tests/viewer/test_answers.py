@@ -614,6 +614,7 @@ def test_nothing_to_check(lonely):
         (["--robot", "arm.urdf", "--threshold", "0.1"], "expected --threshold with A and B only, not --robot"),
         (["--robot", "arm.urdf", "--decompose", "--model", "hull"], "--decompose: expected no other model with it"),
         (["part.npz", "broken.stl", "--hull", "--radius", "1"], "--radius: expected it with --model surface only"),
+        (["--robot", "arm.urdf", "--scale", "0.001"], "expected --scale with A and B only, not --robot"),
         (["--robot", "arm.urdf", "--pose-b", "1 0 0"], "expected --pose-b with A and B only, not --robot"),
         (["--robot", "bare.urdf"], "expected a robot with collision geometry, found none"),
     ],

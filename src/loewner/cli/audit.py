@@ -13,7 +13,7 @@ import loewner
 from loewner import Verdict, _validate, planners, plots
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
 from loewner.errors import FileError, InputError, LoewnerError
 from loewner.planners.controller_points import TIMES
 from loewner.robots import curves
@@ -82,6 +82,7 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     if options.out is not None and options.out.suffix.lower() not in DRAWN:
         raise FileError(f"--out: expected a .png or .svg file, found {options.out}")
+    remove_older_proof(options.proof)
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)

@@ -46,7 +46,7 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
-    a, b = inputs.body(options.a, options), inputs.body(options.b, options)
+    a, b = inputs.bodies((options.a, options.b), options)
     certified = loewner.Verdict(int(loewner.classify(a, Ta, b, Tb, margin=options.margin)))
     found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
     verdict = certified

@@ -57,10 +57,10 @@ def _run(options: argparse.Namespace) -> int:
     within = None if options.within is None else _validate.positive_scalar(options.within, "--within", zero=True)
     with progress_bar() as progress:
         task = progress.add_task("bodies", total=len(options.bodies))
-        bodies = []
+        bodies, made = [], inputs.bodies(options.bodies, options)
         for path in options.bodies:
             progress.update(task, description=path.name)
-            bodies.append(inputs.body(path, options))
+            bodies.append(next(made))
             progress.update(task, advance=1)
     found = _measured(loewner.Bodies(bodies), np.inf if within is None else within)
     _tell([str(path) for path in options.bodies], found, options.csv)

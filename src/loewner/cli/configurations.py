@@ -68,7 +68,7 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
         if path.suffix.lower() == ".json":
             found = json.loads(text)
             return isinstance(found, Mapping) and "configurations" in found
-        rows = _rows(text)
+        rows = _rows(_tables.start_of(text)[1])
     except (FileError, ValueError, RecursionError, csv.Error):
         return False
     return _has_header(rows) and rows[0][0] not in times

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +82,20 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
     )
     command.add_argument("--model", choices=MODELS, help="representation of meshes (hull)")
     command.add_argument("--decompose", action="store_true", help="the same as --model pieces")
+
+
+def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
+    """Load saved bodies, or make the bodies of meshes, one after the other; options of meshes need a mesh."""
+    if all(path.suffix.lower() == ".npz" for path in paths):
+        found = given(options, ("model", *OF_SURFACES, *OF_PIECES))
+        found |= {"scale": options.scale} if options.scale != 1.0 else {}
+        found |= {"hull": True} if options.hull else {}
+        for name in found:
+            raise InputError(
+                f"--{name.replace('_', '-')}: expected a mesh to make a body of, found saved bodies, "
+                f"{', '.join(path.name for path in paths)}"
+            )
+    return (body(path, options) for path in paths)
 
 
 def body(path: Path, options: argparse.Namespace) -> loewner.Body:

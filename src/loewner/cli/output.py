@@ -6,11 +6,15 @@ import os
 import sys
 from contextlib import nullcontext
 from itertools import zip_longest
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import loewner
+from loewner._files import shown
+from loewner.errors import FileError
+from loewner.robots.written_proofs import MAGIC
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -26,6 +30,33 @@ NO_PATH = COLLIDING
 def reader_gone() -> None:
     """Send the rest of standard output nowhere; Python would fail again when it closes a pipe without a reader."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def remove_older_proof(path: Path | None) -> None:
+    """Remove an older proof before the work for a new one begins: it would be verified, but is about something else.
+
+    Any other file of this name stays until it is replaced.
+
+    Raises
+    ------
+    FileError
+        If the proof could not be written there, or the older one cannot be removed.
+    """
+    if path is None:
+        return
+    if not path.parent.is_dir():
+        raise FileError(f"--proof: expected a file in a folder that exists, found {shown(path)}")
+    if not path.is_file():
+        return
+    try:
+        with path.open("rb") as file:
+            is_proof = file.read(len(MAGIC)) == MAGIC
+        if is_proof:
+            path.resolve().unlink()  # a link stays a link
+    except OSError as error:
+        raise FileError(
+            f"--proof: expected a file that can be replaced, found {shown(path)} ({error.strerror or error})"
+        ) from None
 
 
 class PlainTable:

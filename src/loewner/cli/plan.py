@@ -17,11 +17,23 @@ from loewner._files import read_regular
 from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
+from loewner.cli.output import (
+    AMBIGUOUS,
+    COLLIDING,
+    FREE,
+    NO_PATH,
+    new_table,
+    print_table,
+    progress_bar,
+    remove_older_proof,
+)
 from loewner.errors import ConvergenceError, FileError, InputError, PlanningError
 
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
+
+# Options that make a plan one in time.
+IN_TIME = ("start_time", "arrive_by", "velocity")
 
 EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal goals.csv -o path.csv
@@ -40,7 +52,8 @@ poses: "x y z qw qx qy qz" in metres, with a unit quaternion; "x y z" for the po
 
 bodies that follow motions: the plan is in time then, from --start-time on. Each motion has its own time and is proven
   among the moving bodies; velocities are constant on a motion, and within the limits. --out writes the trajectory,
-  whose times count from --start-time. --planner, --sampled and --improve-for have no plans in time.
+  whose times count from --start-time. --planner, --sampled and --improve-for have no plans in time,
+  and --proof, --leave and --reach are refused.
 
 Every motion of the path is proven free at every one of its configurations. With --sampled, motions are sampled
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
@@ -122,6 +135,8 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     _refuse_unused(options)
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+    _begin_in_time(options, scene)
+    remove_older_proof(options.proof)
     for rule, pairs in ((scene.leave, options.leave), (scene.reach, options.reach)):
         for pair in pairs:
             rule(*pair)
@@ -134,8 +149,6 @@ def _run(options: argparse.Namespace) -> int:
     else:
         goal = _pose_goal(*options.goal_pose)
     inputs.refuse_no_pairs(checker, options.urdf)
-    if options.start_time is None and (scene.following or options.arrive_by is not None or options.velocity):
-        options.start_time = 0.0
     began = time.perf_counter()
     try:
         found = _found(checker, start, goal, options)
@@ -198,6 +211,26 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
         raise FileError(f"--out: expected a .csv or .json file, found {options.out}")
+
+
+def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
+    """Give a plan in time its start time, and refuse options that only other plans take."""
+    reasons = [f"--{name.replace('_', '-')}" for name in IN_TIME if getattr(options, name) is not None]
+    if scene.following:
+        reasons.append(f"bodies that follow motions ({', '.join(scene.following)})")
+    if not reasons:
+        return
+    if options.start_time is None:
+        options.start_time = 0.0
+    advice = {
+        "proof": "write the trajectory by --out, which loewner audit proves again",
+        "leave": "among moving bodies, all contact is a collision",
+        "reach": "among moving bodies, all contact is a collision",
+    }
+    for name, words in advice.items():
+        if getattr(options, name):
+            found = " and ".join(reasons)
+            raise InputError(f"--{name}: expected a plan that is not in time, found {found}; {words}")
 
 
 def _found(

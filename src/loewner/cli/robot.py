@@ -64,7 +64,7 @@ def add(commands: Any) -> None:
     which.add_argument("--random", type=int, metavar="N", help="N random configurations within the limits")
     which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy, .csv or .json)")
     which.add_argument("--state", metavar="NAME", help="a state of the SRDF")
-    check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
+    check.add_argument("--seed", type=int, help="seed of --random (0)")
     check.add_argument("--margin", type=float, metavar="M", help=MARGIN_HELP)
     check.add_argument("--json", action="store_true", help="print JSON")
     check.set_defaults(run=_check)
@@ -99,6 +99,8 @@ def _link_row(body: loewner.Body) -> tuple[str, ...]:
 def _check(options: argparse.Namespace) -> int:
     if options.margin is not None and options.scene is None:
         raise InputError("--margin: expected --scene with it, found none: it is kept from the bodies of the scene")
+    if options.seed is not None and options.random is None:
+        raise InputError("--seed: expected --random with it, found none: only random configurations have a seed")
     if options.state is not None and options.srdf is None:
         raise InputError(
             f"--state: expected --srdf with it, which has the states; no SRDF was given for {options.state!r}"
@@ -125,10 +127,11 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
     if options.configs is not None:
         Q = np.atleast_2d(robot.checked(configurations.read(options.configs, robot), str(options.configs)))
         return _validate.finite_array(Q, str(options.configs), (None, robot.dof))
-    if options.random < 1 or options.seed < 0:
-        what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, options.seed)
+    seed = 0 if options.seed is None else options.seed
+    if options.random < 1 or seed < 0:
+        what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, seed)
         raise InputError(f"--{what}: expected an integer >= {least}, found {found}")
-    return robot.random_configurations(options.random, options.seed)
+    return robot.random_configurations(options.random, seed)
 
 
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import verify
+from loewner import _validate, verify
 from loewner._files import read_regular
 from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, reader_gone
@@ -92,8 +92,13 @@ def _difference(report: verify.Report, path: Path) -> str:
     """Describe the first difference between the motions and a path; empty if there is none."""
     if not report.deviations:
         return "the proof is about two bodies that do not move"
-    named: Any = SimpleNamespace(configuration_names=[name for name, _ in report.deviations])
-    rows = np.atleast_2d(configurations.read(path, named, named=True)).tolist()
+    names = [name for name, _ in report.deviations]
+    named: Any = SimpleNamespace(configuration_names=names)
+    numbers = np.atleast_2d(configurations.read(path, named, named=True))
+    if numbers.ndim != 2 or len(numbers) < 2 or numbers.shape[1] != len(names):
+        found = _validate.shape_text(numbers.shape)
+        return f"expected shape (k, {len(names)}) with k >= 2 in {path.name}, found {found}"
+    rows = numbers.tolist()
     if len(report.points) != len(rows) - 1:
         return f"the proof has {len(report.points)} motions, and {path.name} has {len(rows)} configurations"
     for k, (points, ends) in enumerate(zip(report.points, pairwise(rows), strict=True)):

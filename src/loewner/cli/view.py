@@ -91,7 +91,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
     of_robots = ("srdf", "scene", "trajectory", "start_time", "package_dir", "decompose")
     _refuse(options, of_robots, "with --robot only, found it with A and B")
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
-    a, b = inputs.body(options.a, options), inputs.body(options.b, options)
+    a, b = inputs.bodies((options.a, options.b), options)
     if Tb is None:
         Tb = np.eye(4) if Ta is None else Ta.copy()
         Tb[0, 3] += a.outer.bounding_box()[1][:, 0].max() - b.outer.bounding_box()[0][:, 0].min()
@@ -105,7 +105,9 @@ def _view_robot(options: argparse.Namespace) -> Any:
     if options.a is not None:
         raise InputError(f"view: expected no A and B with --robot, found {options.a}")
     _refuse(
-        options, ("pose_a", "pose_b", "hull", *inputs.OF_SURFACES, *inputs.OF_PIECES), "with A and B only, not --robot"
+        options,
+        ("pose_a", "pose_b", "hull", "scale", *inputs.OF_SURFACES, *inputs.OF_PIECES),
+        "with A and B only, not --robot",
     )
     _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
     scene = None if options.scene is None else loewner.load_scene(options.scene)

@@ -511,7 +511,8 @@ class CollisionChecker:
         ------
         InputError
             If the curve is of the wrong type, is for different joints, jumps, has a degree above 7, numbers that are
-            not finite, or times that do not increase; or as for `certify_edges` if a proof is requested.
+            not finite, times that do not increase, or values of a SciPy curve that its coefficients do not define; or
+            as for `certify_edges` if a proof is requested.
         ConvergenceError
             As for `certify_edges`.
 

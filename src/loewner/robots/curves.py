@@ -30,6 +30,9 @@ from loewner.robots.written_proofs import proof_of
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
 
+# Values that SciPy computes may differ from the proven curve by this many bounds on rounding.
+AGREEMENT = 8.0
+
 # Times at which distances along a curve are measured, in addition to the times of verdicts.
 MEASURED = 401
 
@@ -248,7 +251,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     ------
     InputError
         If the curve is of the wrong type, its columns are not the robot's, a number is not finite, times do not
-        increase, the degree is above 7, or the curve jumps.
+        increase, the degree is above 7, the curve jumps, or a SciPy curve has other values than its coefficients
+        define.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)
@@ -259,6 +263,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         )
     curve = _in_order(robot, curve, name)
     _refuse_faults(robot, curve, name)
+    if _is_of_scipy(given):
+        _refuse_other_values(robot, given, curve, name)
     points = curve.courses
     ends = np.concatenate([points[:, 0], points[-1:, -1]])
     if not robot._watch.passes(ends):
@@ -287,24 +293,59 @@ def form_of(given: Any, name: str) -> Curve | None:
 
     The planners' types register themselves here, because this module must not import the planner modules.
     """
-    interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
-    if interpolate is None or not isinstance(given, (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)):
+    if not _is_of_scipy(given):
         return None
     c = np.asarray(given.c)
     if np.iscomplexobj(c):
         raise InputError(f"{name}: expected real coefficients, found {c.dtype}")
+    # SciPy has moved the axes of the pieces to the front, for every `axis`.
     c = c.astype(np.float64)
+    interpolate = sys.modules["scipy.interpolate"]
     if isinstance(given, interpolate.BSpline):
-        if given.axis != 0:
-            c = np.moveaxis(c, given.axis, 0)
         return _of_b_spline(np.asarray(given.t, dtype=np.float64), c[:, None] if c.ndim == 1 else c, int(given.k), name)
-    if given.axis != 0:
-        raise InputError(f"{name}: expected time on axis 0, found it on axis {given.axis}")
     times, c = np.asarray(given.x, dtype=np.float64), c[..., None] if c.ndim == 2 else c
     if isinstance(given, interpolate.BPoly):
         points = np.moveaxis(c, 0, 1)
         return Curve(None, times, points, CURVE_ROUNDINGS * np.abs(points).max(axis=1))
     return _of_powers(times, c[::-1])
+
+
+def _is_of_scipy(given: Any) -> bool:
+    """Return whether an object is a curve of SciPy, without importing SciPy's module for it."""
+    interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
+    types = () if interpolate is None else (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)
+    return isinstance(given, types)
+
+
+def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> None:
+    """Refuse a curve of SciPy whose values, as it computes them itself, are not on the courses.
+
+    A subclass may compute its values in another way than from the coefficients that are read here. In each segment as
+    many values are compared as determine a polynomial of its degree.
+    """
+    courses, begin, end = curve.courses, curve.times[:-1, None], curve.times[1:, None]
+    degree = courses.shape[1] - 1
+    t = begin + (end - begin) * (np.arange(1, degree + 2) / (degree + 2))
+    segments, samples = np.nonzero((begin < t) & (t < end))  # some segments are too short for a time in between
+    t = t[segments, samples]
+    try:
+        values = np.asarray(given(t)).astype(np.float64, casting="safe")
+        found = np.moveaxis(values, given.axis, 0).reshape(len(t), robot.dof)
+    except Exception as error:
+        raise InputError(
+            f"{name}: expected {robot.dof} values at each of {len(t)} times, found {type(error).__name__}: {error}"
+        ) from error
+    share = (t - begin[segments, 0]) / (end - begin)[segments, 0]
+    weights = [comb(degree, k) * share**k * (1 - share) ** (degree - k) for k in range(degree + 1)]
+    wanted = np.einsum("kn,nkc->nc", np.array(weights), courses[segments])
+    rates = degree * np.abs(np.diff(courses, axis=1)).max(axis=1, initial=0.0) / (end - begin)
+    # A periodic curve subtracts whole periods from the times, which rounds them.
+    allowed = AGREEMENT * (curve.off + rates * np.spacing(np.abs(curve.times).max())) + np.finfo(np.float64).tiny
+    for k, joint in np.argwhere(~(np.abs(found - wanted) <= allowed[segments]))[:1].tolist():
+        raise InputError(
+            f"{name}: expected the values that its coefficients define, such as {wanted[k, joint]:g} for "
+            f"{robot.configuration_names[joint]} at the time {t[k]:g}, found {found[k, joint]:g} when it is called"
+        )
 
 
 def _of_powers(times: Floats, powers: Floats) -> Curve:

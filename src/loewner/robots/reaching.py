@@ -266,7 +266,12 @@ class Answers(NamedTuple):
 
 
 def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tolerance: Floats) -> Answers:
-    """Find up to `most` solutions for each of n poses, shape (n, 4, 4), with starts of shape (n, K)."""
+    """Find up to `most` solutions for each of n poses, shape (n, 4, 4), with starts of shape (n, K).
+
+    The search begins where the limits come nearest to the start.
+    """
+    # The kernel keeps its steps within the limits, but takes the start as it is; a held value has none.
+    starts = starts.clip(chain.ranges[columns.LEAST], chain.ranges[columns.MOST])
     count, values = len(T), len(chain.columns)
     _validate.fits_memory(8 * count * (most + 1) * (values + 3), f"{most} solutions for each of {count} poses")
     found, counts = np.empty((count, most, values)), np.zeros(count, dtype=np.int64)

@@ -611,9 +611,9 @@ class Robot:
         joints : str or iterable of str, optional
             A group, or names of joints. Only these joints move. Default: all that move the link.
         start : array_like, shape (..., dof), optional
-            Broadcast with the poses. All other joints keep these values, which are also the first seed. The second seed
-            is the answer for the previous pose, so the poses of a line are best given in order. Default:
-            `configuration()`, moved into the limits.
+            Broadcast with the poses. All other joints keep these values, which are also the first seed, moved into the
+            limits. The second seed is the answer for the previous pose, so the poses of a line are best given in order.
+            Default: `configuration()`, moved into the limits.
         seeds : int
             Number of further configurations from which to search, spread evenly within the limits; at least 1.
         checker : CollisionChecker, optional
@@ -642,10 +642,11 @@ class Robot:
 
         Notes
         -----
-        Solutions are within the limits, and reach the tolerance to 1e-10 m and rad, times one plus the sum of the
-        absolute values of the pose's coordinates in metres. That no solution was found does not prove that there is
-        none; more seeds find more. A joint that turns by more than a whole turn is returned at the angle that is
-        nearest to the start. Which solution comes first does not depend on the number of threads.
+        Solutions are within the limits, except for values that are kept from a start outside them. They reach the
+        tolerance to 1e-10 m and rad, times one plus the sum of the absolute values of the pose's coordinates in metres.
+        That no solution was found does not prove that there is none; more seeds find more. A joint that turns by more
+        than a whole turn is returned at the angle that is nearest to the start. Which solution comes first does not
+        depend on the number of threads.
 
         Each seed is improved by damped Newton steps, eight seeds at a time, and given up where these gain too little. A
         redundant arm has infinitely many solutions, one for each seed or so.

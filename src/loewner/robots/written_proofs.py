@@ -236,10 +236,12 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) 
     Raises
     ------
     InputError
-        If checkers might refuse the file: it is too large, or a joint turns too far.
+        If checkers might refuse the file: it is too large, has no motions, or a joint turns too far.
     ConvergenceError
         If the format's bounds do not suffice.
     """
+    if len(courses) == 0:
+        raise InputError("proof: expected one motion or more, found none; there is nothing to prove")
     turns = model.links.moves == TURNS
     values = courses[..., model.links.value[turns]] * model.links.multiplier[turns] + model.links.offset[turns]
     if not (np.abs(values) <= FARTHEST_TURN).all() or not (np.abs(courses) < LARGEST).all():
