@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate, mesh_files
+from loewner import _json, _validate, mesh_files
 from loewner._archives import LARGEST_CONTENT
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
@@ -299,7 +299,7 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
 def _record(target: Path) -> dict[str, Any] | None:
     """Read the record next to a body; None if it does not exist or belongs to a different body."""
     try:
-        record = json.loads(read_regular(_record_path(target), "a record", LARGEST_RECORD))
+        record = _json.parsed(read_regular(_record_path(target), "a record", LARGEST_RECORD), "the record")
         if isinstance(record, dict) and record.get("body_sha256") == _checksum_of_body(target):
             return record
     except (FileError, ValueError, RecursionError):  # missing or damaged

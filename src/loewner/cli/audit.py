@@ -87,12 +87,12 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     inputs.refuse_no_pairs(checker, options.urdf)
-    others = robot.configuration({})
+    others = None
     if options.others is not None:
         others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    given = _read(options.trajectory, robot)
+    given = _read(options.trajectory, robot, others)
     if isinstance(given, planners.ControllerPoints):
-        given = _complete(_executed(given, options.controller), robot, others)
+        given = _executed(given, options.controller)
         if options.start_time is not None:
             given.start_time = _validate.real(options.start_time, "--start-time")
     elif options.start_time is not None:
@@ -111,10 +111,10 @@ def _run(options: argparse.Namespace) -> int:
     return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
 
 
-def _read(path: Path, robot: loewner.Robot) -> planners.ControllerPoints | Floats:
+def _read(path: Path, robot: loewner.Robot, others: Floats | None) -> planners.ControllerPoints | Floats:
     """Read points with times, or a path without times, as `loewner plan` writes it, of shape (two or more, dof)."""
     try:
-        return planners.ControllerPoints.load(path)
+        return planners.ControllerPoints.load(path, robot=robot, others=others)
     except LoewnerError:
         if not configurations.is_path(path, TIMES):
             raise
@@ -137,21 +137,6 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
     return planners.ControllerPoints(
         points.times, points.positions, *kept, names=points.names, start_time=points.start_time
     )
-
-
-def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: Floats) -> planners.ControllerPoints:
-    """Add columns to the points for joints that they do not name; these joints do not move."""
-    missing = [k for k, name in enumerate(robot.configuration_names) if points.names and name not in points.names]
-    if points.names is None or not missing:
-        return points
-    shape = len(points.times), len(missing)
-    positions = np.hstack([points.positions, np.broadcast_to(others[missing], shape)])
-    rates = [
-        None if held is None else np.hstack([held, np.zeros(shape)])
-        for held in (points.velocities, points.accelerations)
-    ]
-    names = [*points.names, *(robot.configuration_names[k] for k in missing)]
-    return planners.ControllerPoints(points.times, positions, *rates, names=names, start_time=points.start_time)
 
 
 def _answer(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _archives, _tables, _validate
+from loewner import _archives, _json, _tables, _validate
 from loewner._files import read_regular, replacing
 from loewner._validate import Floats
 from loewner.errors import FileError, InputError, LoewnerError
@@ -39,7 +39,7 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
         return _archives.numbers(data, str(path), "an array of numbers")
     try:
         text = data.decode("utf-8-sig")
-        found: Any = json.loads(text) if suffix == ".json" else _rows(text)
+        found: Any = _json.parsed(text, str(path)) if suffix == ".json" else _rows(text)
     except (ValueError, OverflowError, MemoryError, RecursionError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found)):
@@ -66,7 +66,7 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
     try:
         text = read_regular(path, "configurations", MOST_BYTES).decode("utf-8-sig")
         if path.suffix.lower() == ".json":
-            found = json.loads(text)
+            found = _json.parsed(text, str(path))
             return isinstance(found, Mapping) and "configurations" in found
         rows = _rows(_tables.start_of(text)[1])
     except (FileError, ValueError, RecursionError, csv.Error):

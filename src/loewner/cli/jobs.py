@@ -19,6 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
 import loewner
+from loewner import _json
 
 
 class Event(NamedTuple):
@@ -128,7 +129,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
         process.stdin.write(json.dumps(task) + "\n")
         process.stdin.flush()
         for line in process.stdout:
-            said = json.loads(line)
+            said = _json.loads(line)
             if "answer" in said:
                 return said["answer"]
             tell(said["progress"])
@@ -158,5 +159,5 @@ def _serve(entry: str) -> None:
     threading.Thread(target=read, daemon=True).start()
     serve_task = import_module(entry).serve_task
     while True:
-        task = json.loads(tasks.get())
+        task = _json.loads(tasks.get())
         say(answer=serve_task(task, lambda done, total: say(progress=[done, total])))

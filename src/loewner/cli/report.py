@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 import loewner
-from loewner import Verdict, _archives, _validate
+from loewner import Verdict, _archives, _json, _validate
 from loewner._files import read_regular, replacing
 from loewner._native import library
 from loewner.bodies import arrays_of, packed_of
@@ -207,7 +207,7 @@ def _unpacked(path: Path, folder: Path) -> dict[str, Any]:
                 raise InputError("members whose names are not plain, or occur twice")
             for info in infos:
                 (folder / info.filename).write_bytes(archive.read(info))
-        document = json.loads((folder / DOCUMENT).read_bytes())
+        document = _json.parsed((folder / DOCUMENT).read_bytes(), DOCUMENT)
     except MemoryError:  # lack of memory is not the file's fault
         raise
     except Exception as error:  # a damaged zip raises any of a dozen exceptions, including zlib's

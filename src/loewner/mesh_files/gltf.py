@@ -12,6 +12,7 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner import _json
 from loewner._files import read_regular
 from loewner._validate import Floats, Ints
 from loewner.errors import FileError
@@ -32,7 +33,7 @@ _UNIT = 1e-2
 def read(data: bytes, folder: Path, binary: bool, limit: int) -> tuple[Floats, Triangles]:
     """Read the vertices, in metres, and the triangles of the file's scene."""
     text, body = _chunks(data) if binary else (data, None)
-    tree = _json(text)
+    tree = _parsed(text)
     return joined(_Reader(tree, body, folder, limit).meshes())
 
 
@@ -56,17 +57,14 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
     return chunks[0][1], chunks[1][1] if len(chunks) > 1 and chunks[1][0] == b"BIN\0" else None
 
 
-def _json(text: bytes) -> dict[str, Any]:
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        made = dict(pairs)
-        expect(len(made) == len(pairs), "expected each key of an object once, found one twice")
-        return made
-
+def _parsed(text: bytes) -> dict[str, Any]:
     def constant(word: str) -> Any:
         raise Refusal(f"expected JSON, found {word}")
 
     try:
-        tree = json.loads(text.decode("utf-8"), object_pairs_hook=once, parse_constant=constant)
+        tree = _json.loads(text.decode("utf-8"), constant)
+    except _json.RepeatedKeyError as error:
+        raise Refusal(str(error), error.line) from None
     except json.JSONDecodeError as error:
         raise Refusal(f"expected JSON, found {error.msg.lower()} at column {error.colno}", error.lineno) from None
     except (ValueError, RecursionError) as error:

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _tables, _validate
+from loewner import _json, _tables, _validate
 from loewner._files import read_regular, shown
 from loewner._pictures import POINTS, curves, pictured
+from loewner._plausible import warn
+from loewner._validate import Floats
 from loewner.errors import FileError, InputError
+from loewner.planners import messages
+from loewner.planners.joint_limits import expect_robot
+from loewner.robots import Robot
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of
 from loewner.scene_files.yaml_scenes import yaml_data
 
-# Endings of files with points; the largest file [bytes]; how deeply a trajectory may be nested in other messages.
+# Endings of files with points, and the largest file [bytes].
 ENDINGS = (".csv", ".json", ".yaml", ".yml")
 MOST_BYTES = 2**28
-DEEPEST = 6
+
+# A robot may be this far from the first point when a trajectory starts, in each value [rad or m]: MoveIt's default.
+START_TOLERANCE = 0.01
 
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
@@ -97,7 +103,9 @@ class ControllerPoints:
                 raise InputError(f"{name}: expected shape ({len(self.times)}, {dof}), found {found}")
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> ControllerPoints:
+    def load(
+        cls, path: str | os.PathLike[str], *, robot: Robot | None = None, others: ArrayLike | None = None
+    ) -> ControllerPoints:
         """Read points from a file that was written for a controller.
 
         Parameters
@@ -106,6 +114,10 @@ class ControllerPoints:
             A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within another
             message; or a ``.csv`` file whose columns are ``time``, the joints' names and optionally ``NAME velocity``
             and ``NAME acceleration`` for each joint. Files written by `Trajectory.save` can be read as well.
+        robot : Robot, optional
+            Add columns for the values of this robot that the file does not name; they do not change.
+        others : array_like, shape (dof,), optional
+            A configuration of the robot, with the values of these columns. Default: `Robot.configuration()`.
 
         Returns
         -------
@@ -114,11 +126,20 @@ class ControllerPoints:
         Raises
         ------
         FileError
-            If the file does not exist, or contains no such points.
+            If the file does not exist, contains no such points, or has a key twice; if a message contains more than
+            the points of one trajectory: a second trajectory, a motion of a base (a multi-DOF trajectory), bodies
+            attached to the robot, or a start state with values of joints that the points do not name. Such values are
+            allowed if they are 0, which is the default of `others`. If you give `others`, they are ignored.
         InputError
-            If the file has any other extension.
+            If the file has any other extension, or `others` is given without `robot` or is not its configuration.
         MissingExtraError
             If PyYAML is needed and not installed.
+
+        Warns
+        -----
+        UserWarning
+            If the message has bodies in a world of its own, which are not read, or if the trajectory does not begin at
+            the message's start state.
 
         Examples
         --------
@@ -131,13 +152,20 @@ class ControllerPoints:
         suffix, name = source.suffix.lower(), shown(source)
         if suffix not in ENDINGS:
             raise InputError(f"path: expected a name that ends in {', '.join(ENDINGS)}, found {name}")
+        if robot is not None:
+            expect_robot(robot)
+        elif others is not None:
+            raise InputError("others: expected a configuration of robot=, found no robot")
+        q = None if robot is None or others is None else robot.checked_one(others, "others")
         data = read_regular(source, "points of a trajectory", MOST_BYTES)
         try:
             if suffix == ".csv":
-                return cls._of_table(data.decode("utf-8-sig"))
-            # A recorded message ends with a separator line.
-            held = json.loads(data) if suffix == ".json" else yaml_data(data.rstrip().removesuffix(b"---"), source)
-            return cls._of_message(held)
+                points = cls._of_table(data.decode("utf-8-sig"))
+            else:
+                # A recorded message ends with a separator line.
+                text = data if suffix == ".json" else data.rstrip().removesuffix(b"---")
+                held = _json.parsed(text, name) if suffix == ".json" else yaml_data(text, source)
+                points = cls._of_message(held, name, robot, q)
         except FileError:
             raise
         except KeyError as error:
@@ -146,6 +174,7 @@ class ControllerPoints:
             raise FileError(f"{name}: {error}") from None
         except (ValueError, TypeError, OverflowError, RecursionError, AttributeError, csv.Error) as error:
             raise FileError(f"{name}: expected points of a trajectory, found: {_validate.short(str(error))}") from None
+        return points if robot is None else points._completed(robot, robot.configuration() if q is None else q)
 
     @classmethod
     def _of_table(cls, text: str) -> ControllerPoints:
@@ -173,14 +202,25 @@ class ControllerPoints:
         return cls(table[:, 0], columns(""), *derivatives, names=names, start_time=start_time)
 
     @classmethod
-    def _of_message(cls, held: Any) -> ControllerPoints:
+    def _of_message(cls, held: Any, name: str, robot: Robot | None, others: Floats | None) -> ControllerPoints:
         """Read points from a message or from a file written by `Trajectory.save`."""
-        if isinstance(held, Mapping) and ("blended" in held or "jumps" in held):
+        if isinstance(held, dict) and ("blended" in held or "jumps" in held):
             arrays = held["positions"], held.get("velocities"), held.get("accelerations")
             return cls(held["times"], *arrays, names=held["names"], start_time=held.get("start_time", 0.0))
-        message = _message(held, DEEPEST)
+        found = messages.parts(held)
+        message = _only_trajectory(found, name)
         if message is None:
             raise KeyError("points")
+        points = cls._of_trajectory(message)
+        _expect_all_used(found, points, name, robot, others)
+        if found.around:
+            around = messages.around(found.around)
+            warn(f"{name}: the message has a world of its own ({around}), which is not read; a scene gives obstacles")
+        return points
+
+    @classmethod
+    def _of_trajectory(cls, message: dict[Any, Any]) -> ControllerPoints:
+        """Read the points of a JointTrajectory."""
         points = message["points"]
 
         def rows(kind: str) -> Any:
@@ -190,9 +230,24 @@ class ControllerPoints:
             return given if any(given) else None
 
         times = [_seconds(point["time_from_start"]) for point in points]
-        if rows("positions") is None:
+        positions, velocities, accelerations = rows("positions"), rows("velocities"), rows("accelerations")
+        if positions is None:
             raise KeyError("positions")
-        return cls(times, rows("positions"), rows("velocities"), rows("accelerations"), names=message["joint_names"])
+        return cls(times, positions, velocities, accelerations, names=message["joint_names"])
+
+    def _completed(self, robot: Robot, others: Floats) -> ControllerPoints:
+        """Add columns for the values of a robot that the points do not name; these do not move."""
+        missing = [k for k, name in enumerate(robot.configuration_names) if self.names and name not in self.names]
+        if self.names is None or not missing:
+            return self
+        shape = len(self.times), len(missing)
+        positions = np.hstack([self.positions, np.broadcast_to(others[missing], shape)])
+        rates = [
+            None if held is None else np.hstack([held, np.zeros(shape)])
+            for held in (self.velocities, self.accelerations)
+        ]
+        names = [*self.names, *(robot.configuration_names[k] for k in missing)]
+        return ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
 
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
@@ -226,18 +281,80 @@ def _form(given: ControllerPoints, name: str) -> Curve:
     return Curve(given.names, given.times, np.stack(points, axis=1), CURVE_ROUNDINGS * size)
 
 
-def _message(held: Any, depth: int) -> Any:
-    """Find the first trajectory with points in a message, however it is wrapped; None if there is none."""
-    if isinstance(held, Mapping) and held.get("joint_names") and held.get("points"):
-        return held
-    inner = held.values() if isinstance(held, Mapping) else held if isinstance(held, list) else ()
-    found = (_message(each, depth - 1) for each in inner if depth > 0)
-    return next((each for each in found if each is not None), None)
+def _only_trajectory(found: messages.Message, name: str) -> dict[Any, Any] | None:
+    """Return the trajectory of a message, None if there is none; refuse motions and bodies beside it."""
+    if found.multi_dof:
+        joints = [
+            str(joint) for _, held in found.multi_dof for joint in held.get("joint_names") or ["an unnamed joint"]
+        ]
+        raise FileError(
+            f"{name}: expected one trajectory of joints with one value each, found a multi-DOF trajectory with points, "
+            f"which moves {', '.join(joints[: messages.LISTED])} ({messages.places(found.multi_dof)})"
+        )
+    if len(found.trajectories) > 1:
+        raise FileError(
+            f"{name}: expected one trajectory, found {len(found.trajectories)} with points "
+            f"({messages.places(found.trajectories)}); write each to a file of its own"
+        )
+    if found.attached:
+        raise FileError(
+            f"{name}: expected a robot that carries nothing, found attached bodies: "
+            f"{messages.carried(found.attached)}; attach them in the scene, and remove them from the message"
+        )
+    return found.trajectories[0][1] if found.trajectories else None
+
+
+def _expect_all_used(
+    found: messages.Message, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
+) -> None:
+    """Refuse a start state with values that are not used, and warn if it is not where the points begin.
+
+    A value of a joint that the points do not name is used if it is equal to the default, and replaced if the caller
+    gives values of such joints.
+    """
+    first = dict(zip(points.names or (), points.positions[0].tolist(), strict=True))
+    values = found.values()
+    stated = {joint for joint, _ in values}
+    mimics = {} if robot is None else {joint: followed for joint, (followed, _) in robot.mimics.items()}
+    beside = [
+        (joint, value) for joint, value in values if joint not in first and mimics.get(joint) not in {*first, *stated}
+    ]
+    lacking = [joint for joint, _ in beside if robot and joint not in {*robot.configuration_names, *mimics}]
+    if robot is not None and lacking:
+        raise FileError(
+            f"{name}: expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
+            f"{', '.join(lacking[: messages.LISTED])}"
+        )
+    dropped = [f"{joint} = {value:g}" for joint, value in beside if others is None and value != 0]
+    columns = () if robot is None or others is None else robot.configuration_names
+    dropped += [
+        f"{joint} away from the identity"
+        for joint in found.placed()
+        if not any(column.startswith(f"{joint}/") for column in columns)
+    ]
+    if dropped:
+        raise FileError(
+            f"{name}: expected a state of the joints that the points name, found {', '.join(dropped)} "
+            f"({messages.places([*found.states, *found.multi_dof_states])}); give the values of all joints that the "
+            "points do not name: by robot= and others=, or by --others on the command line"
+        )
+    away = [f"{joint} = {value:g}" for joint, value in found.values(before=True) if _is_off(value, first.get(joint))]
+    if away:
+        start = ", ".join(f"{joint} = {value:g}" for joint, value in first.items())
+        warn(
+            f"{name}: the start state has {', '.join(away)}, and the first point {start}; the trajectory does not "
+            "contain the way between them"
+        )
+
+
+def _is_off(value: float, first: float | None) -> bool:
+    """Return whether a value of the start state is not the one with which the points begin, if they name its joint."""
+    return first is not None and not abs(value - first) <= START_TOLERANCE
 
 
 def _seconds(given: Any) -> float:
     """Convert a duration, in ROS's form or as a number, to seconds."""
-    if not isinstance(given, Mapping):
+    if not isinstance(given, dict):
         return float(given)
     whole = given["sec"] if "sec" in given else given["secs"]
     return float(whole) + 1e-9 * float(given["nanosec"] if "nanosec" in given else given["nsecs"])

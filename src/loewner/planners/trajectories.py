@@ -19,7 +19,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _tables, _validate
+from loewner import _json, _tables, _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
@@ -372,7 +372,7 @@ class Trajectory:
         name = shown(source)
         try:
             text = read_regular(source, "a trajectory", LARGEST_FILE).decode()
-            read = _read_json(text) if source.suffix.lower() == ".json" else _read_csv(text)
+            read = _read_json(text, name) if source.suffix.lower() == ".json" else _read_csv(text)
         except FileError:
             raise
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
@@ -896,9 +896,9 @@ def _read_straight(names: Any, rows: Any, start_time: float) -> Trajectory:
         return Trajectory._straight(tuple(names), table[:, 0], table[:, 1:], start_time)
 
 
-def _read_json(text: str) -> Trajectory:
+def _read_json(text: str, file: str) -> Trajectory:
     """Read a string written by `save`."""
-    held = json.loads(text)
+    held = _json.parsed(text, file)
     if not isinstance(held, dict):
         raise ValueError(f"{type(held).__name__} instead of the keys names, times, positions, velocities and blended")
     start_time = _validate.real(held.get("start_time", 0.0), "start_time")

@@ -398,6 +398,9 @@ def _origin(element: Element) -> Floats:
     origin = element.first("origin")
     if origin is None:
         return T
+    unknown = next((name for name in origin.attributes if name not in ("xyz", "rpy")), None)
+    if unknown is not None:
+        origin.fault("only xyz and rpy as attributes of <origin>", f"{unknown!r}; write a rotation as rpy")
     T[:3, 3] = origin.finite("xyz", 3, "0 0 0")
     T[:3, :3] = from_rpy(*origin.finite("rpy", 3, "0 0 0"))
     return T

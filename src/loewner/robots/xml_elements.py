@@ -34,6 +34,14 @@ ITS_TEXT = {"a URDF": "; give it by text="}
 # Largest number of names that a message lists.
 LISTED = 30
 
+# Namespaces whose elements another program has to replace before a description is complete, and their usual prefixes,
+# which some files use without declaring them. The address of xacro's namespace has had several forms.
+TO_EXPAND = ("xacro", "www.w3.org/2001/xinclude")
+UNDECLARED = {"xacro": "xacro", "xi": "www.w3.org/2001/xinclude"}
+
+# Elements of xacro from the time before it had a prefix; as children of <robot>, they have no other meaning.
+WITHOUT_PREFIX = ("include", "macro", "property")
+
 
 @dataclass(eq=False)
 class Element:
@@ -103,6 +111,8 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
     parser = expat.ParserCreate(None if text is None else "utf-8")
     document = Element("", {}, 1, path)
     open_elements = [document]
+    namespaces = [UNDECLARED]
+    macros: list[Element] = []
     count = 0
 
     def refuse(found: str) -> NoReturn:
@@ -115,13 +125,21 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
             most = f"{MOST_ELEMENTS} elements" if count > MOST_ELEMENTS else f"{DEEPEST} elements inside each other"
             refuse(f"more than {most}")
         element = Element(tag, attributes, parser.CurrentLineNumber, path)
+        namespaces.append(_with_declared(namespaces[-1], attributes))
+        old = len(open_elements) == 2 and tag in WITHOUT_PREFIX
+        if old or _is_macro(tag, namespaces[-1]):
+            macros.append(element)
         open_elements[-1].children.append(element)
         open_elements.append(element)
+
+    def end(tag: str) -> None:
+        open_elements.pop()
+        namespaces.pop()
 
     # Entities can expand to more text than memory holds, or to other files; no description needs to define any.
     parser.EntityDeclHandler = lambda name, *rest: refuse(f"the declaration of an entity, {cut(name)}")
     parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: open_elements.pop()
+    parser.EndElementHandler = end
     try:
         parser.Parse(data, True)
     except FileError:
@@ -132,10 +150,23 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
     root = document.children[0]
     if root.tag != "robot":
         root.fault(f"{what} with the root element <robot>", f"<{root.tag}>", FileError)
-    macro = next((c for c in root.children if c.tag.startswith("xacro:")), None)
-    if macro is not None:
-        macro.fault(f"{what}", f"the macro <{macro.tag}>; run xacro on the file first", FileError)
+    if macros:
+        macros[0].fault(f"{what}", f"the macro <{macros[0].tag}>; run xacro on the file first", FileError)
     return root
+
+
+def _with_declared(namespaces: dict[str, str], attributes: dict[str, str]) -> dict[str, str]:
+    """Add the namespaces that an element declares to a dict by prefix; the default namespace has the prefix ""."""
+    if not any(name.startswith("xmlns") for name in attributes):
+        return namespaces
+    declared = {name[6:]: value for name, value in attributes.items() if name == "xmlns" or name.startswith("xmlns:")}
+    return namespaces | declared
+
+
+def _is_macro(tag: str, namespaces: dict[str, str]) -> bool:
+    """Return whether xacro or XInclude would replace an element; the prefix xacro always means xacro."""
+    prefix = tag.rpartition(":")[0]
+    return prefix == "xacro" or any(part in namespaces.get(prefix, "").lower() for part in TO_EXPAND)
 
 
 def _bytes_of(text: str, what: str) -> bytes:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _json, _validate
 from loewner._files import read_regular
 from loewner._guard import guarded
 from loewner._rotations import from_quaternion, from_rpy
@@ -114,7 +114,9 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     """
     file = _validate.path(path, "path")
     try:
-        content = json.loads(_json_text(file), object_pairs_hook=functools.partial(_once, file))
+        content = _json.parsed(_json_text(file), str(file))
+    except FileError:
+        raise
     except json.JSONDecodeError as error:
         raise FileError(f"{file}, line {error.lineno}: expected JSON, found a fault in it ({error.msg})") from None
     except (ValueError, RecursionError) as error:
@@ -147,15 +149,6 @@ def _json_text(file: Path) -> str:
     if deepest > DEEPEST:
         raise FileError(f"{file}: expected problems in JSON, found more than {DEEPEST} entries inside each other")
     return text
-
-
-def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Make a mapping from pairs; refuse duplicate keys, which JSON allows, since only the last value would remain."""
-    mapping = dict(pairs)
-    if len(mapping) < len(pairs):
-        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise FileError(f"{file}: expected each key once in a mapping, found {cut(repr(twice))} again")
-    return mapping
 
 
 class JsonNode(Node):

@@ -227,8 +227,43 @@ def _composed(file: Path) -> Any:
 
 
 def yaml_data(data: bytes, file: Path) -> Any:
-    """Read a YAML file as mappings, lists, numbers and strings, as `json.loads` does; a FileError names the line."""
-    return _parsed(data, file, _yaml().load)
+    """Read a YAML file as mappings, lists, numbers and strings, as `json.loads` does; a FileError names the line.
+
+    A key that occurs twice in a mapping is an error, since only its last value would be read.
+    """
+
+    def parse(data: bytes, Loader: Any) -> Any:
+        loader = Loader(data)
+        try:
+            node = loader.get_single_node()
+            _expect_keys_once(node, file)
+            return None if node is None else loader.construct_document(node)
+        finally:
+            loader.dispose()
+
+    return _parsed(data, file, parse)
+
+
+def _expect_keys_once(root: Any, file: Path) -> None:
+    """Raise a FileError if a key occurs twice in a mapping; keys are compared as they are written."""
+    waiting, seen = [root], set()
+    while waiting:
+        node = waiting.pop()
+        if node is None or node.id == "scalar" or id(node) in seen:
+            continue
+        seen.add(id(node))  # aliases lead to the same node, perhaps from within it
+        if node.id == "sequence":
+            waiting.extend(node.value)
+            continue
+        keys = set()
+        for key, value in node.value:
+            if key.id == "scalar" and key.value in keys:
+                line = key.start_mark.line + 1
+                raise FileError(
+                    f"{file}, line {line}: expected each key once in a mapping, found {cut(repr(key.value))} again"
+                )
+            keys.add(key.value if key.id == "scalar" else id(key))
+            waiting += [key, value]
 
 
 def _parsed(data: bytes, file: Path, parse: Callable[..., Any]) -> Any:
