@@ -1,7 +1,7 @@
 /* Ask a robot's checker from C: python examples/save_cell.py cell.lwn, then ./query cell.lwn
 
-   export PKG_CONFIG_PATH=$(loewner --pkg-config-dir)
-   cc examples/query.c $(pkg-config --cflags --libs loewner) -o query */
+   export PKG_CONFIG_PATH="$(loewner --pkg-config-dir)"
+   eval cc examples/query.c "$(pkg-config --cflags --libs loewner)" -o query */
 
 #include <loewner.h>
 #include <stdio.h>

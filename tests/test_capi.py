@@ -726,6 +726,42 @@ def test_cmake_and_pkg_config_find_it(pair, tmp_path):
         assert subprocess.run([program, str(tmp_path / "cell.lwn")], check=False).returncode == 0
 
 
+def test_the_documented_build_works_in_any_folder(pair, tmp_path):
+    """The page's lines build a program if the names of the environment and of the project are long and contain blanks.
+
+    A terminal of 40 columns does not break the printed folders.
+    """
+    expect_programs("cc", "cmake", "pkg-config")
+    place = tmp_path / f"environment of {'a-long-name-' * 10}" / "site packages"
+    place.mkdir(parents=True)
+    (place / "loewner").symlink_to(Path(loewner.__file__).parent, target_is_directory=True)
+    command = tmp_path / "bin" / "loewner"
+    command.parent.mkdir()
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m loewner "$@"\n')
+    command.chmod(0o755)
+    project = tmp_path / "a project"
+    project.mkdir()
+    shutil.copy(EXAMPLES / "query.c", project)
+    page = Path(__file__).parents[1] / "docs" / "howto" / "cpp.md"
+    lines = re.search(r"\n((?: {4}.*\n)+)", page.read_text(encoding="utf-8").split("## Build a program")[1])[1]
+    assert all(word in lines for word in ("--include", "--cmake-dir", "--pkg-config-dir"))
+    four = re.search(r"```cmake\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)[1]
+    (project / "CMakeLists.txt").write_text(four.replace("CXX", "C").replace("query.cpp", "query.c"))
+    script = f"set -e\n{lines}\ncmake --build build\n"
+    script += 'for program in ./query build/query; do "$program" ../cell.lwn; done\n'
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")]),
+        "PATH": os.pathsep.join([str(command.parent), os.environ["PATH"]]),
+        "COLUMNS": "40",
+    }
+    done = subprocess.run(
+        ["sh", "-c", script], cwd=project, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith(f"{place / 'loewner' / 'include'}\n")
+    assert done.stdout.count("a proven path") == 2
+
+
 def test_the_files_name_one_version():
     """CMake, pkg-config and the package agree."""
     version = loewner.__version__

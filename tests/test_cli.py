@@ -24,7 +24,7 @@ from loewner import cli, planners
 from loewner._native import library
 from loewner.cli import jobs
 from loewner.cli.info import MISSING
-from loewner.cli.output import covering_text
+from loewner.cli.output import covering_text, new_table, print_table
 from loewner.robots import verdicts
 
 
@@ -1327,6 +1327,40 @@ def test_version(capsys):
     with pytest.raises(SystemExit):
         cli.main(["--version"])
     assert capsys.readouterr().out == f"loewner {loewner.__version__}\n"
+
+
+@pytest.mark.parametrize("name", ["hyphens-" * 15, "blanks " * 15 + ".", "umlaut \u00e4"])
+def test_folders_are_printed_on_one_line(name, tmp_path):
+    """A pipe receives the bytes of the folder's name and one end of line, whatever the name, width and encoding."""
+    place = tmp_path / name
+    place.mkdir()
+    (place / "loewner").symlink_to(Path(loewner.__file__).parent, target_is_directory=True)
+    script = """
+from loewner import cli
+for option in ("--include", "--cmake-dir", "--pkg-config-dir"):
+    try:
+        cli.main([option])
+    except SystemExit as ended:
+        assert ended.code == 0
+"""
+    environment = os.environ | {"PYTHONPATH": str(place), "COLUMNS": "40", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False, env=environment)
+    folders = [place / "loewner" / folder for folder in ("include", "share/cmake", "share/pkgconfig")]
+    assert done.stdout == b"".join(os.fsencode(folder) + b"\n" for folder in folders), done.stderr
+
+
+def test_tables_in_a_pipe_are_not_broken(capsys, monkeypatch):
+    """A name of 300 characters and a path of 300 stand whole on the line of their row, at any width of the terminal."""
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    name, path = "a-long-name-" * 25, "/a folder" * 33
+    table = new_table("name", "number", "path", title="a table")
+    table.add_row(name, "0.123456789", path)
+    print_table(table)
+    lines = [line for line in capsys.readouterr().out.splitlines() if name in line]
+    assert len(lines) == 1
+    assert path in lines[0]
+    assert "0.123456789" in lines[0]
 
 
 def test_wrong_usage_exits_with_2(capsys):

@@ -1,5 +1,6 @@
 """Shares of a batch on several threads: every item once, errors raised, nobody left writing; how many threads."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable
 from functools import partial
 
@@ -199,6 +201,51 @@ def test_after_an_interrupt_nobody_runs(moment, threads):
     then = len(started)
     time.sleep(0.15)
     assert len(started) == then
+
+
+class Callers:
+    """Stands for what the frames of callers hold."""
+
+
+@pytest.mark.parametrize("threads", [2], indirect=True)
+@pytest.mark.parametrize("moment", ["own share", "another share", "wait for the others", "results"])
+def test_an_error_leaves_nothing_to_the_garbage_collector(moment, threads, monkeypatch):
+    """Its traceback and the callers' variables are freed with it: a finalizer in the collector drops interrupts."""
+    main, (wait, _) = threading.get_ident(), all_there(threads)
+
+    def run(first, last):
+        wait()
+        own = threading.get_ident() == main
+        if moment == ("own share" if own else "another share"):
+            raise KeyboardInterrupt
+        if moment == "results" and own:
+            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    def interrupted():
+        held = Callers()
+        with pytest.raises(KeyboardInterrupt):
+            in_shares(run, 60, 20, most=20)
+        return weakref.ref(held)
+
+    close = _threads._Work.close
+    closings = []
+
+    def interrupted_once(work):
+        closings.append(None)
+        if len(closings) == 1:
+            raise KeyboardInterrupt
+        close(work)
+
+    if moment == "wait for the others":
+        monkeypatch.setattr(_threads._Work, "close", interrupted_once)
+    gc.collect()
+    gc.disable()
+    try:
+        assert interrupted()() is None
+        while _threads._helpers.tasks.qsize():  # helpers that come too late only find that all is done
+            time.sleep(0.001)
+    finally:
+        gc.enable()
 
 
 def test_a_thread_that_cannot_start_is_not_missed(monkeypatch):

@@ -124,7 +124,12 @@ def _save(stream: IO[bytes], content: dict[str, Any]) -> None:
         cause = error.__context__
         if cause is None or isinstance(cause, Exception):
             raise
-        raise cause from None
+    else:
+        return
+    try:  # as in `_guard.py`
+        raise cause
+    finally:
+        del cause
 
 
 def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, Any]], T]) -> T:

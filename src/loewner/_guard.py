@@ -74,7 +74,12 @@ def _guarded(function: Any) -> Any:
             cause = meant(error)
             if cause is error:
                 raise
-            raise cause from None
+        # Outside the clause, and from a name that is deleted: neither the error before nor this frame then refers to
+        # the exception, and all that its traceback holds is freed together with it.
+        try:
+            raise cause
+        finally:
+            del cause
 
     call._guarded = True  # type: ignore[attr-defined]
     return call

@@ -168,19 +168,22 @@ def in_shares(
     else:
         work = _Work(run, total, least, min(share(total, least), total if most is None else most))
         try:
-            _lend_a_hand(work.help, min(get_num_threads(), -(-total // least)) - 1)
-            work.take(progress)
+            try:
+                _lend_a_hand(work.help, min(get_num_threads(), -(-total // least)) - 1)
+                work.take(progress)
+            finally:
+                interrupts: list[BaseException] = []
+                while True:
+                    try:  # immediately, without a call before it: an interrupt here must not leave a thread running
+                        work.close()
+                        break
+                    except BaseException as error:
+                        interrupts = [error]
+                if interrupts:
+                    raise interrupts.pop()
+            results = work.in_order()
         finally:
-            interrupt = None
-            while True:
-                try:  # immediately, without a call before it: an interrupt here must not leave a thread running
-                    work.close()
-                    break
-                except BaseException as error:
-                    interrupt = error
-            if interrupt is not None:
-                raise interrupt
-        results = work.in_order()
+            work.forget_errors()
     if progress is not None:
         progress(total, total)
     return results
@@ -242,8 +245,17 @@ class _Work(Generic[T]):
             # All shares before the first failed one were begun earlier and are done, so this error does not depend on
             # the threads.
             errors = [self._errors[first] for first in sorted(self._errors)]
-            raise next((e for e in errors if not isinstance(meant(e), Exception)), errors[0])
+            chosen = next((k for k, error in enumerate(errors) if not isinstance(meant(error), Exception)), 0)
+            raise errors.pop(chosen)
         return [self._results[first] for first in sorted(self._results)]
+
+    def forget_errors(self) -> None:
+        """Break the cycle of an error and its traceback, which contains frames that refer to this object.
+
+        Otherwise the frames of all callers, with their arrays, would live until the next garbage collection. Python
+        drops an interrupt that occurs in a finalizer, so the collector should find little to finalize.
+        """
+        self._errors.clear()
 
 
 class _Helpers:

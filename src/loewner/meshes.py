@@ -509,7 +509,7 @@ def _interruptible(work: Callable[[], T]) -> T:
     while not done and not errors:
         thread.join(0.05)
     if errors:
-        raise errors[0]
+        raise errors.pop()  # the list would refer to the error, and the error's traceback to the list
     return done[0]
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import loewner
 from loewner import _validate
 from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, report, robot, verify, view
-from loewner.cli.output import ERROR, reader_gone
+from loewner.cli.output import ERROR, PrintPath, reader_gone
 from loewner.errors import InputError, LoewnerError
 
 
@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         ("--cmake-dir", package / "share" / "cmake", "files for CMake's find_package"),
         ("--pkg-config-dir", package / "share" / "pkgconfig", "files for pkg-config"),
     ):
-        parser.add_argument(option, action="version", version=str(folder), help=f"print the folder of {what}")
+        parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (fit, check, clearance, robot, plan, verify, audit, report, view, compile, info, paper):
         command.add(commands)

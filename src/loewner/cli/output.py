@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -23,8 +25,33 @@ if TYPE_CHECKING:
 # Exit status: done or free; at least one collision; an error; undecided by the ellipsoids.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
+# Columns of standard output where it is not a terminal: more than any table has.
+UNBROKEN = 1_000_000
+
 # No path is an answer, like a collision, and not an error.
 NO_PATH = COLLIDING
+
+
+class PrintPath(argparse.Action):
+    """An option that prints a path on one line and ends the program.
+
+    The action `version` of argparse breaks a long text at the width of the terminal, also in a pipe.
+    """
+
+    def __init__(self, option_strings: Sequence[str], dest: str, *, path: Path, help: str) -> None:
+        super().__init__(option_strings, dest=argparse.SUPPRESS, nargs=0, help=help)
+        self._path = path
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        """Write the bytes by which the system names the path: a program that reads them finds it."""
+        line, binary = f"{self._path}\n", getattr(sys.stdout, "buffer", None)
+        if binary is None:  # a caller in Python has put something else in its place
+            sys.stdout.write(line)
+        else:
+            sys.stdout.flush()
+            binary.write(os.fsencode(line))
+            binary.flush()
+        parser.exit()
 
 
 def reader_gone() -> None:
@@ -116,10 +143,9 @@ def print_table(table: Table | PlainTable) -> None:
         return
     from rich.console import Console
 
-    console = Console()
-    # A pipe has no width, so a table is not cut to 80 columns there. Names and messages are not markup: they may
-    # contain `pip install "loewner[meshes]"`.
-    Console(width=None if console.is_terminal else 200, markup=False, emoji=False).print(table)
+    # A program that reads a pipe or a file needs each name, path and number in one piece, so a table is as wide there
+    # as its cells. Names and messages are not markup: they may contain `pip install "loewner[meshes]"`.
+    Console(width=None if sys.stdout.isatty() else UNBROKEN, markup=False, emoji=False).print(table)
 
 
 def is_surface(body: loewner.Body) -> bool:
