@@ -54,6 +54,7 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "build_loop", missing)
 
 
+@pytest.mark.slow("it compiles the kernels of a GPU for the stand-in")
 def test_a_gpu_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Without a GPU the benchmark says so; with one, here a stand-in, it counts, and compares all answers."""
     few = ["--pairs", "500", "--configurations", "300", "--motions", "20"]
@@ -200,6 +201,7 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     assert {f"{name}.svg" for name in run.FIGURES} <= written
 
 
+@pytest.mark.slow("it compiles the oracle of surfaces")
 @pytest.mark.filterwarnings("ignore:.*nearly closed")  # the visual meshes of robots
 @pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.verify)])
 def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, count: int):

@@ -146,13 +146,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     return run
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        *("cut", "one bit", "foreign"),
-        *(pytest.param(kind, marks=pytest.mark.verify) for kind in ("empty", "random", "header", "longer")),
-    ],
-)
+@pytest.mark.parametrize("kind", DAMAGE)
 def test_a_damaged_entry_is_made_anew(compiled, tmp_path: Path, kind: str):
     """Whatever happened to an entry, the answer is right, one line says which file it was, and it happens once."""
     (entry,) = entries(tmp_path)
