@@ -61,7 +61,7 @@ test: $(VENV)/.compiler
 test-torch: $(VENV)/.torch
 	$(BUILD)
 	$(PYTEST) tests/test_torch.py src/loewner/torch.py
-	$(PYTEST) -k "torch or frameworks" tests/test_docs.py tests/test_site.py
+	$(PYTEST) -k "torch or frameworks" tests/test_docs.py tests/test_pages.py
 
 test-gpu: $(VENV)/.gpu
 	$(BIN)/python native/build.py --gpu || true

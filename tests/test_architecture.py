@@ -181,6 +181,17 @@ def test_private_names_stay_in_their_package():
     assert strange == []
 
 
+def test_json_and_yaml_have_one_reader_each():
+    """Only these files call the parsers, which let a key occur twice; the library's own list is read below them all."""
+    callers = {"json": set(), "yaml": set()}
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and node.attr in ("load", "loads", "safe_load", "compose", "SafeLoader"):
+                for module in callers.keys() & {part.id for part in ast.walk(node.value) if isinstance(part, ast.Name)}:
+                    callers[module].add(path)
+    assert callers == {"json": {"_json.py", "_native/library.py"}, "yaml": {"scene_files/yaml_scenes.py"}}
+
+
 def test_unsettled_answers_travel_as_values():
     """Below the command line and the viewer nothing catches the error of an unsettled answer, but to name its file."""
     catchers = []

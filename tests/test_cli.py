@@ -1143,6 +1143,30 @@ def test_audit_of_a_path_that_plan_has_written(with_end, capsys, name):
     )
 
 
+def test_audit_of_a_path_with_a_key_twice(with_end, capsys):
+    """Only the second of two paths in a file would be audited."""
+    Path("path.json").write_text('{"names": ["x", "y", "turn"],\n"configurations": [],\n"configurations": [[0, 0, 0]]}')
+    status, out, err = run(capsys, "audit", *ROBOT, "path.json", "--scene", "end.yaml")
+    told = "loewner: error: path.json, line 3: expected each key once in a mapping, found 'configurations' again\n"
+    assert (status, out, err) == (2, "", told)
+    assert run(capsys, "robot", "check", *ROBOT, "--configs", "path.json") == (2, "", told)
+
+
+def test_audit_of_a_message_with_a_start_state(with_end, capsys):
+    """A state of joints that the points do not name has to be given by --others; the answer is then about it."""
+    points = [{"positions": [x], "time_from_start": {"sec": x, "nanosec": 0}} for x in (0, 1)]
+    held = {"trajectory": {"joint_names": ["turn"], "points": points}}
+    start = {"joint_state": {"name": ["turn", "x", "y"], "position": [0.0, -0.5, 0.7]}}
+    Path("moves.json").write_text(json.dumps(held | {"trajectory_start": start}))
+    audit = ("audit", *ROBOT, "moves.json", "--scene", "end.yaml")
+    status, out, err = run(capsys, *audit)
+    assert (status, out) == (2, "")
+    assert "found x = -0.5, y = 0.7 (trajectory_start/joint_state); give the values" in err
+    assert "--others" in err
+    given = [json.loads(run(capsys, *audit, "--others", q, "--json")[1]) for q in ("-0.5,0.7,0", "0,0,0")]
+    assert [one["verdict"] for one in given] == ["FREE", "COLLIDING"]
+
+
 def test_audit_of_a_path_that_collides(with_end, capsys):
     """A motion of a path collides where `certify_edges` finds it; columns may be in any order."""
     Path("path.csv").write_text("turn,x,y\n1.5,-0.5,0.7\n1.5,0,0.7\n1.5,0,-0.5\n1.5,0.5,0.7\n")

@@ -532,3 +532,158 @@ def test_bad_files_of_points(tmp_path, monkeypatch, name, text, told):
     assert str(caught.value).startswith(name)
     with pytest.raises(InputError, match="path"):
         ControllerPoints.load("points.txt")
+
+
+# -- messages that contain more than one trajectory ------------------------------------------------
+
+# A state agrees with the message if its values are those of the first point, and other joints are at 0.
+STATE = {
+    "joint_state": {"header": {}, "name": ["rail", "elbow", "lift"], "position": [0, 0, 0], "velocity": []},
+    "multi_dof_joint_state": {"header": {}, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
+    "attached_collision_objects": [],
+    "is_diff": False,
+}  # fmt: skip
+UNMOVED = {"translation": {"x": 0.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+DRIVEN = {"joint_names": ["base"], "points": [{"transforms": [UNMOVED], "time_from_start": {"sec": 0, "nanosec": 0}}]}
+EMPTY = {"header": {}, "joint_names": [], "points": []}
+DISPLAYED = {
+    "model_id": "r",
+    "trajectory": [{"joint_trajectory": MESSAGE, "multi_dof_joint_trajectory": EMPTY}],
+    "trajectory_start": STATE,
+}
+GOAL = {"trajectory": MESSAGE, "multi_dof_trajectory": EMPTY, "path_tolerance": [], "goal_time_tolerance": {"sec": 0}}
+SOLVED = {
+    "start_scene": {"robot_state": STATE, "world": {"collision_objects": [], "octomap": {"octomap": {"data": []}}}},
+    "sub_trajectory": [
+        {"trajectory": {"joint_trajectory": EMPTY}, "scene_diff": {"robot_state": STATE}},
+        {"trajectory": {"joint_trajectory": MESSAGE}, "scene_diff": {"robot_state": {"is_diff": True}}},
+    ],
+}
+POLE = {"link_name": "cart", "object": {"id": "pole", "operation": 0, "primitives": []}}
+
+
+def _stating(names, positions, **more):
+    return DISPLAYED | {"trajectory_start": {"joint_state": {"name": names, "position": positions}, **more}}
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        MESSAGE,
+        DISPLAYED,
+        GOAL,
+        SOLVED,
+        DISPLAYED | {"trajectory_start": {}},
+        DISPLAYED | {"trajectory_start": {"joint_state": {"name": [], "position": []}}},
+        _stating(["rail", "lift"], [], velocity=[0, 0]),
+        _stating(["rail"], [0], multi_dof_joint_state={"joint_names": ["base"], "transforms": [UNMOVED]}),
+    ],
+)
+@pytest.mark.parametrize("ending", ["json", "yaml"])
+def test_messages_of_one_trajectory_are_read(tmp_path, ending, message):
+    """Parts that are empty, or that agree with the points, are no reason to refuse a message or to warn."""
+    path = tmp_path / f"message.{ending}"
+    path.write_text(json.dumps(message))
+    with warns.catch_warnings():
+        warns.simplefilter("error")
+        found = ControllerPoints.load(path)
+    assert found.names == ("rail", "elbow")
+    assert found.positions.tolist() == [[0, 0], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        (DISPLAYED | {"trajectory": [MESSAGE, EMPTY, MESSAGE]}, r"expected one trajectory, found 2 .*trajectory\[2\]"),
+        ([MESSAGE] * 3, "found 3 with points"),
+        ({"sub_trajectory": [{"trajectory": {"joint_trajectory": MESSAGE}}] * 12}, "found 12 .* and 4 more"),
+        (MESSAGE | {"deep": [[[[[[[[MESSAGE]]]]]]]]}, "found 2 with points"),
+        ([MESSAGE, MESSAGE | {"joint_names": []}], "found 2 with points"),
+        ({"joint_trajectory": MESSAGE, "multi_dof_joint_trajectory": DRIVEN}, "multi-DOF .*base"),
+        ({"joint_trajectory": EMPTY, "multi_dof_joint_trajectory": DRIVEN}, "multi-DOF .*base"),
+        (GOAL | {"multi_dof_trajectory": DRIVEN}, r"multi-DOF .*base \(multi_dof_trajectory\)"),
+        (DRIVEN, "multi-DOF .*base"),
+        (_stating(["rail", "lift"], [0, 0.8]), r"lift = 0\.8 \(trajectory_start/joint_state\); .*others=.*--others"),
+        (MESSAGE | {"start": {"name": ["lift"], "position": [0.8]}}, r"lift = 0\.8"),
+        (_stating(["rail", "lift"], [0]), "a state of 2 joints with the positions 1"),
+        (
+            _stating([], [], multi_dof_joint_state={"joint_names": ["base"], "transforms": [
+                UNMOVED | {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}}]}),
+            "base away from the identity",
+        ),
+        (_stating([], [], attached_collision_objects=[POLE]), "attached bodies: 'pole' on link 'cart'; attach"),
+        (SOLVED | {"more": [{"scene_diff": {"robot_state": {"attached_collision_objects": [POLE]}}}]}, "'pole'"),
+    ],
+)  # fmt: skip
+def test_messages_of_more_are_refused(tmp_path, message, told):
+    """What a message says of the motion beyond one trajectory is never dropped."""
+    for ending in ("json", "yaml"):
+        path = tmp_path / f"message.{ending}"
+        path.write_text(json.dumps(message))
+        with pytest.raises(FileError, match=told):
+            ControllerPoints.load(path)
+
+
+def test_entries_that_contain_themselves_are_refused(tmp_path):
+    """YAML may describe a list within itself, which the search for trajectories would never leave."""
+    (tmp_path / "a.yaml").write_text("a: &a [*a, *a]\n")
+    with pytest.raises(FileError, match="more than 50 entries inside each other"):
+        ControllerPoints.load(tmp_path / "a.yaml")
+
+
+TWO_SLIDES = """<robot name="r"><link name="base"/><link name="mast"/><link name="cart"/><link name="finger"/>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="mast"/><limit upper="1"/></joint>
+<joint name="slide" type="prismatic"><parent link="mast"/><child link="cart"/><limit upper="3"/></joint>
+<joint name="grip" type="prismatic"><parent link="cart"/><child link="finger"/><mimic joint="lift"/><limit upper="1"/>
+</joint></robot>"""
+SLID = {
+    "joint_names": ["slide"],
+    "points": [{"positions": [x], "velocities": [x], "time_from_start": x} for x in (0, 2)],
+}
+
+
+def test_values_of_other_joints_are_given_by_the_caller(tmp_path):
+    """Values that the points lack are constant columns; a start state's values are replaced only by explicit ones."""
+    robot, path = Robot.from_urdf(text=TWO_SLIDES), tmp_path / "m.json"
+    path.write_text(json.dumps(SLID))
+    assert ControllerPoints.load(path).names == ("slide",)
+    for others, lift in ((None, 0.0), ([0.5, 3.0], 0.5)):
+        found = ControllerPoints.load(path, robot=robot, others=others)
+        assert found.names == ("slide", "lift")
+        assert found.positions.tolist() == [[0, lift], [2, lift]]
+        assert found.velocities.tolist() == [[0, 0], [2, 0]]
+    state = {"name": ["lift", "grip", "slide"], "position": [0.8, 0.8, 0.0]}
+    path.write_text(json.dumps({"trajectory": SLID, "trajectory_start": {"joint_state": state}}))
+    with pytest.raises(FileError, match=r"found lift = 0\.8 \("):
+        ControllerPoints.load(path, robot=robot)
+    assert ControllerPoints.load(path, robot=robot, others=[0.8, 0.0]).positions[:, 1].tolist() == [0.8, 0.8]
+    state["name"][1] = "wheel"
+    path.write_text(json.dumps({"trajectory": SLID, "trajectory_start": {"joint_state": state}}))
+    with pytest.raises(FileError, match="'r', found values of joints that it lacks: wheel"):
+        ControllerPoints.load(path, robot=robot, others=[0.8, 0.0])
+    with pytest.raises(InputError, match="others: expected a configuration of robot="):
+        ControllerPoints.load(path, others=[0.8, 0.0])
+
+
+def test_worlds_and_other_starts_of_messages_are_told(tmp_path):
+    """A message's own world and a start state elsewhere do not change the answer, so each is a warning."""
+    path = tmp_path / "m.json"
+    octree = {"octomap": {"octomap": {"resolution": 0.1, "data": [1]}}}
+    path.write_text(json.dumps(MESSAGE | {"world": {"collision_objects": [{"id": "wall"}], **octree}}))
+    with pytest.warns(UserWarning, match=r"a world of its own \(wall, an octree\), which is not read"):
+        ControllerPoints.load(path)
+    path.write_text(json.dumps(_stating(["elbow", "rail"], [0.2, 1e-3])))
+    with pytest.warns(UserWarning, match=r"the start state has elbow = 0\.2, and the first point rail = 0, elbow = 0;"):
+        ControllerPoints.load(path)
+
+
+@pytest.mark.parametrize("ending", ["json", "yaml"])
+def test_keys_that_occur_twice_in_a_message_are_refused(tmp_path, ending):
+    """Only the last of two values would be read; the line is that of the second key."""
+    text = json.dumps(MESSAGE)
+    path = tmp_path / f"m.{ending}"
+    for key in ("points", "joint_names", "positions"):
+        again = text.replace(f'"{key}":', f'"{key}": [],\n"{key}":', 1)
+        path.write_text(again)
+        with pytest.raises(FileError, match=rf"m\.{ending}, line 2: expected each key once .*, found '{key}' again"):
+            ControllerPoints.load(path)

@@ -603,6 +603,9 @@ BAD = {
     "joint_limits: {x: {}}": "x: expected limits",
     "joint_limits: {x: {max_velocty: 1}}": "x: key: expected one of max_velocity, .*did you mean 'max_velocity'",
     "joint_limits: {x: {1: 1}}": "x: key: .* found 1",
+    "joint_limits: {x: {max_velocity: 1,\n max_velocity: 2}}": ", line 2: expected each key once .*'max_velocity'",
+    "joint_limits: {x: {max_velocity: 1}, x: {max_velocity: 2}}": ", line 1: expected each key once .*'x' again",
+    "joint_limits:\n  x: {max_velocity: 1}\njoint_limits: {}": ", line 3: expected each key once .*'joint_limits'",
     "limits: {x: {}}": "joint_limits",
     "[]": "joint_limits",
     "": "joint_limits",
@@ -617,6 +620,13 @@ def test_bad_limits(robot, tmp_path, text):
     """A malformed file is refused by its name, and by the joint and the key."""
     with pytest.raises(FileError, match=f"joint_limits.yaml.*{BAD[text]}"):
         read_limits(tmp_path, text, robot)
+
+
+def test_merged_keys_are_not_repeated_ones(robot, tmp_path):
+    """A mapping may take keys from another and give one of them a new value (`<<` in YAML)."""
+    text = "joint_limits:\n  x: &a {max_velocity: 1, max_jerk: 2}\n  y: {<<: *a, max_jerk: 3}\n"
+    found = read_limits(tmp_path, text, robot)
+    assert [found.jerk[robot.configuration_names.index(joint)] for joint in "xy"] == [2.0, 3.0]
 
 
 def test_limits_of_unknown_joints(robot, tmp_path):

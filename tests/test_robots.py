@@ -571,6 +571,28 @@ TWO = links("ab")
             ["line 3", "'package://p/m.stl' of link 'lost'", "looked at .*p/m.stl", "package_dirs"],
         ),
         ("<xacro:macro/>", FileError, ["line 3", "run xacro"]),
+        ("<link name='a'><xacro:if value='1'/></link>", FileError, ["line 3", "<xacro:if>; run xacro"]),
+        ("<link name='a'><visual><xacro:v/></visual></link>", FileError, ["line 3", "<xacro:v>; run xacro"]),
+        ("<gazebo><x:v xmlns:x='http://ros.org/wiki/xacro#v'/></gazebo>", FileError, ["line 3", "<x:v>; run xacro"]),
+        ("<gazebo xmlns:x='http://www.ros.org/wiki/xacro/'><a><x:v/></a></gazebo>", FileError, ["<x:v>; run xacro"]),
+        ("<v xmlns='http://www.ros.org/wiki/xacro'><w/></v>", FileError, ["<v>; run xacro"]),
+        ("<xacro:v xmlns:xacro='urn:other'/>", FileError, ["<xacro:v>; run xacro"]),
+        ("<link name='a'><xi:include href='b'/></link>", FileError, ["line 3", "<xi:include>"]),
+        ("<i:include xmlns:i='http://www.w3.org/2001/XInclude' href='b'/>", FileError, ["<i:include>"]),
+        ("<include filename='b'/>", FileError, ["line 3", "<include>; run xacro"]),
+        ("<macro name='b'/>", FileError, ["<macro>; run xacro"]),
+        ("<property name='b' value='1'/>", FileError, ["<property>; run xacro"]),
+        (
+            "<link name='a'>{}</link>".format(shape("<sphere radius='1'/>", "<origin quat_xyzw='0 0 0 1'/>")),
+            InputError,
+            ["only xyz and rpy as attributes of <origin>, found 'quat_xyzw'"],
+        ),
+        (links("ab") + joint("ab", "fixed", "a", "b", "<origin xyz='0 0 0' wxyz='1 0 0 0'/>"), InputError, ["'wxyz'"]),
+        (
+            links("ab") + joint("ab", "fixed", "a", "b", "<origin position='0 0 0'/>"),
+            InputError,
+            ["line [0-9]", "'position'"],
+        ),
         ("<link name='a'>", FileError, ["line 4", "broken XML"]),
     ],
 )
@@ -581,6 +603,13 @@ def test_bad_urdf_is_refused(inside, kind, words, tmp_path):
     caught.match("robot.urdf")
     for word in words:
         caught.match(word)
+
+
+def test_declared_namespaces_alone_are_no_macros(tmp_path):
+    """Files that xacro has written still declare its namespace, and other programs' extensions have names like its."""
+    declared = "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro' xmlns='http://www.ros.org'>"
+    inside = "<link name='a'/><gazebo><include/><property/><a:macro xmlns:a='urn:a'/></gazebo>"
+    assert Robot.from_urdf(text=f"{declared}{inside}</robot>").link_names == ("a",)
 
 
 def test_files_that_are_no_urdf(tmp_path):
@@ -688,6 +717,13 @@ def test_srdf_for_a_bigger_variant_is_told(tmp_path):
 def test_bad_srdf_is_refused(inside, words, tmp_path):
     """With line and reason."""
     with pytest.raises(InputError, match="robot.srdf, line 2: expected .*" + words):
+        with_srdf(tmp_path, inside)
+
+
+@pytest.mark.parametrize("inside", ['<group name="g"><xacro:arm/></group>', "<xacro:arm/>", '<include filename="b"/>'])
+def test_macros_in_an_srdf_are_refused(inside, tmp_path):
+    """A macro may stand for groups or for rules on pairs, at any depth."""
+    with pytest.raises(FileError, match="robot.srdf, line 2: expected an SRDF, found the macro .*; run xacro"):
         with_srdf(tmp_path, inside)
 
 

@@ -484,7 +484,7 @@ def test_malformed_problems_are_refused_with_place(tmp_path, change, message):
         ("{}", "expected the key robot, found none"),
         ("[]", "expected a mapping"),
         ('{"robot":\n}', "line 2: expected JSON"),
-        ('{"robot": "a", "robot": "b"}', "expected each key once in a mapping, found 'robot' again"),
+        ('{"robot": "a",\n"robot": "b"}', "line 2: expected each key once in a mapping, found 'robot' again"),
         ("[" * 200000, "problems.json"),
         ("1" * 5000, "problems.json"),
     ],

@@ -541,6 +541,13 @@ def test_points_of_other_programs_are_told_where_they_are_read(tmp_path, text, t
         Trajectory.load("m.yaml")
 
 
+def test_keys_that_occur_twice_in_a_saved_trajectory_are_refused(tmp_path):
+    """Only the last of two values would be read; strings may contain anything that looks like a key."""
+    (tmp_path / "m.json").write_text('{"names": ["a\\": {", "times"],\n "times": [],\n "t\\u0069mes": []}')
+    with pytest.raises(FileError, match="m.json, line 3: expected each key once in a mapping, found 'times' again"):
+        Trajectory.load(tmp_path / "m.json")
+
+
 def test_a_change_after_the_path_was_proven(tmp_path, monkeypatch):
     """A post in the corner goes away, and one comes up on the path: no blend passes where the first one stood."""
     urdf, srdf = gantry(tmp_path)

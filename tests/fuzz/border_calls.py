@@ -1267,7 +1267,10 @@ CALLS: dict[str, Call] = {
             "start_time": arg(0.5, NUMBERS, ZERO, NEGATIVE),
         },
     ),
-    "planners.ControllerPoints.load": Call(planners.ControllerPoints.load, {"path": arg("moved.json")}),
+    "planners.ControllerPoints.load": Call(
+        planners.ControllerPoints.load,
+        {"path": arg("moved.json"), "robot": arg(robot, "Robot"), "others": array(Q[0], FINITE, NONE)},
+    ),
     "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),
     "planners.space_information": Call(
         planners.space_information,

@@ -80,6 +80,27 @@ joint_limits:
 """
 
 
+MOVES = b'{"joint_names": ["rail"], "points": [{"positions": [0], "time_from_start": {"sec": 0, "nanosec": 0}}, \
+{"positions": [0.5], "velocities": [], "time_from_start": {"sec": 1, "nanosec": 5}}]}'
+EMPTY = b'{"joint_names": [], "points": []}'
+STATE = b'{"joint_state": {"name": ["rail"], "position": [0]}, "multi_dof_joint_state": {"joint_names": ["b"], \
+"transforms": [{"translation": {"x": 0, "y": 0, "z": 0}, "rotation": {"x": 0, "y": 0, "z": 0, "w": 1}}]}, \
+"attached_collision_objects": []}'
+MESSAGES = [
+    MOVES,
+    b'{"trajectory": [{"joint_trajectory": %b, "multi_dof_joint_trajectory": %b}], "trajectory_start": %b}'
+    % (MOVES, EMPTY, STATE),
+    b'{"start_scene": {"robot_state": %b, "world": {"collision_objects": [{"id": "wall"}]}}, "sub_trajectory": \
+[{"trajectory": {"joint_trajectory": %b}}, {"trajectory": {"joint_trajectory": %b}}]}'
+    % (STATE, EMPTY, MOVES),
+    b'{"joint_trajectory": %b, "attached": {"link_name": "cart", "object": {"id": "pole"}}}' % MOVES,
+]
+
+
+def _points(path: Path) -> Any:
+    return planners.ControllerPoints.load(path, robot=slider().robot)
+
+
 def _roadmap() -> list[bytes]:
     return [_written("r.npz", planners.roadmap(slider(), 4).save)]
 
@@ -154,5 +175,7 @@ READERS: dict[str, Reader] = {
     "roadmap": Reader(_roadmap, ".npz", lambda path: planners.Roadmap.load(path, slider())),
     "trajectory-csv": Reader(lambda: _trajectory(".csv"), ".csv", planners.Trajectory.load),
     "joint-limits": Reader(lambda: [LIMITS], ".yaml", lambda path: planners.JointLimits.load(path, slider().robot)),
+    "message-json": Reader(lambda: MESSAGES, ".json", _points),
+    "message-yaml": Reader(lambda: MESSAGES, ".yaml", _points),
     "trajectory-json": Reader(lambda: _trajectory(".json"), ".json", planners.Trajectory.load),
 }
