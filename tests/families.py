@@ -163,8 +163,8 @@ def near_corners(count: int, seed: int = 0) -> list[np.ndarray]:
     return made
 
 
-# A piece of a mug, as it was cut along planes: corners 5 and 6, and 7 to 9, are 5e-10 to 1e-8 m apart, and 7 to 9 are on
-# a line up to rounding.
+# A piece of a mug, as it was cut along planes. Corners 5 and 6 are 4e-10 m apart, and 7 to 9 are on a line up to
+# rounding, 5e-10 and 1e-8 m apart.
 CUT_FROM_A_MUG = np.array(
     [
         [0.07538595076687633, 0.0031788532150197335, 0.009580476814833053],

@@ -251,8 +251,8 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
 
     A closed surface that winds once around the origin encloses every point that can be reached from there without
     crossing the surface. If no triangle is nearer than the radius of the ball, the ball is therefore enclosed, and lies
-    in the hull of the corners. The distance of a triangle is judged, not that of its plane, because the corners of a
-    sliver do not determine a plane.
+    in the hull of the corners. Triangles are judged by their own distance, and not by the distance of their planes,
+    because the corners of a sliver do not determine a plane.
     """
     first, last = arrays["triangle_start"][rows], arrays["triangle_start"][rows + 1]
     triangles = arrays["triangles"][first[0] : last[-1]]
@@ -302,8 +302,8 @@ def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
 def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
     """Bound the distances of triangles from the origin from below, without their normals.
 
-    The vectors are those to the nearest points of the edges. If one of these points is the nearest point of the
-    triangle, the bound is the distance. Otherwise the bound is too small by about the square of the triangle's width,
+    The vectors lead to the nearest points of the edges. If the nearest point of the triangle is on an edge, the bound
+    is the distance. Otherwise the bound is too small by about the square of the triangle's width,
     which is far below the tolerance if the normal is inaccurate. An error in the corners changes the distance by no
     more than the error.
     """
