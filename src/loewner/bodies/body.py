@@ -1250,7 +1250,7 @@ def body_of_file(path: str | os.PathLike[str], wanted: str | None = None) -> Bod
 
 
 def checksum_of(body: Body) -> str:
-    """Return the SHA-256 of all that a saved body contains."""
+    """Return the SHA-256 of the content of a saved body."""
     from loewner.bodies import files
 
     return files.checksum(body._packed, body.covering)
