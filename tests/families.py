@@ -140,6 +140,51 @@ def pieces(family: str, count: int, seed: int = 0) -> list[np.ndarray]:
     return [FAMILIES[family](rng) * 2 ** rng.uniform(-1, 1) for _ in range(count)]
 
 
+def near_corners(count: int, seed: int = 0) -> list[np.ndarray]:
+    """Points of `count` hulls, some 1e-4 to 1e-13 of the size apart: on a line up to rounding, repeated, or in planes.
+
+    Qhull keeps most of them as corners, of triangles that are as short as they are near.
+    """
+    rng, made = np.random.default_rng([seed, 500]), []
+    for k in range(count):
+        size = 10 ** rng.uniform(-2, 0, size=3)
+        base = rng.normal(size=(int(rng.integers(5, 10)), 3)) * size
+        at, apart = base[rng.integers(len(base))], 10 ** rng.uniform(-13, -4)
+        near = at + apart * size * rng.normal(size=(int(rng.integers(2, 6)), 3))
+        if k % 4 == 0:
+            along = apart * rng.uniform(-1, 1, size=(4, 1)) * (base[0] - base[1])
+            near = at + along + 10 ** rng.uniform(-17, -12) * rng.normal(size=(4, 3))
+        elif k % 4 == 1:
+            grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 3)] * 3), axis=-1).reshape(-1, 3)
+            base = (grid + apart * rng.normal(size=grid.shape)) * size
+        elif k % 4 == 2:
+            near = np.concatenate([near, base])
+        made.append(np.concatenate([base, near]) + rng.normal(size=3) * (k % 3))
+    return made
+
+
+# A piece of a mug, as it was cut along planes. Corners 5 and 6 are 4e-10 m apart, and 7 to 9 are on a line up to
+# rounding, 5e-10 and 1e-8 m apart.
+CUT_FROM_A_MUG = np.array(
+    [
+        [0.07538595076687633, 0.0031788532150197335, 0.009580476814833053],
+        [0.0753833982647521, 0.00318173566570714, 0.009596213680221961],
+        [0.07536017204055201, 0.0032079642221012096, 0.009739409629114442],
+        [0.07530797156274664, 0.0031218245811520076, 0.009748619813477135],
+        [0.07528716634963958, 0.003140199962725163, 0.009865859236734508],
+        [0.06365234887594322, 3.2895275917680553e-09, 0.023977271033950785],
+        [0.063652348324368, 3.063578854515976e-09, 0.023977271407326053],
+        [0.06304001851366138, 3.533631289389459e-09, 0.024589601390598525],
+        [0.06304001813387002, 3.3786402518665516e-09, 0.02458960164815244],
+        [0.06304000985482157, 1.0412061695431356e-18, 0.0245896072625543],
+        [0.06259241510113418, -0.0002860702822192989, 0.02526281858005541],
+        [0.06230106064191886, -0.00019240995935221585, 0.025480305314931343],
+        [0.06182308814794367, -0.00031686596597814816, 0.026056433094811045],
+        [0.061884110455525665, -0.0004772392493890746, 0.026121893334552775],
+    ]
+)
+
+
 def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
     """Uniform rotations, shape (count, 3, 3)."""
     q = rng.normal(size=(count, 4))

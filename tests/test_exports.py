@@ -250,8 +250,28 @@ def test_mesh_names_have_their_prefix(tmp_path):
     stones = Body.from_pieces(np.random.default_rng(0).normal(size=(2, 8, 3)))
     (tmp_path / "rocks").mkdir()
     stones.to_urdf(tmp_path / "rocks" / "stones.urdf", mesh_prefix="package://rocks/")
-    assert "package://rocks/stones-1.obj" in (tmp_path / "rocks" / "stones.urdf").read_text()
+    meshes = [file.name for file in (tmp_path / "rocks").glob("stones-*.obj")]
+    text = (tmp_path / "rocks" / "stones.urdf").read_text()
+    assert len(meshes) == 2
+    assert all(f'"package://rocks/{mesh}"' in text for mesh in meshes)
     back = Robot.from_urdf(tmp_path / "rocks" / "stones.urdf", package_dirs=tmp_path).bodies["stones"]
     for a, b in zip(stones.pieces, back.pieces, strict=True):
         assert np.array_equal(np.sort(a.vertices, axis=0), np.sort(b.vertices, axis=0))
     assert all(a < b for a, b in pairwise(sorted(file.name for file in (tmp_path / "rocks").iterdir())))
+
+
+def test_meshes_of_an_older_urdf_stay(tmp_path):
+    """A URDF, or a copy of it, keeps its meshes when another is written under its name, or none can be written."""
+    rng = np.random.default_rng(0)
+    first, second = (Body.from_points(rng.normal(size=(8, 3))) for _ in range(2))
+    first.to_urdf(tmp_path / "stone.urdf")
+    (tmp_path / "copy.urdf").write_text((tmp_path / "stone.urdf").read_text())
+    second.to_urdf(tmp_path / "stone.urdf")
+    for name, body in (("copy", first), ("stone", second)):
+        (back,) = Robot.from_urdf(tmp_path / f"{name}.urdf").bodies.values()
+        assert np.array_equal(np.sort(back.pieces[0].vertices, axis=0), np.sort(body.pieces[0].vertices, axis=0))
+    before = {file.name for file in tmp_path.iterdir()}
+    (tmp_path / "other.urdf").mkdir()
+    with pytest.raises(loewner.FileError, match="found a directory"):
+        Body.from_points(rng.normal(size=(8, 3))).to_urdf(tmp_path / "other.urdf")
+    assert {file.name for file in tmp_path.iterdir()} == before | {"other.urdf"}

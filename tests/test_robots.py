@@ -466,6 +466,23 @@ def test_fits_are_kept_by_content(kept, tmp_path, monkeypatch):
     assert made(cache=False) == (6, 6.0)
 
 
+def test_a_mesh_that_changes_while_it_is_fitted_is_not_kept(kept, tmp_path, monkeypatch):
+    """The fit of a mesh that was replaced after its checksum was taken is not found under the first mesh's checksum."""
+    fit = link_bodies._mesh_body
+
+    def changing(*arguments):
+        block(tmp_path, size=(2, 2, 2))
+        return fit(*arguments)
+
+    link = f'<link name="a">{shape("""<mesh filename="block.stl"/>""")}</link>'
+    with monkeypatch.context() as patched:
+        patched.setattr(link_bodies, "_mesh_body", changing)
+        block(tmp_path)
+        read(tmp_path, link)
+    block(tmp_path)
+    assert bounds(read(tmp_path, link).bodies["a"])[1, 0] == 5.5
+
+
 def test_fits_of_unknown_code_are_not_kept(kept, tmp_path, monkeypatch):
     """Where the sources are no files, as in a zip, nobody could tell what made a fit."""
     monkeypatch.setattr(_sources, "source_hash", lambda: "")

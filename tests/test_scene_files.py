@@ -2,9 +2,13 @@
 
 import json
 import os
+import re
+import shutil
 import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +20,7 @@ from scipy.spatial.transform import Rotation
 import loewner
 from families import translation
 from loewner import Body, FileError, GeometryError, Scene, load_scene, read_motion_bench_maker, save_scene
+from loewner.scene_files import yaml_scenes
 
 EVERYTHING = """\
 margin: 0.01
@@ -127,7 +132,13 @@ def test_saved_scenes_come_back_the_same(folder):
     (folder / "other").mkdir()
     save_scene(scene, folder / "other" / "copy.yaml")
     same_scenes(load_scene(folder / "other" / "copy.yaml"), scene)
-    assert sorted(os.listdir(folder / "other")) == ["copy-1.npz", "copy-kept.npz", "copy-rock.npz", "copy.yaml"]
+    *bodies, file = sorted(os.listdir(folder / "other"))
+    assert file == "copy.yaml"
+    assert [re.sub(r"-[0-9a-f]{16}\.", ".", name) for name in bodies] == [
+        "copy-1.npz",
+        "copy-kept.npz",
+        "copy-rock.npz",
+    ]
 
 
 def test_strange_names_are_written_and_shared_bodies_once(folder):
@@ -201,6 +212,109 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
     with pytest.raises(FileError, match="disk full"):
         save_scene(Scene(), folder / "scene.yaml")
     assert (folder / "scene.yaml").read_text() == EVERYTHING
+
+
+def hull(seed: int) -> Body:
+    return Body.from_points(np.random.default_rng(seed).normal(size=(9, 3)))
+
+
+def scene_of(**bodies: Body) -> Scene:
+    scene = Scene()
+    for name, body in bodies.items():
+        scene.add(name.replace("_", "-"), body)
+    return scene
+
+
+def test_scenes_of_one_folder_share_no_files(tmp_path):
+    """A scene keeps its bodies, whatever is saved beside it, over it, or under names that run together with its own."""
+    first, second = scene_of(left_bin=hull(0)), scene_of(bin=hull(1))
+    save_scene(first, tmp_path / "cell.yaml")
+    save_scene(second, tmp_path / "cell-left.yaml")
+    same_scenes(load_scene(tmp_path / "cell.yaml"), first)
+    same_scenes(load_scene(tmp_path / "cell-left.yaml"), second)
+    shutil.copy(tmp_path / "cell.yaml", tmp_path / "before.yaml")
+    save_scene(scene_of(left_bin=hull(2)), tmp_path / "cell.yaml")
+    same_scenes(load_scene(tmp_path / "before.yaml"), first)
+    assert len(list(tmp_path.glob("*.npz"))) == 3  # none is removed, since a copy of a scene may need it
+
+
+def test_another_body_in_a_scene_s_file_is_refused(tmp_path):
+    """The file of a body that was written anew, even by the library, is refused with both checksums."""
+    save_scene(scene_of(rock=hull(0)), tmp_path / "scene.yaml")
+    (file,) = tmp_path.glob("scene-rock-*.npz")
+    hull(1).save(file)
+    checksum = "[0-9a-f]{64}"
+    told = f"line 3: bodies/rock/saved: .*expected .*{checksum}, found {checksum}; the file"
+    with pytest.raises(FileError, match=told):
+        load_scene(tmp_path / "scene.yaml")
+    save_scene(scene_of(rock=hull(0)), tmp_path / "scene.yaml")
+    same_scenes(load_scene(tmp_path / "scene.yaml"), scene_of(rock=hull(0)))
+
+
+def test_scenes_without_checksums_are_read(tmp_path):
+    """Scenes of earlier versions, and those that people write, name a file alone."""
+    hull(0).save(tmp_path / "scene-rock.npz")
+    (tmp_path / "scene.yaml").write_text("bodies: {rock: {saved: scene-rock.npz}}")
+    same_scenes(load_scene(tmp_path / "scene.yaml"), scene_of(rock=hull(0)))
+
+
+def test_failed_save_changes_no_file(tmp_path, monkeypatch):
+    """Where the last body, or the scene itself, cannot be written, an older scene is read as it was."""
+    old = scene_of(a=hull(0), b=hull(1))
+    save_scene(old, tmp_path / "scene.yaml")
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    replace, calls = os.replace, []
+
+    def refuse(*names):
+        calls.append(names)
+        if len(calls) == failing:
+            raise OSError("disk full")
+        replace(*names)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    for failing in (1, 2, 3):
+        calls.clear()
+        with pytest.raises(FileError, match="disk full"):
+            save_scene(scene_of(a=hull(2), b=hull(3)), tmp_path / "scene.yaml")
+        assert len(calls) == failing
+        assert {file: file.read_bytes() for file in before} == before
+        same_scenes(load_scene(tmp_path / "scene.yaml"), old)
+
+
+def test_scenes_too_large_to_read_are_not_written(tmp_path, monkeypatch):
+    """What `load_scene` would refuse is refused when it is saved, and nothing is written."""
+    for limit, most in (("MOST_BYTES", 100), ("MOST_ENTRIES", 20)):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"loewner.scene_files.yaml_scenes.{limit}", most)
+            with pytest.raises(FileError, match=f"expected a scene of at most .*{most}.*, found"):
+                save_scene(scene_of(**{f"b{k}": hull(k) for k in range(9)}), tmp_path / "scene.yaml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_saved_scenes_are_those_of_one_instant(tmp_path, monkeypatch):
+    """While a scene is written, another thread moves, adds and removes bodies: the file holds none of these changes."""
+    scene = scene_of(**{f"b{k}": Body.box([1, 2, 3]) if k % 2 else hull(k) for k in range(6)})
+    before, changes = scene.copy(), []
+    inside = yaml_scenes._primitive_of
+
+    def change() -> None:
+        changes.append(len(changes))
+        scene.move_all(["b0", "b5"], np.tile(translation(len(changes)), (2, 1, 1)))
+        scene.add(f"new {len(changes)}", Body.sphere(1.0))
+        if "b4" in scene:
+            scene.remove("b4")
+        scene.set_margin(len(changes), "b0", "b1")
+
+    def shape(body: Body) -> Any:
+        thread = threading.Thread(target=change)
+        thread.start()
+        thread.join()
+        return inside(body)
+
+    monkeypatch.setattr(yaml_scenes, "_primitive_of", shape)
+    save_scene(scene, tmp_path / "scene.yaml")
+    assert len(changes) == 6
+    same_scenes(load_scene(tmp_path / "scene.yaml"), before)
 
 
 @pytest.mark.parametrize(
@@ -278,6 +392,8 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
         ("bodies:\n  a: {mesh: scene.yaml}", 2, "mesh: .*scene.yaml: expected one of .stl"),
         ("bodies:\n  a: {mesh: parts/part.stl, scale: 0}", 2, "scale: expected factors other than 0"),
         ("bodies:\n  a: {mesh: parts/part.stl, decompose: maybe}", 2, "expected true or false, found 'maybe'"),
+        ("bodies:\n  a: {saved: kept.npz, sha256: 12}", 2, "sha256: expected 64 hexadecimal digits, found '12'"),
+        ("bodies:\n  a: {box: [1, 1, 1], sha256: 12}", 2, "found 'sha256'"),
         ("bodies:\n  a: {saved: none.npz}", 2, "saved: .*none.npz: expected a saved file, but there is no such file"),
         ("bodies:\n  '': {box: [1, 1, 1]}", 2, "bodies/: name: expected a name, found ''"),
         ("bodies:\n  [a, b]: {box: [1, 1, 1]}", 2, "bodies: expected a name as key, found a sequence of 2"),

@@ -132,7 +132,9 @@ def _save(stream: IO[bytes], content: dict[str, Any]) -> None:
         del cause
 
 
-def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, Any]], T]) -> T:
+def read(
+    path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, Any]], T], wanted: str | None = None
+) -> T:
     """Read a file written by `write`.
 
     Parameters
@@ -142,20 +144,22 @@ def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, A
     make : callable
         Called with the arrays by name: int64 or float64 in C order, and arrays of texts. Its result is returned, and
         its InputErrors become FileErrors that name the file.
+    wanted : str, optional
+        The `digest` that the content must have.
 
     Raises
     ------
     InputError
         If the path is none.
     FileError
-        If there is no such file, or it is of another kind or damaged.
+        If there is no such file, or it is of another kind or damaged, or has another content.
     """
     name = _expect_path(path)
     try:
         with open(name, "rb", opener=_open_without_waiting) as stream:
             if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
                 raise FileError(f"{name}: expected a regular file, found another kind")
-            return _read(stream, name, kind, make)
+            return _read(stream, name, kind, make, wanted)
     except FileNotFoundError:
         raise FileError(f"{name}: expected a saved file, but there is no such file") from None
     except FileError:
@@ -198,14 +202,14 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
         raise FileError(f"{name}: expected {what}, found something else ({found})") from None
 
 
-def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, Any]], T]) -> T:
+def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, Any]], T], wanted: str | None) -> T:
     if not zipfile.is_zipfile(stream):
         raise FileError(
             f"{name}: expected {kind.what} saved as .npz, found another kind of file or a damaged one; {kind.else_use}"
         )
     try:
         with zipfile.ZipFile(_InSmallParts(stream, kind.what)) as archive:
-            return make(_from_archive(archive, name, kind))
+            return make(_from_archive(archive, name, kind, wanted))
     except (FileError, MemoryError):  # lack of memory is not the file's fault
         raise
     except InputError as error:
@@ -214,7 +218,7 @@ def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, 
         raise FileError(f"{name}: expected a loewner .npz, found something unreadable ({error})") from None
 
 
-def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format) -> dict[str, Any]:
+def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str | None) -> dict[str, Any]:
     infos = {info.filename: info for info in archive.infolist()}
     if "format.npy" not in infos or _text(archive, infos["format.npy"]) != kind.name:
         raise FileError(f"{name}: expected a loewner .npz, found another kind of .npz")
@@ -248,8 +252,14 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format) -> dict[str
     }
     texts = [text for text in kind.texts if f"{text}.npy" in infos]
     told |= {text: _texts(archive, infos[f"{text}.npy"]) for text in texts}
-    if _text(archive, infos["digest.npy"]) != digest(told):
+    found = digest(told)
+    if _text(archive, infos["digest.npy"]) != found:
         raise FileError(f"{name}: the content does not match its checksum; the file is damaged or was altered")
+    if wanted not in (None, found):
+        raise FileError(
+            f"{name}: expected {kind.what} with the checksum {wanted}, found {found}; the file was written anew or "
+            "replaced by another"
+        )
     for member in kind.arrays:  # integer types differ between systems
         told[member] = np.ascontiguousarray(told[member], dtype=np.int64 if member in kind.integers else np.float64)
     return told

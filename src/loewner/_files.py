@@ -11,6 +11,9 @@ from loewner.errors import FileError
 # Bytes read at a time: a file's stated size is no reason to allocate that much memory at once.
 CHUNK = 1 << 24
 
+# Hexadecimal digits of a digest in the name of a file: enough that two contents never share them by chance.
+DIGITS = 16
+
 # Kinds of files other than regular ones.
 _KINDS = (
     (stat.S_ISDIR, "a directory"),
@@ -79,6 +82,11 @@ def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
     if not stat.S_ISREG(status.st_mode):
         found = next((kind for is_kind, kind in _KINDS if is_kind(status.st_mode)), "something else")
         raise FileError(f"{name}: expected {what}, found {found}, which is no regular file")
+
+
+def named_by_content(stem: str, digest: str, suffix: str) -> str:
+    """Name a file that another file refers to by its content, so that no later file of another content replaces it."""
+    return f"{stem}-{digest[:DIGITS]}{suffix}"
 
 
 @contextmanager

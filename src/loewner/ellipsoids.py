@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import tolerances
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats
 from loewner.errors import BodyIndexError, GeometryError, InputError
 
 
 @guarded
 @dataclass(frozen=True, eq=False)
-class Ellipsoids:
+class Ellipsoids(KeepsReadOnly):
     """One ellipsoid or a batch of ellipsoids, stored as center and factor.
 
     Parameters

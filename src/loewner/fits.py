@@ -19,6 +19,7 @@ from loewner._large_fits import outer as large_outer
 from loewner._large_fits.dense import Reporter, inverse_of, lower_root
 from loewner._log import MANY_PIECES, logged
 from loewner._native import entries
+from loewner._read_only import KeepsReadOnly
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
 from loewner.ellipsoids import Ellipsoids, trusted
@@ -51,7 +52,7 @@ HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(KeepsReadOnly):
     """A fitted ellipsoid, with a bound on how far its volume is from the optimum.
 
     Attributes

@@ -14,6 +14,7 @@ from loewner import _memory, _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._native import entries
+from loewner._read_only import KeepsReadOnly
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
 from loewner.errors import GeometryError, InputError
@@ -42,7 +43,7 @@ SMALLEST, LARGEST = 1e-140, 1e140
 
 @guarded
 @dataclass(frozen=True, eq=False)
-class Polytope:
+class Polytope(KeepsReadOnly):
     """A bounded convex polytope with an interior.
 
     Build it with `from_points` or `from_halfspaces`. Its shape is exactly the convex hull of the stored `vertices`; the

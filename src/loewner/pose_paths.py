@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kept import kept
 from loewner._native import entries
+from loewner._read_only import KeepsReadOnly
 from loewner._rotations import quaternions_of, rotations_of
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
@@ -39,7 +40,7 @@ MOST_KNOTS = 2**22
 
 
 @dataclass(frozen=True, eq=False)
-class PosePath:
+class PosePath(KeepsReadOnly):
     """How a body moves in time; see `Scene.follow`.
 
     Attributes

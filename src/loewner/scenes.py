@@ -21,6 +21,7 @@ from loewner._guard import guarded
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bodies, pictured
 from loewner._plausible import doubt_about_size, warn
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Body, for_pictures, packed_of
 from loewner.errors import InputError
@@ -99,7 +100,7 @@ class Contact:
 
 
 @dataclass(frozen=True, eq=False)
-class Attachment:
+class Attachment(KeepsReadOnly):
     """How a body is attached to a link of a robot.
 
     Attributes

@@ -26,7 +26,7 @@ from scipy.spatial import ConvexHull
 
 import driver
 import loewner
-from families import FAMILIES, pieces, prism, random_poses
+from families import CUT_FROM_A_MUG, FAMILIES, near_corners, pieces, prism, random_poses
 from loewner import Bodies, Body, _archives
 from loewner.bodies import files
 from loewner.protrusion import Solid
@@ -52,6 +52,7 @@ def _bases() -> dict[str, Bodies]:
         "moved": Bodies([b.transformed(T) for b, T in zip(primitives, random_poses(rng, 6), strict=True)]),
         "mixed": Bodies([Body.union([Body.sphere(1), Body.box([1, 1, 1])]), Body.cone(1, 2)]),
         "surfaces": Bodies(_surfaces(rng)),
+        "near corners": Bodies.from_points([CUT_FROM_A_MUG, *near_corners(4)]),
         "mapped": Bodies.from_points([sphere / np.linalg.norm(sphere, axis=1, keepdims=True)]),
     }
 
@@ -711,6 +712,63 @@ def test_families_load(family: str, tmp_path: Path) -> None:
     made = Bodies.from_points(points)
     poses = random_poses(np.random.default_rng(4), 4, 10)
     same_again(Bodies([b.transformed(T) for b, T in zip(made, poses, strict=True)]), tmp_path)
+
+
+def _slivers() -> list[np.ndarray]:
+    """Hulls with near corners, and one cut from a mug whose corners are then moved by a few roundings."""
+    rng = np.random.default_rng(1)
+    steps = 10.0 ** rng.uniform(-18, -9, size=(200, 1, 1))
+    return [CUT_FROM_A_MUG, *(CUT_FROM_A_MUG + steps * rng.normal(size=(200, 14, 3))), *near_corners(200)]
+
+
+def test_slivers_load(tmp_path: Path) -> None:
+    """Pieces with corners within a part in 1e13 of each other are loaded as they were saved, moved ones as well."""
+    made = Bodies.from_points(_slivers())
+    same_again(made, tmp_path)
+    poses = random_poses(np.random.default_rng(4), len(made), 1)
+    same_again(Bodies([body.transformed(T) for body, T in zip(made, poses, strict=True)]), tmp_path)
+
+
+def _tallest(piece: Any) -> float:
+    """The factor by which the inner ellipsoid may grow, by Qhull where the ellipsoid is the unit ball."""
+    local = np.linalg.solve(piece.inner.factor.reshape(3, 3), (piece.vertices - piece.inner.center.reshape(3)).T).T
+    return float(-ConvexHull(local).equations[:, 3].max())
+
+
+def test_inner_ellipsoids_that_stick_out_are_refused(tmp_path: Path) -> None:
+    """However short the triangles of a piece: an inner ellipsoid that sticks out by a part in 1e4 is refused."""
+    families = [points for family in FAMILIES for points in pieces(family, 2, seed=9)]
+    for body in Bodies.from_points([CUT_FROM_A_MUG, *near_corners(40, seed=1), *families]):
+        arrays = stored(body.save, tmp_path)
+        del arrays["digest"]
+        arrays["inner_factor"] = arrays["inner_factor"] * (_tallest(body.pieces[0]) * (1 + 1e-4))
+        (tmp_path / "forged.npz").write_bytes(packed(arrays))
+        with pytest.raises(loewner.FileError, match=r"forged\.npz: inner ellipsoid: expected it inside the piece"):
+            Body.load(tmp_path / "forged.npz")
+
+
+@pytest.mark.parametrize("tip", [0.0, 1e-170, 0.3, 0.999])
+@pytest.mark.parametrize("width", [0.0, 1e-170, 1e-160, 1e-30, 1e-9, 1e-3])
+def test_thin_triangles_do_not_enter_the_inner_ellipsoid(width: float, tip: float, tmp_path: Path) -> None:
+    """A triangle with a corner within the inner ellipsoid is found, however thin it is; one that ends outside is not.
+
+    Two triangles, back to back, stand on a face of a cube, across the diagonal from corner 0 to corner 6.
+    """
+    box = stored(Body.box([2, 2, 2]).save, tmp_path)
+    del box["digest"]
+    assert box["triangles"][:2].tolist() == [[6, 0, 2], [6, 4, 0]]
+    around = [[6, 9, 2], [9, 8, 2], [8, 0, 2], [0, 8, 4], [8, 9, 4], [9, 6, 4]]
+    box["triangles"] = np.concatenate([box["triangles"][2:], around, [[9, 8, 10], [8, 9, 10]]])
+    box["triangle_start"] = np.array([0, 18])
+    box["layout"][0, 2] = 11
+    for end, accepted in ((tip, False), (1.0, True)):
+        forged = box | {"points": np.concatenate([box["points"], [[0, 0, -1], [width, width, -1], [0, 0, -end]]])}
+        (tmp_path / "forged.npz").write_bytes(packed(forged))
+        if accepted:
+            Body.load(tmp_path / "forged.npz")
+        else:
+            with pytest.raises(loewner.FileError, match=r"forged\.npz: inner ellipsoid: expected it inside the piece"):
+                Body.load(tmp_path / "forged.npz")
 
 
 def same_again(bodies: Bodies, folder: Path) -> None:

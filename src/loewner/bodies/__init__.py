@@ -7,7 +7,7 @@ pass a pose to a query; its ellipsoids are not fitted again.
 format.
 """
 
-from loewner.bodies.body import Bodies, Body, Piece, bodies_of, packed_of
+from loewner.bodies.body import Bodies, Body, Piece, bodies_of, body_of_file, checksum_of, packed_of
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
@@ -25,6 +25,8 @@ __all__ = [
     "PieceArrays",
     "arrays_of",
     "bodies_of",
+    "body_of_file",
+    "checksum_of",
     "for_pictures",
     "packed_of",
     "take",

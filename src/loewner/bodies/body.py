@@ -15,6 +15,7 @@ from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._log import MANY_TRIANGLES, logged
 from loewner._pictures import COLOURS, bodies, pictured
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
 from loewner.bodies.kinds import KIND_NAMES
@@ -32,7 +33,7 @@ LARGEST_EXTENT = 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class Piece(KeepsReadOnly):
     """One piece of a body: convex, or a surface.
 
     Attributes
@@ -925,14 +926,15 @@ class Body(_Bodies):
         """Write the body as a URDF of one link that has only collision shapes.
 
         Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
-        a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones are replaced by
-        circumscribed polytopes, inner ellipsoids by inscribed ones.
+        a mesh in a file next to the URDF, ``STEM-DIGEST.obj``, with a digest of the content. Ellipsoids
+        and cones are replaced by circumscribed polytopes, inner ellipsoids by inscribed ones.
 
         Parameters
         ----------
         path : path
             It may have any extension; its stem names both the robot and its link. The mesh files are written first;
-            then the URDF is written under a temporary name and renamed.
+            then the URDF is written under a temporary name and renamed. No file of another content is replaced, so an
+            older URDF, or a copy of it, keeps its meshes.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str
@@ -1011,12 +1013,7 @@ class Body(_Bodies):
             ...
         loewner.errors.FileError: none.npz: expected a saved file, but there is no such file
         """
-        from loewner.bodies import files
-
-        packed, covering = files.load(path)
-        if len(packed.piece_start) != 2:
-            raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
-        return cls(packed, covering)
+        return body_of_file(path)
 
 
 @guarded
@@ -1240,6 +1237,23 @@ def packed_of(bodies: Body | Bodies) -> Packed:
 def bodies_of(packed: Packed) -> Bodies:
     """Make bodies from packed arrays."""
     return Bodies._wrap(packed)
+
+
+def body_of_file(path: str | os.PathLike[str], wanted: str | None = None) -> Body:
+    """Read a body; if its `checksum_of` is not the wanted one, the file is refused."""
+    from loewner.bodies import files
+
+    packed, covering = files.load(path, wanted)
+    if len(packed.piece_start) != 2:
+        raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
+    return Body(packed, covering)
+
+
+def checksum_of(body: Body) -> str:
+    """Return the SHA-256 of the content of a saved body."""
+    from loewner.bodies import files
+
+    return files.checksum(body._packed, body.covering)
 
 
 def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:

@@ -33,6 +33,9 @@ DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
 # Flatter ellipsoids than this cannot be inverted in float64; polytopes as flat as this are refused when they are made.
 MOST_ASPECT = 1e15
 
+# Vectors below this length, in units of an inner ellipsoid, have no reliable direction: their squares may underflow.
+SHORTEST = 1e-100
+
 # The poses of capsules and spheres may stretch by this; their radius is kept, and their ellipsoids are stretched.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
@@ -246,8 +249,10 @@ def _cross(a: Floats, b: Floats) -> Floats:
 def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
     """Check that the triangles form a surface of all points around the inner ellipsoid, here the unit ball.
 
-    A closed surface that winds once around the origin meets every ray. If the ball lies behind the plane of each
-    triangle, it therefore lies in the hull of their corners (the lemma of docs/containment.md).
+    A closed surface that winds once around the origin encloses every point that can be reached from there without
+    crossing the surface. If no triangle is nearer than the radius of the ball, the ball is therefore enclosed, and lies
+    in the hull of the corners. Triangles are judged by their own distance, and not by the distance of their planes,
+    because the corners of a sliver do not determine a plane.
     """
     first, last = arrays["triangle_start"][rows], arrays["triangle_start"][rows + 1]
     triangles = arrays["triangles"][first[0] : last[-1]]
@@ -266,22 +271,49 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
     )
 
     a, b, c = (local.take(corner, axis=1) for corner in corners)
-    ab, ac = b - a, c - a
-    normal = _cross(ab, ac)
-    height, length = _dot(normal, a), np.sqrt(_dot(normal, normal))
-    edge = np.sqrt(np.maximum(_dot(ab, ab), _dot(ac, ac)))
-    # The face from which a triangle is cut is flat to about 1e-11 of its width (`hulls.FACE_WIDTH`), and the normal of
-    # a short triangle turns by this deviation divided by its length.
-    slack = (doubt * size**2)[piece] * np.maximum(edge, 1e-6)
-    outside = (length - height - slack) / np.maximum(length, 1e-300)
-    worst = np.maximum.reduceat(outside, first)
-    _refuse(~(worst <= doubt), "inner ellipsoid: expected it inside the piece", worst, rows)
+    normal = _cross(b - a, c - a)
+    height = _dot(normal, a)
+    distance = _least_height(normal, a, b, c)
+    allowed = np.minimum(doubt * np.maximum(size, 1.0), MOST_DOUBT)
+    near = np.flatnonzero(~(distance >= (1 - allowed)[piece]))
+    if len(near):  # slivers, whose corners do not determine a normal
+        distance[near] = np.maximum(distance[near], _least_distance(a[:, near], b[:, near], c[:, near]))
+    worst = np.maximum.reduceat(1 - distance, first)
+    _refuse(~(worst <= allowed), "inner ellipsoid: expected it inside the piece", worst, rows)
 
     ra, rb, rc = (np.sqrt(_dot(x, x)) for x in (a, b, c))
     across = ra * rb * rc + _dot(b, c) * ra + _dot(c, a) * rb + _dot(a, b) * rc
     angle = 2 * np.arctan2(height, across)  # solid angle (Van Oosterom and Strackee 1983)
     turns = np.add.reduceat(angle, first) / (4 * np.pi)
     _refuse(~(np.abs(turns - 1) < 0.1), "triangles: expected a surface once around the piece", turns, rows)
+
+
+def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
+    """Find the least height of the corners of triangles along vectors of any length; -inf along none.
+
+    No point of a triangle is nearer to the origin, regardless of the vector. An inaccurate normal of a sliver
+    therefore makes the bound smaller, and never too large.
+    """
+    length = np.sqrt(_dot(normal, normal))
+    least = np.minimum(np.minimum(_dot(normal, a), _dot(normal, b)), _dot(normal, c))
+    return np.where(length > SHORTEST, least / length, -np.inf)
+
+
+def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Bound the distances of triangles from the origin from below, without their normals.
+
+    The vectors lead to the nearest points of the edges. If the nearest point of the triangle is on an edge, the bound
+    is the distance. Otherwise the bound is too small by about the square of the triangle's width,
+    which is far below the tolerance if the normal is inaccurate. An error in the corners changes the distance by no
+    more than the error.
+    """
+    bound = np.full(a.shape[1], -np.inf)
+    for tail, head in ((a, b), (b, c), (c, a)):
+        along = head - tail
+        squared = _dot(along, along)
+        at = np.where(squared > 0, np.clip(-_dot(tail, along) / squared, 0.0, 1.0), 0.0)
+        bound = np.maximum(bound, _least_height(tail + at * along, a, b, c))
+    return bound
 
 
 def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:

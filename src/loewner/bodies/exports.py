@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from loewner import _validate
-from loewner._files import replacing
+from loewner._files import named_by_content, replacing
 from loewner._kernels import columns
 from loewner._rotations import to_rpy
 from loewner._validate import Floats
@@ -96,13 +97,15 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
     root = ElementTree.Element("robot", name=path.stem)
     link = ElementTree.SubElement(root, "link", name=path.stem)
     shapes = [part for shape in _listed(packed, which) for part in _for_urdf(shape, which)]
-    for number, shape in enumerate(shapes):
+    meshes: dict[Path, str] = {}
+    for shape in shapes:
         collision = ElementTree.SubElement(link, "collision")
         ElementTree.SubElement(collision, "origin", xyz=_numbers(shape.center), rpy=_numbers(to_rpy(shape.rotation)))
         geometry = ElementTree.SubElement(collision, "geometry")
         if shape.mesh is not None:
-            file = path.with_name(f"{path.stem}-{number}.obj")
-            save_text(_obj(*shape.mesh), file)
+            text = _obj(*shape.mesh)
+            file = path.with_name(named_by_content(path.stem, sha256(text.encode()).hexdigest(), ".obj"))
+            meshes[file] = text
             ElementTree.SubElement(geometry, "mesh", filename=mesh_prefix + file.name)
         elif shape.kind == "box":
             ElementTree.SubElement(geometry, "box", size=_numbers(shape.sizes))
@@ -110,7 +113,10 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
             names = ("radius", "length")[: len(shape.sizes)]
             sizes = {size: _numbers([value]) for size, value in zip(names, shape.sizes, strict=True)}
             ElementTree.SubElement(geometry, shape.kind, sizes)
-    save_text(_text(root), path)
+    with replacing(path) as temporary:  # a name that cannot be written is reported before any mesh is written
+        for file, text in meshes.items():
+            save_text(text, file)
+        temporary.write_text(_text(root), encoding="utf-8")
 
 
 def plain_name(name: Any, what: str = "name") -> str:

@@ -38,15 +38,24 @@ COVERINGS = ("convex", "hull", "decomposition")
 
 def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None) -> None:
     """Write a pack, and the covering of the mesh from which it was made."""
+    _archives.write(path, BODIES, _content(packed, covering), WITH_SURFACES if packed.trees else WITHOUT)
+
+
+def checksum(packed: Packed, covering: Covering | None) -> str:
+    """Return the SHA-256 of the content that `save` writes, in hexadecimal digits."""
+    return _archives.digest(_content(packed, covering))
+
+
+def load(path: str | os.PathLike[str], wanted: str | None = None) -> tuple[Packed, Covering | None]:
+    """Read a file written by `save`; a file with another checksum than `wanted` is refused."""
+    return _archives.read(path, BODIES, _bodies, wanted)
+
+
+def _content(packed: Packed, covering: Covering | None) -> dict[str, Any]:
     arrays = arrays_of(packed)
     if covering is not None:
         arrays["covering"] = np.array([str(value) for value in astuple(covering)])
-    _archives.write(path, BODIES, arrays, WITH_SURFACES if packed.trees else WITHOUT)
-
-
-def load(path: str | os.PathLike[str]) -> tuple[Packed, Covering | None]:
-    """Read a file written by `save`."""
-    return _archives.read(path, BODIES, _bodies)
+    return arrays
 
 
 def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:

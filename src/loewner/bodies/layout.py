@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from loewner._kernels import columns, records, tolerances
 from loewner._native import entries
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints
 from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.surface_trees import SurfaceTree, Trees
@@ -45,7 +46,7 @@ SINGLE_SIZES = 1e-3, 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class PieceArrays:
+class PieceArrays(KeepsReadOnly):
     """The pieces of n bodies as read-only arrays.
 
     Attributes

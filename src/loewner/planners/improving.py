@@ -15,6 +15,7 @@ from loewner._kernels import codes
 from loewner._kernels.columns import ITERATION, RANDOM, STATE
 from loewner._log import log
 from loewner._native import entries
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
@@ -64,7 +65,7 @@ class Options(TypedDict, total=False):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan:
+class Plan(KeepsReadOnly):
     """A path with its cost and a lower bound on the cost of every such path: the result of `plan` with `full=True`.
 
     The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a clearance

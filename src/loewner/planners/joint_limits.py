@@ -14,6 +14,7 @@ from loewner import _validate
 from loewner._files import read_regular, shown
 from loewner._kernels import columns as tree_columns
 from loewner._plausible import doubt_about_limits, doubt_about_velocity, warn
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError, UnknownNameError
 from loewner.robots import Robot
@@ -41,7 +42,7 @@ KEYS = (
 
 
 @dataclass(frozen=True, eq=False)
-class JointLimits:
+class JointLimits(KeepsReadOnly):
     """Limits of a robot's values; read by `load` from the ``joint_limits.yaml`` of MoveIt or ros2_control.
 
     Attributes

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from loewner import _archives, _validate
 from loewner._archives import Format
 from loewner._guard import guarded
+from loewner._read_only import KeepsReadOnly
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
@@ -208,7 +209,7 @@ class _Neighbours:
 
 
 @guarded
-class Roadmap:
+class Roadmap(KeepsReadOnly):
     """A network of configurations and of motions proven free between them, for many queries; made by `roadmap`.
 
     Notes

@@ -24,6 +24,7 @@ from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._pictures import POINTS, curves, pictured
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
@@ -74,7 +75,7 @@ OTHERS = "; planners.ControllerPoints.load reads messages and points of other pr
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(KeepsReadOnly):
     """The position of a robot as a function of time; made by `trajectory` or `plan`, or read by `load`.
 
     Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited. In a

@@ -146,10 +146,13 @@ def _body(
     try:
         if not cache or file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
             return _mesh_body(file, shape, model, tol)
-        kept = _sources.cache_folder() / "bodies" / f"{_key(file, shape, model, tol)}.npz"
+        key = _key(file, shape, model, tol)
+        kept = _sources.cache_folder() / "bodies" / f"{key}.npz"
         with suppress(FileError):  # missing or damaged
             return Body.load(kept)
         body = _mesh_body(file, shape, model, tol)
+        if _key(file, shape, model, tol) != key:  # the file changed in between, and the body may be of either content
+            return body
         with suppress(OSError):  # a cache that cannot be written is no error
             kept.parent.mkdir(parents=True, exist_ok=True)
             body.save(kept)

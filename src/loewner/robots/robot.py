@@ -20,6 +20,7 @@ from loewner._kernels.records import Tree
 from loewner._native import entries
 from loewner._pictures import LINKS, Shape, bodies, pictured
 from loewner._plausible import FARTHEST_LIMIT
+from loewner._read_only import KeepsReadOnly
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
 from loewner.bodies import Body, for_pictures, packed_of
@@ -73,7 +74,7 @@ def _model(meshes: str, decompose: bool) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robot:
+class Robot(KeepsReadOnly):
     """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`, or join several with `join`.
 
     Attributes

@@ -9,6 +9,7 @@ from operator import le
 import numpy as np
 
 from loewner._plausible import FARTHEST_LIMIT, warn
+from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats
 
 # How far outside its limits the value of a joint may be: an angle may have been wrapped by a turn [rad]; a length is
@@ -24,7 +25,7 @@ LARGEST_TURN = 50.0
 LARGEST_VALUE = 1e200
 
 
-class Watch:
+class Watch(KeepsReadOnly):
     """Find values of configurations that cannot be computed with, and values far outside the limits.
 
     Parameters

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from loewner import _validate
-from loewner._files import read_regular, replacing
+from loewner._files import named_by_content, read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner._validate import Floats
-from loewner.bodies import ARRAYS, CURVED, Body, packed_of
+from loewner.bodies import ARRAYS, CURVED, Body, body_of_file, checksum_of, packed_of
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scene_files.node import DEEPEST, Node, cut, some
@@ -33,9 +33,13 @@ Maker = Callable[..., Body]
 MOST_BYTES = 2**24
 MOST_ENTRIES = 2_000_000
 
+# Letters of a body's name in the name of its file.
+LONGEST_NAME = 100
+
 TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
+SAVED_KEYS = ("sha256",)
 BODY_KEYS = (*POSE_KEYS, "attach", "follow", "margin")
 MARGIN_KEYS = ("of", "margin", "against", "lower")
 SURFACE_KEYS = ("radius", "solid")
@@ -140,18 +144,21 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, so that `load_scene` returns a scene with the same verdicts.
 
     Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
-    next to the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
+    next to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file
+    contains the SHA-256 of each saved body, whose first digits are the digest, and refuses any other body.
 
     Parameters
     ----------
     scene : Scene
+        The scene as it is at one instant, even if other threads change it meanwhile.
     path : path
-        The files of the bodies are written first; then this file is written under a temporary name and renamed.
+        The files of the bodies are written first; then this file is written under a temporary name and renamed. Files
+        of an older scene are neither changed nor removed, except the one of this name.
 
     Raises
     ------
     FileError
-        If a file could not be written.
+        If a file could not be written, or would be too large for `load_scene`; an older scene is then unchanged.
     MissingExtraError
         If PyYAML is not installed.
 
@@ -168,19 +175,40 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     if not isinstance(scene, Scene):
         raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
     file = _validate.path(path, "path")
-    with replacing(file) as temporary:
-        text = yaml.safe_dump(
-            _document(scene, file), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120
+    document, saved = _document(scene.snapshot(), file)
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    data = text.encode()
+    if len(data) > MOST_BYTES or _entries(document) > MOST_ENTRIES:
+        raise FileError(
+            f"{shown(file)}: expected a scene of at most {MOST_BYTES} bytes and {MOST_ENTRIES} entries, found "
+            f"{len(data)} and {_entries(document)}"
         )
-        temporary.write_text(text, encoding="utf-8")
+    with replacing(file) as temporary:
+        for name, body in saved.items():
+            body.save(file.parent / name)
+        temporary.write_bytes(data)
 
 
-def _document(scene: Scene, file: Path) -> dict[str, Any]:
-    """Make the contents of the file for a scene; bodies that YAML cannot express are saved next to the file."""
-    saved: dict[int, str] = {}
+def _document(scene: Scene, file: Path) -> tuple[dict[str, Any], dict[str, Body]]:
+    """Make the contents of the file for a scene, and the bodies that YAML cannot express, by the names of their files.
+
+    No other thread may change the scene.
+    """
+    saved: dict[int, dict[str, str]] = {}
+    files: dict[str, Body] = {}
     bodies = {}
     for name in scene:
-        bodies[name] = {**_shape_of(scene[name], name, file, saved), **_place_of(scene, name)}
+        body = scene[name]
+        shape = _primitive_of(body) or saved.get(id(body))
+        if shape is None:
+            digest = checksum_of(body)
+            plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:LONGEST_NAME]
+            shape = saved[id(body)] = {
+                "saved": named_by_content(f"{file.stem}-{plain}", digest, ".npz"),
+                "sha256": digest,
+            }
+            files[shape["saved"]] = body
+        bodies[name] = {**shape, **_place_of(scene, name)}
         if (name,) in scene.margins and (name,) not in scene.lowered:
             bodies[name]["margin"] = scene.margins[(name,)]
     document: dict[str, Any] = {"margin": scene.margin, "bodies": bodies}
@@ -194,7 +222,14 @@ def _document(scene: Scene, file: Path) -> dict[str, Any]:
     ]
     if margins:
         document["margins"] = margins
-    return document
+    return document, files
+
+
+def _entries(value: Any) -> int:
+    """Count entries as the reader does: each mapping, sequence, key and value."""
+    if isinstance(value, dict):
+        return 1 + len(value) + sum(map(_entries, value.values()))
+    return 1 + sum(map(_entries, value)) if isinstance(value, list) else 1
 
 
 def _margin_entry(key: MarginKey, margin: float, lower: bool) -> list[Any] | dict[str, Any]:
@@ -376,7 +411,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     if len(shapes) != 1:
         found = " and ".join(shapes) or some(keys) or "nothing"
         raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {found}")
-    known = (*shapes, *BODY_KEYS, *(MESH_KEYS if shapes == ["mesh"] else ()))
+    known = (*shapes, *BODY_KEYS, *{"mesh": MESH_KEYS, "saved": SAVED_KEYS}.get(shapes[0], ()))
     keys = entry.mapping(known)
     recipe, make = _recipe(shapes[0], keys)
     with keys[shapes[0]].blamed():
@@ -438,7 +473,8 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
     with entry.blamed():
         file = entry.file.parent / _validate.path(name, shape)
     if shape == "saved":
-        return (shape, file), functools.partial(Body.load, file)
+        digest = _digest(keys["sha256"]) if "sha256" in keys else None
+        return (shape, file, digest), functools.partial(body_of_file, file, digest)
     scale = _scale(keys["scale"]) if "scale" in keys else [1.0, 1.0, 1.0]
     model = _model(keys)
     if model != "surface":
@@ -448,6 +484,13 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
     solid = keys["solid"].flag() if "solid" in keys else None
     make_surface = functools.partial(Body.from_surface, file, scale=scale, radius=radius, solid=solid)
     return (shape, file, *scale, model, radius, solid), make_surface
+
+
+def _digest(entry: YamlNode) -> str:
+    digest = entry.text()
+    if not re.fullmatch(r"[0-9a-f]{64}", digest):
+        raise entry.error(f"expected 64 hexadecimal digits, found {entry.described()}")
+    return digest
 
 
 def _model(keys: dict[str, YamlNode]) -> str:
@@ -503,20 +546,6 @@ def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
 
 
 # -- writing YAML -----------------------------------------------------------------------------
-
-
-def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[str, Any]:
-    """Make the entry of a body; a body that no shape describes is saved next to the file, unless it is in `saved`."""
-    shape = _primitive_of(body)
-    if shape is not None:
-        return shape
-    if id(body) not in saved:
-        plain = f"{file.stem}-{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
-        taken = {other.lower() for other in saved.values()}  # not all file systems distinguish case
-        tries = (f"{plain}{mark}.npz" for mark in ("", *(f"-{k}" for k in range(2, len(saved) + 3))))
-        saved[id(body)] = next(free for free in tries if free.lower() not in taken)
-        body.save(file.parent / saved[id(body)])
-    return {"saved": saved[id(body)]}
 
 
 def _primitive_of(body: Body) -> dict[str, Any] | None:

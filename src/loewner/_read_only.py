@@ -1,0 +1,34 @@
+"""Objects whose arrays stay read-only in copies and pickles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class KeepsReadOnly:
+    """A class with attributes that are read-only arrays, or tuples of them: checked once, and trusted from then on.
+
+    NumPy makes arrays writeable when it copies or unpickles them. Here the state of an object lists its read-only
+    arrays, and an object that is made from the state, by `copy` or `pickle`, protects them again.
+    """
+
+    def __getstate__(self) -> tuple[dict[str, Any], list[int]]:
+        held = dict(vars(self))
+        return held, [k for k, array in enumerate(_arrays(held)) if not array.flags.writeable]
+
+    def __setstate__(self, state: tuple[dict[str, Any], list[int]]) -> None:
+        held, protected = state
+        arrays = list(_arrays(held))
+        for k in protected:
+            arrays[k].setflags(write=False)
+        vars(self).update(held)
+
+
+def _arrays(held: dict[str, Any]) -> Iterator[NDArray[Any]]:
+    """List the arrays among the attributes of an object and in their tuples, always in the same order."""
+    for value in held.values():
+        yield from (one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, np.ndarray))
