@@ -18,14 +18,16 @@ from loewner._native import library
 HERE = Path(__file__).parent
 
 # The tests of answers: those of pages, files, windows and processes are the same on every machine.
-CORE = """
-    batch_invariance bodies capi certificate_at_contact certified_constants certified_motions changed_scenes checkers
-    clearance contacts courses crowds curves depth_searches ellipsoid_pairs ellipsoids exports first_contacts fits
-    gjk_batch gradients improving inscribed invariance jerk joined_robots kept_axes large_inner_fits large_outer_fits
-    lattice_soups lines meshes motion_bounds moving_bodies native_calls other_machines pair_proofs parts piece_trees
-    planes planners plans_in_time polytopes pose_goals protrusion queries reach roadmaps robots scenes second_checker
-    sensed sliding_motions support_search surface_depths surfaces tracking trajectories written_proofs
-""".split()
+CORE = (
+    "batch_invariance", "bodies", "capi", "certificate_at_contact", "certified_constants", "certified_motions",
+    "changed_scenes", "checkers", "clearance", "contacts", "courses", "crowds", "curves", "depth_searches",
+    "ellipsoid_pairs", "ellipsoids", "exports", "first_contacts", "fits", "gjk_batch", "gradients", "improving",
+    "inscribed", "invariance", "jerk", "joined_robots", "kept_axes", "large_inner_fits", "large_outer_fits",
+    "lattice_soups", "lines", "meshes", "motion_bounds", "moving_bodies", "native_calls", "other_machines",
+    "pair_proofs", "parts", "piece_trees", "planes", "planners", "plans_in_time", "polytopes", "pose_goals",
+    "protrusion", "queries", "reach", "roadmaps", "robots", "scenes", "second_checker", "sensed", "sliding_motions",
+    "support_search", "surface_depths", "surfaces", "tracking", "trajectories", "written_proofs",
+)  # fmt: skip
 
 # OpenBLAS's routines for processors with AVX2, which fuse products with sums, and for some without. Other BLAS
 # libraries, such as that of macOS, take no notice.
@@ -47,14 +49,8 @@ def lower_level() -> dict[str, str]:
 
 
 def machines() -> dict[str, dict[str, str]]:
-    """Return the switches of each machine that this one can stand for; each is unset where it isn't named."""
-    return {
-        "this one": {},
-        "narrow registers": without_wide_registers(),
-        "AVX2": NEWER,
-        "before AVX": OLDER,
-        "lower level": lower_level(),
-    }
+    """Return the switches of the machines that this one can stand for."""
+    return {"with AVX2": NEWER | lower_level(), "before AVX": OLDER | without_wide_registers()}
 
 
 def environment(switches: dict[str, str]) -> dict[str, str]:
@@ -64,12 +60,12 @@ def environment(switches: dict[str, str]) -> dict[str, str]:
 
 
 def main() -> int:
-    """Run the core twice: as on a processor with AVX2 alone, and as on one before AVX."""
+    """Run the core on each of these machines; arguments are handed on to pytest."""
     if not lower_level():
         print("other-machines: kernels for one level were built, or run here, so LOEWNER_LEVEL stays", flush=True)
     worst = 0
-    for switches in (without_wide_registers() | NEWER | lower_level(), without_wide_registers() | OLDER):
-        print("other-machines:", *(f"{name}={value!r}" for name, value in switches.items()), flush=True)
+    for machine, switches in machines().items():
+        print(f"other-machines: {machine}:", *(f"{name}={value!r}" for name, value in switches.items()), flush=True)
         files = [str(HERE / f"test_{name}.py") for name in CORE]
         command = [sys.executable, "-m", "pytest", *sys.argv[1:], "-m", "not verify and not fuzz", *files]
         worst = max(worst, subprocess.run(command, env=environment(switches), check=False).returncode)

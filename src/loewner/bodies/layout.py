@@ -371,7 +371,7 @@ def _ellipsoid_columns(
         table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
     if len(table) == 0:
         return table
-    outer, inner = _singular_values(outer_factor), _singular_values(inner_factor)
+    outer, inner = np.split(_singular_values(np.concatenate([outer_factor, inner_factor])), 2)
     slack, bend = SINGULAR_ROUNDINGS, BEND
     table[:, columns.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
     table[:, columns.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, columns.INNER_SIGMA]
