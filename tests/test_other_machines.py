@@ -117,7 +117,7 @@ def test_strides_are_powers_of_the_root(dimension):
 
 
 def test_singular_values_are_those_of_the_batch(rng):
-    """They agree with LAPACK's within half of the 32 roundings that bodies allow, and alone have the bits of a batch."""
+    """They agree with LAPACK's within half of the 32 roundings that bodies allow, alone or in a batch to the bit."""
     A = rng.normal(size=(300, 3, 3)) * 10.0 ** rng.uniform(-9, 3, (300, 1, 3))
     A[::3] = A[::3] @ rng.normal(size=(3, 3))
     A[5], A[6, :, 1], A[7] = 0.0, A[6, :, 0], 1.0

@@ -32,7 +32,7 @@ Column: TypeAlias = tuple[Any, ...]
 
 
 def product(A: Floats, B: Floats) -> Floats:
-    """Multiply matrices, shapes (..., n, k) and (..., k, m), of which k is small; no entry is a negative zero."""
+    """Multiply matrices, shapes (..., n, k) and (..., k, m), with a small k; no entry is a negative zero."""
     total: Floats = 0.0 + A[..., :, 0, None] * B[..., None, 0, :]
     for k in range(1, A.shape[-1]):
         total += A[..., :, k, None] * B[..., None, k, :]
@@ -48,7 +48,7 @@ def image(M: Floats, x: Floats) -> Floats:
 
 
 def dot(a: Floats, b: Floats) -> Floats:
-    """Multiply vectors, shape (..., k), of which k is small; the products are added from the first to the last."""
+    """Multiply vectors, shape (..., k), with a small k; the products are added from the first to the last."""
     total: Floats = 0.0 + a[..., 0] * b[..., 0]
     for k in range(1, a.shape[-1]):
         total = total + a[..., k] * b[..., k]
@@ -56,12 +56,12 @@ def dot(a: Floats, b: Floats) -> Floats:
 
 
 def lengths(x: Floats) -> Floats:
-    """Compute the lengths of vectors, shape (..., k), of which k is small."""
+    """Compute the lengths of vectors, shape (..., k), with a small k."""
     return np.asarray(np.sqrt(dot(x, x)))
 
 
 def power(x: Floats, exponent: int) -> Floats:
-    """Multiply 1 with x as often as the exponent says."""
+    """Raise numbers to a power by repeated products."""
     raised = np.ones_like(x)
     for _ in range(exponent):
         raised = raised * x
@@ -115,7 +115,7 @@ def cholesky(A: Floats) -> Floats:
 
 
 def _made_orthogonal(columns: list[Column], turn_of: Callable[[Any, Any, Any], tuple[Any, Any] | None]) -> list[Column]:
-    """Turn three columns, of which the first three entries count, until they are orthogonal."""
+    """Turn three columns until they are orthogonal; further entries are turned with the first three."""
     for _ in range(MOST_SWEEPS):
         still = True
         for i, j in ((0, 1), (0, 2), (1, 2)):
