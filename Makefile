@@ -6,6 +6,7 @@
 #   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
 #   make sanitize the tests of the native library's extension, with gcc's sanitizers of addresses and undefined behaviour
 #   make fuzz-bytes    every reader of files under a fuzzer, SECONDS=20 for each format; SECONDS=600 for the night
+#   make other-machines     the core of the quick suite, computed as on processors without this one's wide registers
 #   make test-torch    what is tested with PyTorch, which takes 5 GB on Linux
 #   make test-gpu      what is tested of GPUs, with NVIDIA's assembler, 143 MB; on a GPU where there is one
 #   make test-models   robots of MuJoCo that packages ship, 80 MB, against MuJoCo
@@ -36,9 +37,9 @@ PART ?= 1/1
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize newest bench check docs wheel sdist dist-c test-wheel clean
+.PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds other-machines sanitize newest bench check docs wheel sdist dist-c test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 18
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 19
 
 # $(call built_with,STAMP[,COMMAND]): build the library while the packages of a stamp are installed and a command runs.
 built_with = @{ $(BUILD); } & building=$$!; \
@@ -51,7 +52,7 @@ demo: $(VENV)/.compiler
 
 # Tests run in as many processes as there are cores; linear algebra on several threads in each of them takes turns, and
 # several times as long.
-test fuzz bounds newest test-wheel: export OPENBLAS_NUM_THREADS := 1
+test fuzz bounds newest test-wheel other-machines: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev,$(PYTEST) -q -m light tests)
@@ -89,6 +90,11 @@ fuzz-bytes: $(VENV)/.bytes
 sanitize: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)
 	$(BIN)/python native/sanitize.py --part $(PART)
+
+# Two runs of the core: with the routines of NumPy and OpenBLAS, and the kernels, that other processors use.
+other-machines: $(VENV)/.compiler
+	$(call built_with,$(VENV)/.dev)
+	$(BIN)/python tests/other_machines.py $(PYTEST_OPTIONS) -n $(THREADS) --dist loadfile
 
 # Compiled code of its own: Numba puts a check before every access to an array.
 bounds: export LOEWNER_JIT := 1

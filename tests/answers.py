@@ -30,12 +30,13 @@ from loewner import (
 )
 
 PAIRS, CONFIGURATIONS, MOTIONS = 4000, 2000, 600
+HULLS, ROBOTS, PATHS = 40, 6, 20  # of each family; and paths of each robot
 
 
 def answers() -> Iterator[tuple[str, list[np.ndarray]]]:
     """Yield each kind of question, and arrays that hold its answers."""
     for family in FAMILIES:
-        hulls = Bodies([Body.from_points(points) for points in pieces(family, 40)])
+        hulls = Bodies([Body.from_points(points) for points in pieces(family, HULLS)])
         yield f"pairs of {family}", of_pairs(hulls, near=0.8)
     rng = np.random.default_rng(1)
     yield "curved pairs", of_pairs(Bodies(simple_bodies(rng)), near=1.0)
@@ -44,7 +45,7 @@ def answers() -> Iterator[tuple[str, list[np.ndarray]]]:
     clouds = [Body.from_cloud(rng.normal(size=(200, 3)), radius=0.05) for _ in range(3)]
     yield "clouds", of_pairs(Bodies(clouds), near=1.5, count=300)
     yield "crowds", of_crowds(rng)
-    for seed in range(6):
+    for seed in range(ROBOTS):
         yield f"robot {seed}", of_robot(seed)
 
 
@@ -92,7 +93,7 @@ def of_robot(seed: int) -> list[np.ndarray]:
     return [
         checker.classify(Q), checker.collide(Q), checker.valid_edges(start, end, 0.05),
         proven.verdict, proven.fraction, proven.names, proven.poses, proven.searches,
-        *measured, *(path(checker, a, b) for a, b in zip(Q[:20], Q[20:40], strict=True)),
+        *measured, *(path(checker, a, b) for a, b in zip(Q[:PATHS], Q[PATHS : 2 * PATHS], strict=True)),
     ]  # fmt: skip
 
 

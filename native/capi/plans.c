@@ -85,13 +85,26 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
 
 /* -- the space ----------------------------------------------------------------------------------------------------- */
 
-/* The distance of two points, rounded as Python's `math.dist` rounds it, to the last bit but for rare ties. */
+/* The distance of two points, with the sum in the order of `_matrices.lengths`. */
 static double distance_between(const double *a, const double *b, int64_t count)
 {
-    long double squares = 0;
+    double squares = 0;
     for (int64_t k = 0; k < count; k++)
-        squares += ((long double)a[k] - b[k]) * ((long double)a[k] - b[k]);
-    return (double)sqrtl(squares);
+        squares += (a[k] - b[k]) * (a[k] - b[k]);
+    return sqrt(squares);
+}
+
+/* The root of x^(d + 1) = x + 1, between 1 and 2, by products in the order of `_low_discrepancy.py`. */
+static double root_of(int64_t dimension)
+{
+    double low = 1, high = 2;
+    for (int step = 0; step < 52; step++) {
+        double middle = 0.5 * (low + high), power = 1;
+        for (int64_t k = 0; k <= dimension; k++)
+            power *= middle;
+        *(power < 1 + middle ? &low : &high) = middle;
+    }
+    return low;
 }
 
 static loewner_status space_of(const loewner_checker *checker, const double *start, const double *goals,
@@ -133,15 +146,14 @@ static loewner_status space_of(const loewner_checker *checker, const double *sta
         outcome = fail(LOEWNER_BAD_ARGUMENT, "joints: expected one or more that can move, found none");
     if (outcome == LOEWNER_OK) {
         /* Powers of the root of x^(d + 1) = x + 1, and numbers independent of them: `_low_discrepancy.py`. */
-        double root = 2;
-        for (int k = 0; k < 64; k++)
-            root = pow(1.0 + root, 1.0 / (double)(count + 1));
+        double first = 1 / root_of(count), power = 1;
         space->count = count;
         for (int64_t k = 0; k < count; k++) {
             double *limits = space->limits, whole;
             limits[k] = bounds[2 * k];
             limits[count + k] = bounds[2 * k + 1];
-            limits[2 * count + k] = pow(root, -(double)(k + 1));
+            power *= first;
+            limits[2 * count + k] = power;
             limits[3 * count + k] = modf(0.5 + seed * modf(M_PI * sqrt((double)(k + 2)), &whole), &whole);
             limits[4 * count + k] = 1;
             space->columns[count + k] = (file->joints[space->columns[k]] & JOINT_TURNING) != 0;

@@ -436,6 +436,15 @@ static void slerp(const double *p, const double *q, double t, double *made)
         made[k] /= sqrt(norm);
 }
 
+/* By products alone, in the order of `_matrices.power`: the last bit of `pow` depends on the C library. */
+static double power(double x, int32_t exponent)
+{
+    double raised = 1;
+    for (int32_t k = 0; k < exponent; k++)
+        raised *= x;
+    return raised;
+}
+
 /* The configuration of a course at a fraction. */
 static void evaluate(const File *file, const double *course, int32_t degree, double t, double *q)
 {
@@ -450,7 +459,7 @@ static void evaluate(const File *file, const double *course, int32_t degree, dou
     memset(q, 0, (size_t)dof * sizeof *q);
     double choices = 1;
     for (int32_t k = 0; k <= degree; k++) {
-        double weight = choices * pow(t, k) * pow(1 - t, degree - k);
+        double weight = choices * power(t, k) * power(1 - t, degree - k);
         for (int64_t c = 0; c < dof; c++)
             q[c] += weight * course[dof * k + c];
         choices = choices * (degree - k) / (k + 1);

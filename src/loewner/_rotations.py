@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from loewner._matrices import lengths
 from loewner._validate import Floats
 from loewner.errors import PoseError
 
@@ -72,5 +73,5 @@ def quaternions_of(rotations: Floats) -> Floats:
         rows[:, i + 1, j + 1] = rows[:, j + 1, i + 1] = R[:, i, j] + R[:, j, i]
     best = np.diagonal(rows, axis1=1, axis2=2).argmax(axis=1)
     found: Floats = rows[np.arange(len(R)), best]
-    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    found /= lengths(found)[:, None]
     return found.reshape(*rotations.shape[:-2], 4)

@@ -6,11 +6,13 @@ section lie on its surface. The pieces therefore contain the mesh without being 
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from loewner._matrices import dot, image, lengths, principal_axes, product
 from loewner._validate import Floats, Progress
 from loewner.errors import GeometryError
 from loewner.polytopes import Polytope
@@ -128,7 +130,7 @@ class _Progress:
         """Report the share of the surface in cells that need no more cuts."""
         if self.tell is None:
             return
-        areas = [float(np.linalg.norm(_normals(cell.triangles), axis=1).sum()) for cell in cells]
+        areas = [float(lengths(_normals(cell.triangles)).sum()) for cell in cells]
         done = sum(area for cell, area in zip(cells, areas, strict=True) if not cell.is_out(tolerance))
         self.told = max(self.told, int(99 * done / max(sum(areas), np.finfo(float).tiny)))
         self.tell(self.told, 100)
@@ -192,7 +194,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
     whole, corners = _volume(some.hull), cell.triangles.reshape(-1, 3)
     planes, options, shares = [], [], []
     for plane in _planes(cell, solid, plate):
-        if np.ptp(corners @ plane[0]) < plate:
+        if np.ptp(dot(corners, plane[0])) < plate:
             continue  # both halves would stick out equally far, up to that width, and be cut in this way without end
         halves = _halves(some.triangles, plane, solid, plate)
         if halves is None:
@@ -236,7 +238,7 @@ def _hull(points: Floats, plate: float) -> Polytope:
     except GeometryError:
         if len(points) == 0:
             raise
-    thin = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    thin = principal_axes(points)[-1]
     return Polytope.from_points(np.concatenate([points - plate * thin, points + plate * thin]))
 
 
@@ -245,28 +247,30 @@ def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]
     deepest = cell.deepest
     _, nearest = solid.signed_distances(deepest[None])
     out = deepest - _foot(deepest, solid.triangles[nearest[0]])
-    out /= max(float(np.linalg.norm(out)), np.finfo(float).tiny)
+    out /= max(float(lengths(out)), np.finfo(float).tiny)
     corners = cell.triangles.reshape(-1, 3)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    principal = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
+    principal = principal_axes(corners)
     normals = [*np.eye(3), *principal]
     if out.any():
-        across = np.cross(out, principal[np.abs(principal @ out).argmin()])
-        across /= np.linalg.norm(across)
-        angles = np.pi * np.arange(TURNS) / TURNS
-        normals = [*(np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(out, across)), *normals]
-    planes = [(n, float(n @ deepest)) for n in normals] + [(n, float(n @ middle)) for n in (*np.eye(3), *principal)]
+        across = np.cross(out, principal[np.abs(image(principal, out)).argmin()])
+        across /= lengths(across)
+        up = np.cross(out, across)
+        angles = [math.pi * k / TURNS for k in range(TURNS)]
+        normals = [*(math.cos(angle) * across + math.sin(angle) * up for angle in angles), *normals]
+    planes = [(n, float(dot(n, deepest))) for n in normals]
+    planes += [(n, float(dot(n, middle))) for n in (*np.eye(3), *principal)]
     faces = unit_normals(cell.triangles)
     squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles)
     chosen: list[Floats] = []
     for k in np.argsort(squared):
         if len(chosen) == FACES:
             break
-        if faces[k].any() and all(abs(faces[k] @ other) < 0.999 for other in chosen):
+        if faces[k].any() and all(abs(dot(faces[k], other)) < 0.999 for other in chosen):
             chosen.append(faces[k])
             # For a surface that is not closed, the face itself is cut off, with a little of its neighbours.
             below = 0.0 if solid.closed else 2 * plate
-            planes.append((faces[k], float(faces[k] @ cell.triangles[k, 0]) - below))
+            planes.append((faces[k], float(dot(faces[k], cell.triangles[k, 0])) - below))
     return planes
 
 
@@ -274,7 +278,7 @@ def _foot(point: Floats, triangle: Floats) -> Floats:
     """Find the point of a triangle that is nearest to a given point."""
     normal = unit_normals(triangle[None])[0]
     edges = np.roll(triangle, -1, axis=0) - triangle
-    foot: Floats = point - ((point - triangle[0]) @ normal) * normal
+    foot: Floats = point - dot(point - triangle[0], normal) * normal
     inward = (np.cross(normal, edges) * (foot - triangle)).sum(axis=1)
     if normal.any() and (inward >= 0).all():
         return foot
@@ -349,15 +353,15 @@ def _samples(hulls: list[Polytope], rng: np.random.Generator) -> Floats:
     chosen = np.empty((len(hulls), SAMPLES, 3, 3))
     for k, hull in enumerate(hulls):
         corners, normals = _faces(hull)
-        area = np.cumsum(np.linalg.norm(normals, axis=1))
+        area = np.cumsum(lengths(normals))
         chosen[k] = corners[np.searchsorted(area, area[-1] * rng.random(SAMPLES))]
     shares = rng.dirichlet(np.ones(3), (len(hulls), SAMPLES))
-    return np.asarray(np.einsum("hsi,hsij->hsj", shares, chosen).reshape(-1, 3))
+    return product(shares[..., None, :], chosen).reshape(-1, 3)
 
 
 def _volume(hull: Polytope) -> float:
     corners, normals = _faces(hull)
-    return abs(float(np.einsum("ij,ij->", corners[:, 0] - hull.vertices.mean(axis=0), normals) / 6))
+    return abs(float(dot(corners[:, 0] - hull.vertices.mean(axis=0), normals).sum() / 6))
 
 
 def _faces(hull: Polytope) -> tuple[Floats, Floats]:

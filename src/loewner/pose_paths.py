@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._kept import kept
+from loewner._matrices import each, product
 from loewner._native import entries
 from loewner._read_only import KeepsReadOnly
 from loewner._rotations import quaternions_of, rotations_of
@@ -192,7 +193,9 @@ def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Flo
         made = np.linspace(at[0], at[1], max(math.ceil(turns), 1) + 1)
         half, T = (made - at[0])[:, None] * (speed / 2.0), np.tile(first, (len(made), 1, 1))
         axis = rates[3:] / speed if speed else np.zeros(3)
-        T[:, :3, :3] = rotations_of(np.concatenate([np.cos(half), np.sin(half) * axis], axis=1)) @ first[:3, :3]
+        T[:, :3, :3] = product(
+            rotations_of(np.concatenate([each(math.cos, half), each(math.sin, half) * axis], axis=1)), first[:3, :3]
+        )
         T[:, :3, 3] += (made - at[0])[:, None] * rates[:3]
     return made, T
 

@@ -10,6 +10,7 @@ import numpy as np
 from loewner._kept import kept
 from loewner._kernels import records
 from loewner._kernels.codes import UNCOUNTED
+from loewner._matrices import dot, image, lengths, product
 from loewner._native import entries
 from loewner._validate import Bools, Floats, Ints
 from loewner._workspaces import workspace
@@ -70,7 +71,7 @@ class Solid:
         self.normals = unit_normals(triangles)
         corners = triangles.reshape(-1, 3)
         low, high = corners.min(axis=0), corners.max(axis=0)
-        self.size = float(np.linalg.norm(high - low)) if size is None else size
+        self.size = float(lengths(high - low)) if size is None else size
         self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(corners).max())
         self._middle = low / 2 + high / 2
         self._scale = 2.0 ** min(1000, -int(np.frexp((high - low).max())[1]))
@@ -134,7 +135,7 @@ class Solid:
         Where a cavity extends beyond its part, a triangle may have the solid on its outer side.
         """
         seen = self.normals.any(axis=1)
-        points = SEEN_AT @ self.triangles[seen]
+        points = product(SEEN_AT, self.triangles[seen])
         step = np.repeat(self.normals[seen], len(SEEN_AT), axis=0) * max(LOOKED_ASIDE * self.size, 16 * self.rounding)
         outer, inner = (self.winding_numbers(points.reshape(-1, 3) + side * step) for side in (1, -1))
         return bool(((outer >= 0) & (inner >= 1)).all())
@@ -153,11 +154,11 @@ class Solid:
     def _turns(self, point: Floats) -> int:
         """Compute winding numbers as the sum of the triangles' solid angles."""
         arms = self.triangles - point
-        length = np.linalg.norm(arms, axis=2)
+        length = lengths(arms)
         a, b, c = arms.transpose(1, 0, 2)
         la, lb, lc = length.T
-        volume = np.einsum("ij,ij->i", a, np.cross(b, c))
-        dots = [np.einsum("ij,ij->i", *pair) for pair in ((a, b), (b, c), (c, a))]
+        volume = dot(a, np.cross(b, c))
+        dots = [dot(*pair) for pair in ((a, b), (b, c), (c, a))]
         angles = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
         return round(float(angles.sum()) / (4 * np.pi))
 
@@ -241,13 +242,13 @@ def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
 
     Parts that touch or contain one another would interfere, so each part is placed far from the others.
     """
-    size = max(float(np.linalg.norm(np.ptp(hull.vertices, axis=0))) for hull in hulls)
+    size = max(float(lengths(np.ptp(hull.vertices, axis=0))) for hull in hulls)
     edge = round(np.ceil(len(parts) ** (1 / 3)))
     places = 3 * size * np.stack(np.unravel_index(np.arange(len(parts)), (edge, edge, edge)), axis=1)
     shifts = places - [hull.vertices.mean(axis=0) for hull in hulls]
     solid = Solid(np.concatenate([part + shift for part, shift in zip(parts, shifts, strict=True)]), True, size)
     moved = [
-        replace(hull, vertices=hull.vertices + shift, offsets=hull.offsets + hull.normals @ shift)
+        replace(hull, vertices=hull.vertices + shift, offsets=hull.offsets + dot(hull.normals, shift))
         for hull, shift in zip(hulls, shifts, strict=True)
     ]
     return float(protrusions(moved, solid, together=True).bounds.max())
@@ -300,7 +301,7 @@ class _Search:
         centers = cells.mean(axis=1)
         signed, nearest = solid.signed_distances(centers)
         self._note(centers, signed, owner)
-        radius = np.linalg.norm(cells - centers[:, None], axis=2).max(axis=1)
+        radius = lengths(cells - centers[:, None]).max(axis=1)
         far = squared_distances(cells.reshape(-1, 3), solid.triangles[np.repeat(nearest, 3)]).reshape(-1, 3)
         bound = np.minimum(np.maximum(signed + radius, 0.0), np.sqrt(far.max(axis=1))) + solid.rounding
         bound = np.minimum(bound, limit)
@@ -318,7 +319,7 @@ class _Search:
         height = np.empty(len(cells))
         for k in np.unique(owner):
             mine = owner == k
-            height[mine] = (middles[mine] @ self.hulls[k].normals.T - self.hulls[k].offsets).max(axis=1)
+            height[mine] = (image(self.hulls[k].normals, middles[mine]) - self.hulls[k].offsets).max(axis=1)
         signed = np.full(len(cells), -np.inf)
         met = np.flatnonzero(height < radius)
         signed[met] = self.solid.signed_distances(middles[met])[0]
@@ -342,7 +343,7 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
     """Return parts of cells, the cell from which each part comes, and a bound for the settled part of each cell."""
     length, edge = longest_edges(cells)
     mesh, normals = solid.triangles[nearest], solid.normals[nearest]
-    height = np.abs(np.einsum("ijk,ik->ij", cells - mesh[:, :1], normals)).max(axis=1) + solid.rounding
+    height = np.abs(dot(cells - mesh[:, :1], normals[:, None])).max(axis=1) + solid.rounding
     flat = normals.any(axis=1) & (height <= target) & (length <= COARSE * longest_edges(mesh)[0])
     flat &= _over(cells.mean(axis=1), mesh, normals)
     parts, origins = [], []
@@ -350,8 +351,8 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
     for k in range(3):
         a, b = mesh[of, k], mesh[of, (k + 1) % 3]
         outward = np.cross(b - a, normals[of])
-        outward /= np.linalg.norm(outward, axis=1)[:, None]
-        inside, within, outside, beyond = cut(inside, outward, np.einsum("ij,ij->i", outward, a), solid.rounding)
+        outward /= lengths(outward)[:, None]
+        inside, within, outside, beyond = cut(inside, outward, dot(outward, a), solid.rounding)
         parts.append(outside)
         origins.append(of[beyond])
         of = of[within]
@@ -374,5 +375,5 @@ def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
     above = np.ones(len(points), dtype=bool)
     for k in range(3):
         edge = triangles[:, (k + 1) % 3] - triangles[:, k]
-        above &= np.einsum("ij,ij->i", np.cross(normals, edge), points - triangles[:, k]) > 0
+        above &= dot(np.cross(normals, edge), points - triangles[:, k]) > 0
     return above

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner._matrices import dot, lengths
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 
@@ -22,7 +23,7 @@ def halved(triangles: Floats, edge: Ints) -> Floats:
 
 def longest_edges(triangles: Floats) -> tuple[Floats, Ints]:
     """Find the length of each triangle's longest edge, and the corner at which that edge starts."""
-    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+    edges = lengths(triangles - np.roll(triangles, -1, axis=1))
     return edges.max(axis=1), edges.argmax(axis=1)
 
 
@@ -30,7 +31,7 @@ def unit_normals(triangles: Floats) -> Floats:
     """Compute right-handed unit normals; zero for slivers."""
     a, b, c = triangles.transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1)
+    length = lengths(normals)
     sound = length > SLIVER * longest_edges(triangles)[0] ** 2
     return np.where(sound[:, None], normals / np.where(sound, length, 1.0)[:, None], 0.0)
 
@@ -53,13 +54,13 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     below, above : ndarray, shapes (k, 3, 3)
         The parts below and above the planes, each followed by the indices of the triangles from which they come.
     """
-    height = np.einsum("tij,tj->ti", triangles, normals) - offsets[:, None]
+    height = dot(triangles, normals[:, None]) - offsets[:, None]
     height[np.abs(height) <= rounding] = 0.0
     lower, upper = (height < 0).sum(axis=1), (height > 0).sum(axis=1)
     crossed = np.flatnonzero((lower > 0) & (upper > 0))
     in_plane = np.flatnonzero((lower == 0) & (upper == 0))
     a, b, c = triangles[in_plane].transpose(1, 0, 2)
-    facing = np.einsum("tj,tj->t", np.cross(b - a, c - a), normals[in_plane]) > 0
+    facing = dot(np.cross(b - a, c - a), normals[in_plane]) > 0
     # Triangles in the plane are treated like triangles on one side.
     lower[in_plane[facing]] = upper[in_plane[~facing]] = 1
     whole_below = np.flatnonzero((lower > 0) & (upper == 0))

@@ -14,6 +14,7 @@ from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._log import MANY_TRIANGLES, logged
+from loewner._matrices import dot, lengths
 from loewner._pictures import COLOURS, bodies, pictured
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints, Progress
@@ -718,7 +719,7 @@ class Body(_Bodies):
         if not size > 0:
             raise InputError("normal: expected a vector that has a length, found zeros")
         n = n / size
-        n = n / np.linalg.norm(n)
+        n = n / lengths(n)
         where = float(_validate.finite_array(offset, "offset", ()))
         edge = _validate.positive_scalar(extent, "extent")
         if edge > LARGEST_EXTENT:
@@ -726,11 +727,10 @@ class Body(_Bodies):
                 f"extent: expected at most {LARGEST_EXTENT:g} m, where contact is told to a millimetre, found {edge:g}"
             )
         T = np.eye(4)
-        # QR gives a frame whose third axis is the normal, once its signs are chosen.
-        frame = np.linalg.qr(np.column_stack([n, np.eye(3)[:, np.argsort(np.abs(n))[:2]]]))[0]
-        frame[:, 0] = n
-        frame[:, 2] = np.cross(n, frame[:, 1])
-        T[:3, :3] = frame[:, [1, 2, 0]]
+        axis = np.eye(3)[np.abs(n).argmin()]
+        across = axis - dot(axis, n) * n
+        across /= lengths(across)
+        T[:3, :3] = np.column_stack([across, np.cross(n, across), n])
         T[:3, 3] = (where - edge / 2) * n
         return cls.box([edge, edge, edge]).transformed(T)
 

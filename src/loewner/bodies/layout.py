@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import columns, records, tolerances
+from loewner._matrices import image, lengths, product, singular_values
 from loewner._native import entries
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints
@@ -29,7 +30,7 @@ BEND = 2 * tolerances.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
 # Bounds are rounded up by this factor before they go to single precision.
 UP = 1 + 2.0**-22  # derived 1, certified.md B23
 
-# Bound on the relative error of singular values. LAPACK guarantees a few roundings without a number.
+# Bound on the error of singular values, relative to the largest; assumed, and compared with exact ones in the tests.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
 # Rounding of two products with a nearly orthonormal matrix, there and back, of 3 entries each, and of LAPACK itself.
@@ -231,7 +232,7 @@ def heights_of(
         If this limit is reached.
     """
     vertices, nodes = entries.direction_map((points - center) @ np.linalg.inv(factor).T)
-    node, s, t = _cells(normals @ factor)
+    node, s, t = _cells(product(normals, factor))
     for bit in reversed(range(columns.DEEPEST)):
         inner = nodes[node, 1] < 0
         child = nodes[node, 0].astype(np.int64) + ((s >> bit) & 1) + 2 * ((t >> bit) & 1)
@@ -247,8 +248,7 @@ def heights_of(
         step = max(1, AT_ONCE // len(leaf))
         for k in range(0, len(same), step):
             some = same[k : k + step]
-            twice = some if len(some) > 1 else some.repeat(2)  # a single row would be rounded differently
-            heights[some] = (normals[twice] @ leaf.T).max(axis=1)[: len(some)]
+            heights[some] = product(normals[some], leaf.T).max(axis=1)
     return heights, total
 
 
@@ -338,11 +338,11 @@ def _box_corners(points: Floats, triangles: Ints) -> Floats:
     """Find the corners of a box with little surface area around all points; the triangles determine its axes."""
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
-    turned = turn.T @ points.T
+    turned = image(turn.T, points).T
     # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
     slack = 0.0 if np.array_equal(turn, np.eye(3)) else TURN_ROUNDINGS * np.abs(points).max()
     ends = np.stack([turned.min(axis=1) - slack, turned.max(axis=1) + slack])
-    return np.asarray(ends[_CORNERS, np.arange(3)] @ turn.T)
+    return np.asarray(image(turn, ends[_CORNERS, np.arange(3)]))
 
 
 def _table(p: PieceArrays) -> Floats:
@@ -368,18 +368,18 @@ def _ellipsoid_columns(
         (inner_center, inner_factor, columns.INNER_CENTER, columns.INNER_SHAPE),
     ):
         table[:, at_center : at_center + 3] = center
-        Q = factor @ factor.transpose(0, 2, 1)
+        Q = product(factor, factor.transpose(0, 2, 1))
         table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
     if len(table) == 0:
         return table
-    outer, inner = _singular_values(outer_factor), _singular_values(inner_factor)
+    outer, inner = np.split(_singular_values(np.concatenate([outer_factor, inner_factor])), 2)
     slack, bend = SINGULAR_ROUNDINGS, BEND
     table[:, columns.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
     table[:, columns.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, columns.INNER_SIGMA]
     table[:, columns.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
     table[:, columns.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
     # The inner ellipsoid lies in the piece and the piece in the outer one.
-    table[:, columns.REACH] = (np.linalg.norm(outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
+    table[:, columns.REACH] = (lengths(outer_center) + outer[:, 0]) * (1 + slack) * (1 + bend)
     reach = table[:, columns.REACH]
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
         raise _wrong_sizes(outer[:, 0], reach)
@@ -387,11 +387,11 @@ def _ellipsoid_columns(
 
 
 def _singular_values(factor: Floats) -> Floats:
-    """Compute singular values, largest first; diagonal matrices, as for balls and boxes, need no LAPACK."""
+    """Compute singular values, largest first; diagonal matrices, as for balls and boxes, have them at once."""
     diagonal = np.diagonal(factor, axis1=1, axis2=2)
     if np.count_nonzero(factor) == np.count_nonzero(diagonal):
         return np.asarray(-np.sort(-np.abs(diagonal), axis=1))
-    return np.asarray(np.linalg.svd(factor, compute_uv=False))
+    return singular_values(factor)
 
 
 def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,9 +11,11 @@ import numpy as np
 
 from loewner import _memory, _validate
 from loewner._kernels import columns, records
+from loewner._matrices import each, image, lengths, product, singular_values
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import (
     ARRAYS,
+    SINGULAR_ROUNDINGS,
     Maps,
     PieceArrays,
     arrays_of,
@@ -234,10 +237,10 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
 def moved(p: Packed, T: Floats) -> Packed:
     """Move all pieces by one rigid motion, so that containment holds in spite of rounding."""
     R, t = T[:3, :3], T[:3, 3]
-    points = p.points @ R.T + t + 0.0  # without negative zeros
-    normals = p.planes[:, :3] @ R.T
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    centers, factors = p.inner_center @ R.T + t, R @ p.inner_factor
+    points = image(R, p.points) + t + 0.0  # without negative zeros
+    normals = image(R, p.planes[:, :3])
+    normals /= lengths(normals)[:, None]
+    centers, factors = image(R, p.inner_center) + t, product(R, p.inner_factor)
     offsets = np.empty(len(normals))
     for i in np.flatnonzero(p.layout[:, columns.KIND] == columns.POLYTOPE):
         its = points[p.layout[i, columns.POINTS_FROM] : p.layout[i, columns.POINTS_TO]]
@@ -245,11 +248,11 @@ def moved(p: Packed, T: Floats) -> Packed:
         if len(its) > columns.LARGE:
             offsets[faces], _ = heights_of(its, normals[faces], centers[i], factors[i])
         else:
-            offsets[faces] = (normals[faces] @ its.T).max(axis=1)
+            offsets[faces] = product(normals[faces], its.T).max(axis=1)
     frames = p.frames.copy()
     curved = p.layout[:, columns.KIND] > columns.POLYTOPE
-    frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t
-    frames[:, 4:] = (R @ p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
+    frames[curved, 1:4] = image(R, p.frames[curved, 1:4]) + t
+    frames[:, 4:] = product(R, p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
     # A point moves off its exact image by at most 8 roundings of the lengths involved, an ellipsoid's
     # center and factor likewise, and R stretches by its departure from orthonormality.
     table = p.kernel.table
@@ -259,8 +262,8 @@ def moved(p: Packed, T: Floats) -> Packed:
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
     # A radius is kept while ellipsoids stretch with R. If core and ball had both been stretched, scaling by the stretch
     # about the center would bring them back inside (or around) the core with the unstretched ball.
-    stretched = np.linalg.svd(R, compute_uv=False)
-    stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2.0**-50)
+    stretched = singular_values(R[None])[0]
+    stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2 * SINGULAR_ROUNDINGS)
     rounded = p.frames[:, 0] > 0
     shrink[rounded] /= stretch
     grow[rounded] *= stretch
@@ -276,8 +279,8 @@ def moved(p: Packed, T: Floats) -> Packed:
         frames=frames,
         inner_center=centers,
         inner_factor=factors * shrink[:, None, None],
-        outer_center=p.outer_center @ R.T + t,
-        outer_factor=(R @ p.outer_factor) * grow[:, None, None],
-        gaps=p.gaps + 3 * np.column_stack([-np.log(shrink), np.log(grow)]),
+        outer_center=image(R, p.outer_center) + t,
+        outer_factor=product(R, p.outer_factor) * grow[:, None, None],
+        gaps=p.gaps + 3 * np.column_stack([-each(math.log, shrink), each(math.log, grow)]),
     )
     return Packed.of(PieceArrays(**arrays))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import columns, records
+from loewner._matrices import cholesky, product
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
@@ -98,7 +99,7 @@ class SurfaceTree:
         sizes = np.sqrt((root**2).sum(axis=(1, 2)))
         least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # for parts that are a point
         reach = np.maximum(radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes, least)
-        return rows[:, :3], around_sums(root @ root, reach)
+        return rows[:, :3], around_sums(product(root, root), reach)
 
 
 def around_point(radius: float) -> Floats:
@@ -116,7 +117,7 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
     # p times the radius, which may be much smaller or larger; any value is valid, and for a point it is 0.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
     joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
-    return np.linalg.cholesky(joint) * (1 + SUM_ROUNDING)
+    return cholesky(joint) * (1 + SUM_ROUNDING)
 
 
 def _lines(array: NDArray[Any], kind: type[np.floating[Any]] | type[float]) -> NDArray[Any]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from loewner import _memory, _validate
 from loewner._kernels import columns
+from loewner._matrices import product
 from loewner._native import entries
 from loewner._plausible import warn
 from loewner._validate import Floats, Ints
@@ -188,6 +189,6 @@ def _thickened(vertices: Floats) -> Floats:
 
 def _with_radius(center: Floats, factor: Floats, gap: float, radius: float) -> tuple[Floats, Floats, float]:
     """Compute an ellipsoid around the sum of an ellipsoid and a ball, and a bound on its excess over the smallest."""
-    grown = around_sums((factor @ factor.T)[None], np.array([radius]))[0]
+    grown = around_sums((product(factor, factor.T))[None], np.array([radius]))[0]
     volumes = np.linalg.slogdet(grown)[1] - np.linalg.slogdet(factor)[1]
     return center, grown, gap + float(volumes)

@@ -7,6 +7,7 @@ from xml.parsers import expat
 
 import numpy as np
 
+from loewner._matrices import product
 from loewner._validate import Floats, Ints
 from loewner.mesh_files.parts import (
     Refusal,
@@ -186,7 +187,7 @@ class _Scene:
             T, inside = T_parent, []
             for child in node.children:
                 if child.tag in _TRANSFORMS:
-                    T = T @ _TRANSFORMS[child.tag](child)
+                    T = product(T, _TRANSFORMS[child.tag](child))
                 elif child.tag in ("lookat", "skew"):
                     # Usually for cameras; a mesh placed by it becomes NaN, and is refused.
                     T = T * np.nan
@@ -346,7 +347,7 @@ def _rotate(element: _Element) -> Floats:
     x, y, z = np.array(axis) / length
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     T = np.eye(4)
-    T[:3, :3] += math.sin(math.radians(angle)) * K + (1 - math.cos(math.radians(angle))) * (K @ K)
+    T[:3, :3] += math.sin(math.radians(angle)) * K + (1 - math.cos(math.radians(angle))) * product(K, K)
     return T
 
 

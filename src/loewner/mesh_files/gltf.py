@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from loewner import _json
 from loewner._files import read_regular
+from loewner._matrices import lengths, product
 from loewner._validate import Floats, Ints
 from loewner.errors import FileError
 from loewner.mesh_files.parts import MOST, Refusal, Triangles, check_range, expect, joined, placed, quoted, strip
@@ -134,7 +135,7 @@ class _Reader:
             expect(index not in seen, f"expected a tree of nodes, found nodes[{index}] in it twice")
             seen.add(index)
             node, name = self.item("nodes", index)
-            T = T_parent @ self.pose(node, name)
+            T = product(T_parent, self.pose(node, name))
             waiting += [(child, T) for child in self.items(node, name, "children", int)[::-1]]
             if "mesh" in node:
                 self.expect_rigid(node, name)
@@ -153,7 +154,7 @@ class _Reader:
             )
             return T
         x, y, z, w = quaternion = self.floats(node, where, "rotation", [0.0, 0.0, 0.0, 1.0])
-        length = math.sqrt(quaternion @ quaternion) if abs(quaternion).max() < 2 else math.inf
+        length = float(lengths(quaternion)) if abs(quaternion).max() < 2 else math.inf
         expect(abs(length - 1) < _UNIT, f"{where}: expected a rotation of length 1, found {length:g}")
         x, y, z, w = quaternion / length
         T = np.eye(4)

@@ -6,6 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner._matrices import image
 from loewner._validate import Floats, Ints
 
 Triangles = Ints
@@ -122,7 +123,7 @@ def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, T
     """Move a mesh by an affine map; a mirror also reverses triangles, so that the mesh is not inside out."""
     if np.linalg.det(T[:3, :3]) < 0:
         triangles = triangles[:, ::-1]
-    return vertices @ T[:3, :3].T + T[:3, 3], triangles
+    return image(T[:3, :3], vertices) + T[:3, 3], triangles
 
 
 def check_range(corners: Ints, count: int, what: str, line: int | None = None) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
 from loewner._low_discrepancy import irrationals
+from loewner._matrices import lengths
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
@@ -122,10 +123,10 @@ class Growth:
         limits[1, space.turning] = root[space.turning] + np.pi
         limits[4] = 1.0 if weights is None else weights
         low, high = limits[4] * limits[:2]
-        longest = math.dist(low.tolist(), high.tolist()) * SHARE
+        longest = float(lengths(high - low)) * SHARE
         if judge.kept is not None:
             longest = min(longest, KEPT * math.sqrt(judge.kept.angle))
-        judge = judge.up_to(math.dist(limits[0].tolist(), limits[1].tolist()) * (SHARE if weights is None else 1.0))
+        judge = judge.up_to(float(lengths(limits[1] - limits[0])) * (SHARE if weights is None else 1.0))
         trees = Trees.of(joints, max(CAPACITY, 2 * len(goals)))
         state, gap = np.zeros(STATE, dtype=np.int64), np.array([np.inf])
         return cls(space, judge, start, goals, numbers, limits, np.array([longest, np.inf]), trees, state, gap)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
+from loewner._matrices import lengths
 from loewner._validate import Floats, Named
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
@@ -276,7 +277,7 @@ def with_body(
     if longest < SHORTEST_AXIS:
         raise InputError(f"axis: expected a direction, found {direction.tolist()}")
     direction = direction / longest  # its squares do not overflow
-    made = _chain(self, f"{name}/world", [(name, joint, (direction / np.linalg.norm(direction)).tolist())])
+    made = _chain(self, f"{name}/world", [(name, joint, (direction / lengths(direction)).tolist())])
     if (limits is None) == (joint in LIMITED):
         expected = "two numbers for prismatic and revolute joints, and none for others"
         raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")

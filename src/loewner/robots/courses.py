@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from loewner._kernels import tolerances
+from loewner._matrices import lengths, power
 from loewner._validate import Floats
 from loewner.robots.robot import Robot, interpolated, on_the_way
 
@@ -27,10 +28,11 @@ def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
     if degree == 1:
         return interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])
     t = fractions[:, None]
-    weights = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
-    Q: Floats = np.einsum("knc,nkc->nc", np.broadcast_to(weights, (degree + 1, *courses[:, 0].shape)), courses)
+    Q = np.zeros(courses[:, 0].shape)
+    for k in range(degree + 1):  # as in C (`evaluate` in `queries.c`), so that both have the same bits
+        Q += math.comb(degree, k) * power(t, k) * power(1 - t, degree - k) * courses[:, k]
     for columns in robot._quaternions.values():
-        Q[:, columns] /= np.linalg.norm(Q[:, columns], axis=1, keepdims=True)
+        Q[:, columns] /= lengths(Q[:, columns])[:, None]
     return Q
 
 

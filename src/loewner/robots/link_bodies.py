@@ -16,6 +16,7 @@ from loewner import mesh_files, meshes
 from loewner._files import read_regular
 from loewner._kernels import _sources
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS
+from loewner._matrices import image
 from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Progress
 from loewner.bodies import Body, packed_of
@@ -173,7 +174,7 @@ def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
     vertices, triangles = meshes.load(file)
     if shape.scale.prod() < 0:  # a mirrored mesh would otherwise be inside out
         triangles = triangles[:, ::-1]
-    return (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3], triangles
+    return image(shape.origin[:3, :3], vertices * shape.scale) + shape.origin[:3, 3], triangles
 
 
 def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:

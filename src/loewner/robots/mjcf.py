@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from loewner._matrices import product
 from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.mjcf_models import MjcfBody, MjcfJoint, MjcfModel
@@ -79,7 +80,7 @@ def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
         anchor = joint.anchor if turns else np.zeros(3)
         ends = number == last and not anchor.any()
         child = body.name if ends else _link_name(f"{body.name}/{joint.name}", links)
-        yield _moving(joint, parent, child, T_above_body @ _shift(anchor))
+        yield _moving(joint, parent, child, product(T_above_body, _shift(anchor)))
         parent, T_above_body = child, _shift(-anchor)
     if parent != body.name:
         yield _fixed(parent, body.name, T_above_body)

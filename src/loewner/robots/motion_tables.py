@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from loewner import _matrices
 from loewner._kernels import columns, tolerances
 from loewner._kernels.records import Tree
 from loewner._validate import Floats, Ints
@@ -93,7 +94,7 @@ def _paths(tree: Tree) -> tuple[Ints, Ints]:
 
 
 def _lengths(tree: Tree) -> Floats:
-    lengths = np.linalg.norm(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3], axis=1)
+    lengths = _matrices.lengths(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3])
     for k, above in enumerate(tree.parent):
         lengths[k] += lengths[above] if above >= 0 else 0.0
     return np.asarray(lengths)

@@ -17,6 +17,7 @@ import numpy as np
 from loewner import _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
+from loewner._matrices import image, product
 from loewner._rotations import quaternions_of
 from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Packed
@@ -265,10 +266,10 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
                 carrier, t = len(rows) - 1, nothing
             value += 2
         # The turn about n is R (nnᵀ + sin q [n]× + cos q (1 - nnᵀ)).
-        across = np.einsum("ij,ik->jk", R, sine)
+        across = product(R.T, sine)
         axis = np.array([across[2, 1] - across[1, 2], across[0, 2] - across[2, 0], across[1, 0] - across[0, 1]]) / 2
         if kind == columns.PRISMATIC:
-            axis = np.einsum("ij,i->j", R, slides[0])
+            axis = image(R.T, slides[0])
         at[k] = len(rows)
         rows.append((names[k], carrier, SLIDES if kind == columns.PRISMATIC else TURNS, value, m, f, R, t, axis, k))
     column: list[Any] = [list(entries) for entries in zip(*rows, strict=True)]

@@ -17,6 +17,7 @@ from loewner._guard import guarded
 from loewner._kept import kept
 from loewner._kernels import columns as kernel_columns
 from loewner._kernels.records import Tree
+from loewner._matrices import dot, each, lengths
 from loewner._native import entries
 from loewner._pictures import LINKS, Shape, bodies, pictured
 from loewner._plausible import FARTHEST_LIMIT
@@ -1011,14 +1012,14 @@ def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
     for quaternion in robot._quaternions.values():
         p = a[..., quaternion]
         q, cosine = _nearer(p, b[..., quaternion])
-        angle = np.arccos(np.minimum(cosine, 1.0))
+        angle = each(math.acos, np.minimum(cosine, 1.0))
         # For a small angle the chord is the arc.
-        sine = np.maximum(np.sin(angle), 1e-12)
+        sine = np.maximum(each(math.sin, angle), 1e-12)
         straight = angle < 1e-6
-        of_p = np.where(straight, 1 - at, np.sin((1 - at) * angle) / sine)
-        of_q = np.where(straight, at, np.sin(at * angle) / sine)
+        of_p = np.where(straight, 1 - at, each(math.sin, (1 - at) * angle) / sine)
+        of_q = np.where(straight, at, each(math.sin, at * angle) / sine)
         mixed = of_p * p + of_q * q
-        Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+        Q[..., quaternion] = mixed / lengths(mixed)[..., None]
     return np.ascontiguousarray(Q)
 
 
@@ -1059,7 +1060,7 @@ def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> F
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Return the nearer to p of the quaternions q and -q, and the cosine of its angle to p."""
-    cosine = (p * q).sum(axis=-1, keepdims=True)
+    cosine = dot(p, q)[..., None]
     return np.where(cosine < 0, -q, q), np.abs(cosine)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
+from loewner._matrices import image, product
 from loewner._validate import Floats, Pair
 from loewner.errors import InputError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description, Joint
@@ -92,7 +93,7 @@ def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
             above, T = -1, np.eye(4)
         else:
             above, T_above_parent = frames[joint.parent]
-            T = T_above_parent @ joint.origin
+            T = product(T_above_parent, joint.origin)
         parent[i] = above
         if joint is None or joint.kind == "fixed":
             constants[i, : columns.SINE] = (*T[:3, :3].ravel(), *T[:3, 3])
@@ -116,9 +117,9 @@ def placed_tree(tree: Tree, T: Floats) -> Tree:
     R, t = T[:3, :3], T[:3, 3]
     for first in (columns.ROTATION, columns.SINE, columns.COSINE):
         block = constants[on_base, first : first + 9].reshape(-1, 3, 3)
-        constants[on_base, first : first + 9] = (R @ block).reshape(-1, 9)
+        constants[on_base, first : first + 9] = product(R, block).reshape(-1, 9)
     for first in (columns.TRANSLATION, columns.ACROSS, columns.ALONG):
-        constants[on_base, first : first + 3] = constants[on_base, first : first + 3] @ R.T
+        constants[on_base, first : first + 3] = image(R, constants[on_base, first : first + 3])
     constants[on_base, columns.TRANSLATION : columns.TRANSLATION + 3] += t
     return tree._replace(constants=constants)
 
@@ -130,12 +131,12 @@ def _joint_constants(joint: Joint, T: Floats) -> Floats:
     if joint.kind in ("revolute", "continuous", "planar"):  # Rodrigues: n nᵀ + sin q [n]× + cos q (1 - n nᵀ)
         x, y, z = axis
         onto = np.outer(axis, axis)
-        rotation, cosine = R @ onto, R @ (np.eye(3) - onto)
-        sine = R @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        rotation, cosine = product(R, onto), product(R, np.eye(3) - onto)
+        sine = product(R, np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
     if joint.kind == "prismatic":
-        across = R @ axis
+        across = image(R, axis)
     if joint.kind == "planar":
-        across, along = (R @ _from_z(axis))[:, :2].T
+        across, along = product(R, _from_z(axis))[:, :2].T
     return np.concatenate([rotation.ravel(), T[:3, 3], sine.ravel(), cosine.ravel(), across, along])
 
 
@@ -145,4 +146,4 @@ def _from_z(axis: Floats) -> Floats:
     if z < 0 and x * x + y * y < 1e-24:  # half a turn about any perpendicular axis: x
         return np.diag([1.0, -1.0, -1.0])
     cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))
+    return np.asarray(np.eye(3) + cross + product(cross, cross) / (1 + z))

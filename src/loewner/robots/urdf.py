@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from loewner._matrices import lengths
 from loewner._plausible import FARTHEST_LIMIT, doubt_about_limits, doubt_about_rpy, warn
 from loewner._rotations import from_rpy
 from loewner._validate import Floats
@@ -271,7 +272,7 @@ def _axis(joint: Element, kind: str) -> Floats:
     if element is None:
         return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
     axis = np.array(element.finite("xyz", 3))
-    length = np.linalg.norm(axis)
+    length = float(lengths(axis))
     if length < SHORTEST_AXIS:
         expected = f"an axis of length 1, and no less than {SHORTEST_AXIS:g}, for joint {joint.text('name')!r}"
         element.fault(expected, f"{' '.join(f'{x:g}' for x in axis)}, whose direction rounding may have made")
