@@ -421,3 +421,21 @@ def test_compiling_ahead_leaves_nothing_to_compile(tmp_path: Path):
         [sys.executable, "-c", QUERIES.format(arm=str(arm))], env=env, capture_output=True, text=True, check=True
     )
     assert asked.stderr == ""
+
+
+@pytest.mark.usefixtures("no_library")
+def test_compiling_ahead_looks_at_the_folder_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A folder that cannot be written is refused before anything is compiled; the message names the way out."""
+    from loewner._kernels import _jit
+
+    def compiled(*_: object) -> None:
+        raise AssertionError("compiled before the folder was tried")
+
+    blocked = tmp_path / "a file"
+    blocked.write_text("")
+    monkeypatch.setattr(_jit, "CACHE_FOLDER", blocked / "kernels")
+    monkeypatch.setattr(compilation, "_Group", compiled)
+    with pytest.raises(
+        loewner.FileError, match=r"a file/kernels cannot be written .*; set LOEWNER_CACHE_DIR"
+    ):
+        compilation.compile_kernels()

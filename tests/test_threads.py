@@ -461,7 +461,7 @@ def test_a_variable_that_is_no_number_of_threads_is_told_when_it_is_needed(text,
                 get_num_threads()
         monkeypatch.delenv("LOEWNER_NUM_THREADS")
         monkeypatch.setenv("NUMBA_NUM_THREADS", text)
-        assert get_num_threads() == (1024 if text == "1025" else _threads._processors())
+        assert get_num_threads() == (1024 if text == "1025" else _threads.processors())
     finally:
         _threads._of_process.cache_clear()
 
@@ -483,15 +483,15 @@ def test_what_is_no_number_of_threads_is_refused(n):
 def test_processors_are_counted_by_what_this_python_has(monkeypatch):
     """By what Python itself may use, else by what the process may use, else all; at least one."""
     monkeypatch.setattr(os, "process_cpu_count", lambda: 5, raising=False)
-    assert _threads._processors() == 5
+    assert _threads.processors() == 5
     monkeypatch.setattr(os, "process_cpu_count", lambda: None, raising=False)
-    assert _threads._processors() == 1
+    assert _threads.processors() == 1
     monkeypatch.delattr(os, "process_cpu_count")
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {1, 4, 6}, raising=False)
-    assert _threads._processors() == 3
+    assert _threads.processors() == 3
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr(os, "cpu_count", lambda: None)
-    assert _threads._processors() == 1
+    assert _threads.processors() == 1
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers that send signals here")

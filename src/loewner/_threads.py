@@ -123,7 +123,7 @@ def _of_process() -> int:
     if ours is not None:
         return whole_number(_integer(ours), "LOEWNER_NUM_THREADS", 1, MOST_THREADS)
     numbas = _integer(os.environ.get("NUMBA_NUM_THREADS", ""))
-    count = numbas if isinstance(numbas, int) and numbas >= 1 else _processors()
+    count = numbas if isinstance(numbas, int) and numbas >= 1 else processors()
     return min(count, MOST_THREADS)
 
 
@@ -132,7 +132,7 @@ def _integer(text: str) -> int | str:
     return int(text) if re.fullmatch(r"\s*\d{1,18}\s*", text, re.ASCII) else text
 
 
-def _processors() -> int:
+def processors() -> int:
     """Number of processors that this process may use."""
     process_cpu_count: Callable[[], int | None] | None = getattr(os, "process_cpu_count", None)  # from Python 3.13
     if process_cpu_count is not None:

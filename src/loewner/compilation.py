@@ -13,6 +13,7 @@ from pathlib import Path
 from loewner import _validate
 from loewner._log import log
 from loewner._native import entries, library
+from loewner._threads import processors
 from loewner.errors import FileError
 
 # Modules below `loewner._kernels`, or prefixes of their names, by the part to which their entries belong.
@@ -69,12 +70,13 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     entries.expect_numba()
     from loewner._kernels._jit import CACHE_FOLDER
 
+    _expect_writable(CACHE_FOLDER)
     waiting, running, ended = [names for names in chosen if names], list[_Group](), 0
     total, told = sum(map(len, chosen)), 0
     folder = tempfile.TemporaryDirectory()
     try:
         while waiting or running:
-            while waiting and len(running) < (os.cpu_count() or 1):
+            while waiting and len(running) < processors():
                 running.append(_Group(waiting.pop(0), Path(folder.name)))
             time.sleep(POLL)
             for group in [group for group in running if group.process.poll() is not None]:
@@ -93,6 +95,18 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
             group.process.wait()
         folder.cleanup()
     return CACHE_FOLDER
+
+
+def _expect_writable(folder: Path) -> None:
+    """Refuse a folder that cannot be written before minutes of compiling, not after them."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise FileError(
+            f"expected a folder for the compiled kernels, found that {folder} cannot be written "
+            f"({error.strerror or error}); set LOEWNER_CACHE_DIR to a folder that can"
+        ) from None
 
 
 class _Group:
