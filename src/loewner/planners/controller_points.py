@@ -117,7 +117,7 @@ class ControllerPoints:
         robot : Robot, optional
             Add columns for the values of this robot that the file does not name; they do not change.
         others : array_like, shape (dof,), optional
-            A configuration of the robot, with the values of these columns. Default: `Robot.configuration()`.
+            A configuration of the robot, with the values for these columns. Default: `Robot.configuration()`.
 
         Returns
         -------

@@ -51,7 +51,7 @@ class Message:
     around: list[tuple[str, str]] = field(default_factory=list)
 
     def values(self, *, before: bool = False) -> list[tuple[str, float]]:
-        """Return the joints and values of all states, or of those before the motion, each pair once."""
+        """Return the joints and values of all states, or only of states before the motion, each pair once."""
         states = [held for key, held in self.states if not (before and LATER in key)]
         return list(dict.fromkeys(pair for held in states for pair in _values(held)))
 
