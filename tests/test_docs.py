@@ -16,7 +16,6 @@ from robot_oracle import robots_folder
 from site_pages import MADE_BY_THE_BUILD
 
 ROOT = Path(__file__).parent.parent
-# Pages that are made when the site is built, and may not be there.
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")], key=str)
 
 
