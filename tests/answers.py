@@ -49,9 +49,9 @@ def answers() -> Iterator[tuple[str, list[np.ndarray]]]:
         yield f"robot {seed}", of_robot(seed)
 
 
-def of_pairs(bodies: Bodies, near: float, count: int = PAIRS) -> list[np.ndarray]:
+def of_pairs(bodies: Bodies, near: float, count: int | None = None) -> list[np.ndarray]:
     """Verdicts, exact verdicts and distances of random pairs at random poses."""
-    rng = np.random.default_rng(len(bodies))
+    rng, count = np.random.default_rng(len(bodies)), PAIRS if count is None else count
     chosen = rng.integers(len(bodies), size=(count, 2))
     Ta, Tb = (random_poses(rng, count, near) for _ in range(2))
     a, b = bodies[chosen[:, 0]], bodies[chosen[:, 1]]
