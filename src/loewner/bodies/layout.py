@@ -30,7 +30,7 @@ BEND = 2 * tolerances.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
 # Bounds are rounded up by this factor before they go to single precision.
 UP = 1 + 2.0**-22  # derived 1, certified.md B23
 
-# Bound on the error of singular values, relative to the largest; assumed, and compared with exact ones in the tests.
+# Bound on the error of singular values, relative to the largest; assumed, and compared with LAPACK's in the tests.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
 # Rounding of two products with a nearly orthonormal matrix, there and back, of 3 entries each, and of LAPACK itself.
