@@ -3,6 +3,7 @@
 import gc
 import os
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -36,6 +37,9 @@ if os.environ.get("LOEWNER_INSTALLED") == "required":  # by `make test-wheel`
     if SOURCES in Path(loewner.__file__).parents:
         raise pytest.UsageError(f"expected an installed loewner, found {loewner.__file__}")
 
+
+# A suite that a shell runs in its background ignores interrupts, and so would the processes that it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Garbage is collected less often, and what thousands of collected tests are made of is not looked through every time: a
 # tenth of the time of all tests.
