@@ -190,33 +190,47 @@ class _Wrapped(BSpline):
         return np.clip(super().__call__(x, nu, extrapolate), -0.5, 0.5)
 
 
-class _Silent(PPoly):
-    def __call__(self, x, nu=0, extrapolate=None):
-        raise RuntimeError("not at this time")
-
-
-class _Single(PPoly):
-    def __call__(self, x, nu=0, extrapolate=None):
-        return super().__call__(x, nu, extrapolate)[..., :1]
+def _of_own_samples(t, q):
+    given = CubicSpline(t, q)
+    given._evaluate = lambda x, nu, extrapolate, out: out.fill(0.0)
+    return given
 
 
 @pytest.mark.parametrize(
-    ("made", "text"),
+    "made",
     [
-        (lambda t, q: _Slower(t, q), "expected the values that its coefficients define"),
-        (lambda t, q: _Wrapped([*t[:1], *t, *t[-1:]], q, 1), "expected the values that its coefficients define"),
-        (lambda t, q: _Silent(CubicSpline(t, q).c, t), "4 values at each of .* RuntimeError: not at this time"),
-        (lambda t, q: _Single(CubicSpline(t, q).c, t), "4 values at each of"),
+        lambda t, q: _Slower(t, q),
+        lambda t, q: _Wrapped([*t[:1], *t, *t[-1:]], q, 1),
+        _of_own_samples,
     ],
 )
-def test_values_of_a_subclass_decide(slides, made, text):
-    """A subclass that has other values than its coefficients define is refused wherever curves are taken."""
+def test_curves_with_an_evaluation_of_their_own_are_refused(slides, made):
+    """Where other code than SciPy's computes values, samples cannot show that they are those of the coefficients."""
     t, q = np.arange(5.0), np.linspace(0.0, 1.0, 5)[:, None] * [1.0, -1.0, 0.5, 0.2]
     given = made(t, q)
     checker = CollisionChecker(slides)
     for take in (checker.certify_trajectory, checker.first_contact, partial(plots.trajectory, checker)):
-        with pytest.raises(InputError, match=text):
+        with pytest.raises(InputError, match="expected a curve that SciPy evaluates, found .* with its own"):
             take(given)
+
+
+@pytest.mark.parametrize(
+    ("made", "attributes", "text"),
+    [
+        (lambda t, q: CubicSpline(t, q), {"c": np.zeros((4, 4, 5))}, "expected"),
+        (lambda t, q: CubicSpline(t, q), {"c": None}, "expected a curve that SciPy can evaluate"),
+        (lambda t, q: BSpline([*t[:1], *t, *t[-1:]], q, 1), {"k": -3}, "expected a curve that SciPy can evaluate"),
+        (lambda t, q: BSpline([*t[:1], *t, *t[-1:]], q, 1), {"c": np.zeros((1, 4))}, "expected a curve that SciPy can"),
+    ],
+)
+def test_curves_with_changed_attributes_are_refused(slides, made, attributes, text):
+    """What was changed after SciPy had checked it is refused, if its values are others or cannot be computed."""
+    t, q = np.arange(5.0), np.linspace(0.0, 1.0, 5)[:, None] * [1.0, -1.0, 0.5, 0.2]
+    given = made(t, q)
+    for name, value in attributes.items():
+        setattr(given, name, value)
+    with pytest.raises(InputError, match=text):
+        CollisionChecker(slides).certify_trajectory(given)
 
 
 @pytest.mark.parametrize("scale", [1e-150, 1e-9, 1.0, 1e9])

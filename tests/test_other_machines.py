@@ -124,6 +124,8 @@ def test_singular_values_are_those_of_the_batch(rng):
     values, wanted = _matrices.singular_values(A), np.linalg.svd(A, compute_uv=False)
     assert (np.abs(values - wanted) <= 16 * 2.0**-53 * wanted[:, :1]).all()
     assert np.array_equal(np.concatenate([_matrices.singular_values(a[None]) for a in A]), values)
+    turned = np.linalg.qr(rng.normal(size=(1000, 3, 3)))[0]  # no column is ever longer than another but by rounding
+    assert np.abs(_matrices.singular_values(turned) - 1).max() <= 16 * 2.0**-53
 
 
 def test_products_are_products(rng):

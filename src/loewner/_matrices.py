@@ -15,8 +15,9 @@ import numpy as np
 
 from loewner._validate import Floats
 
-# Columns count as orthogonal if the cosine of their angle is at most this.
-ORTHOGONAL = 2.0**-54
+# Columns count as orthogonal if the cosine of their angle is at most this: rounding alone makes cosines of up to three
+# units of 2^-53, and the lengths of such columns are the singular values up to twice this.
+ORTHOGONAL = 2.0**-51
 
 # Jacobi's method takes three to six sweeps.
 MOST_SWEEPS = 16

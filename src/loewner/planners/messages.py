@@ -96,14 +96,16 @@ def _collect(held: Any, key: str, found: Message, depth: int) -> None:
     """Add the parts of an entry and of the entries within it."""
     if depth > DEEPEST:
         raise ValueError(f"more than {DEEPEST} entries inside each other")
+    if isinstance(held, (tuple, set)):  # of YAML's tags !!omap, !!pairs and !!set, which no message has
+        raise ValueError(f"entries in another form than mappings and lists at {key!r}")
     if isinstance(held, list):
         for k, each in enumerate(held):
-            if isinstance(each, (dict, list)):
+            if isinstance(each, (dict, list, tuple, set)):
                 _collect(each, f"{key}[{k}]", found, depth + 1)
     elif isinstance(held, dict):
         whole = _note(held, key, found)
         for name, each in held.items():
-            if name not in whole and isinstance(each, (dict, list)):
+            if name not in whole and isinstance(each, (dict, list, tuple, set)):
                 _collect(each, f"{key}/{name}" if key else str(name), found, depth + 1)
 
 

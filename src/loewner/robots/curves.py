@@ -295,6 +295,17 @@ def form_of(given: Any, name: str) -> Curve | None:
     """
     if not _is_of_scipy(given):
         return None
+    _refuse_other_evaluation(given, name)
+    try:
+        return _of_scipy(given, name)
+    except (ValueError, IndexError, TypeError, OverflowError) as error:  # attributes that were damaged since
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{name}: expected a curve that SciPy can evaluate, found {error}") from error
+
+
+def _of_scipy(given: Any, name: str) -> Curve:
+    """Return the courses that the coefficients of a curve of SciPy define."""
     c = np.asarray(given.c)
     if np.iscomplexobj(c):
         raise InputError(f"{name}: expected real coefficients, found {c.dtype}")
@@ -317,11 +328,25 @@ def _is_of_scipy(given: Any) -> bool:
     return isinstance(given, types)
 
 
+def _refuse_other_evaluation(given: Any, name: str) -> None:
+    """Refuse a curve whose values are computed by other code than SciPy's.
+
+    Such values may differ from the polynomials of the coefficients at any time, and samples cannot show it.
+    """
+    for method in ("__call__", "_evaluate"):
+        function = getattr(type(given), method, None)  # not all types have both
+        if method in vars(given) or not getattr(function, "__module__", "scipy.").startswith("scipy."):
+            raise InputError(
+                f"{name}: expected a curve that SciPy evaluates, found {type(given).__name__} with its own {method}; "
+                "fit a curve of SciPy to its values"
+            )
+
+
 def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> None:
     """Refuse a curve of SciPy whose values, as it computes them itself, are not on the courses.
 
-    A subclass may compute its values in another way than from the coefficients that are read here. In each segment as
-    many values are compared as determine a polynomial of its degree.
+    An attribute may have been changed since the curve was made. In each segment as many values are compared as determine
+    a polynomial of its degree.
     """
     courses, begin, end = curve.courses, curve.times[:-1, None], curve.times[1:, None]
     degree = courses.shape[1] - 1
