@@ -435,7 +435,5 @@ def test_compiling_ahead_looks_at_the_folder_first(tmp_path: Path, monkeypatch: 
     blocked.write_text("")
     monkeypatch.setattr(_jit, "CACHE_FOLDER", blocked / "kernels")
     monkeypatch.setattr(compilation, "_Group", compiled)
-    with pytest.raises(
-        loewner.FileError, match=r"a file/kernels cannot be written .*; set LOEWNER_CACHE_DIR"
-    ):
+    with pytest.raises(loewner.FileError, match=r"a file/kernels cannot be written .*; set LOEWNER_CACHE_DIR"):
         compilation.compile_kernels()
