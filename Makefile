@@ -34,7 +34,8 @@ PART ?= 1/1
 
 # The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
 # now; beside a library that does nothing.
-BUILD := $(BIN)/python native/build.py || true
+BUILD := $(BIN)/python native/build.py || \
+  echo "native library: not built; Numba compiles the kernels instead, which takes minutes" >&2
 COMPILE := $(BIN)/python -m loewner compile
 
 .PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds other-machines sanitize newest bench check docs wheel sdist dist-c test-wheel clean

@@ -411,7 +411,7 @@ def main() -> int:
             made = build(levels, home, arguments.gpu)
             size = sum(path.stat().st_size for path in made)
             print(f"native library: {', '.join(levels)}, {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
-    except BuildError as error:
+    except (BuildError, OSError) as error:
         print(f"native library: {error}", file=sys.stderr)
         return 1
     return 0

@@ -476,3 +476,32 @@ def test_the_build_string_is_what_the_loader_asks_for():
     loaded = ctypes.CDLL(str(library.HOME / f"kernels-{library.level()}.so"))
     text = ctypes.c_char_p(ctypes.addressof(ctypes.c_char.in_dll(loaded, "loewner_build"))).value.decode()
     assert text == f"{library.source_hash()} {library.level()}"
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [
+        ("compiler", "expected a C compiler, found no /nowhere/cc .*; install gcc or clang, or set CC"),
+        ("headers", r"expected the headers of Python, found no /nowhere/Python.h; install them \(python3-dev\)"),
+        ("folder", ".*Not a directory: .*"),
+    ],
+)
+def test_a_build_tells_in_one_line_what_is_missing(missing, message, tmp_path):
+    """Without a compiler, Python's headers or a folder that can be written, the build ends with 1 and no traceback."""
+    pytest.importorskip("numba")
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sysconfig\nreal = sysconfig.get_path\n"
+        "sysconfig.get_path = lambda name, *rest: '/nowhere' if name == 'include' else real(name, *rest)\n"
+        if missing == "headers"
+        else ""
+    )
+    (tmp_path / "a file").write_text("")
+    place = tmp_path / ("a file" if missing == "folder" else "a folder") / "native"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    if missing == "compiler":
+        environment["CC"] = "/nowhere/cc"
+    command = [sys.executable, str(NATIVE / "build.py"), "--levels", "all", "--to", str(place)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 1
+    assert re.fullmatch(f"native library: {message}\n", done.stderr), done.stderr
+    assert not (place / "built.json").exists()

@@ -345,8 +345,8 @@ def _refuse_other_evaluation(given: Any, name: str) -> None:
 def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> None:
     """Refuse a curve of SciPy whose values, as it computes them itself, are not on the courses.
 
-    An attribute may have been changed since the curve was made. In each segment as many values are compared as determine
-    a polynomial of its degree.
+    An attribute may have been changed since the curve was made. In each segment, the number of compared values
+    determines a polynomial of its degree.
     """
     courses, begin, end = curve.courses, curve.times[:-1, None], curve.times[1:, None]
     degree = courses.shape[1] - 1
