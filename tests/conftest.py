@@ -56,14 +56,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(trylast=True)  # after tests were chosen by name and by mark
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave every n-th test: neighbours take about as long as each other, so parts do, too."""
+    """Leave every n-th test: neighbours take about as long as each other, so parts do, too.
+
+    Tests of a file that share a fixture stay together, since a wheel, say, takes minutes to build.
+    """
     part = config.getoption("--part")
     found = re.fullmatch(r"([1-9]\d*)/([1-9]\d*)", part)
     if not found or int(found[1]) > int(found[2]):
         raise pytest.UsageError(f"--part: expected K/N with K from 1 to N, found {part!r}")
-    first, step = int(found[1]) - 1, int(found[2])
-    config.hook.pytest_deselected(items=[item for number, item in enumerate(items) if number % step != first])
-    items[:] = items[first::step]
+    groups: dict[str, int] = {}
+    parts = [groups.setdefault(group_of(item), len(groups)) % int(found[2]) for item in items]
+    chosen = [number == int(found[1]) - 1 for number in parts]
+    config.hook.pytest_deselected(items=[item for item, kept in zip(items, chosen, strict=True) if not kept])
+    items[:] = [item for item, kept in zip(items, chosen, strict=True) if kept]
+
+
+def group_of(item: pytest.Item) -> str:
+    """Name of a test, or of its file if it has a fixture that the tests of this file share."""
+    file = item.nodeid.partition("::")[0]
+    known = item._fixtureinfo.name2fixturedefs.values() if isinstance(item, pytest.Function) else ()
+    return file if any(one[-1].scope != "function" and one[-1].baseid == file for one in known) else item.nodeid
 
 
 def pytest_configure(config: pytest.Config) -> None:
