@@ -1,5 +1,6 @@
 """The command line: exit status, what it prints, one clear line for every error."""
 
+import argparse
 import ast
 import csv
 import itertools
@@ -24,6 +25,7 @@ from loewner import cli, planners
 from loewner._native import library
 from loewner.cli import jobs
 from loewner.cli.info import MISSING
+from loewner.cli.main import _parser
 from loewner.cli.output import covering_text, new_table, print_table
 from loewner.robots import verdicts
 
@@ -850,7 +852,11 @@ def test_plan_in_time(with_end, capsys):
         (["--arrive-by", "2"], 2, "arrive_by: expected a time after start_time, 3, found 2"),
         (["--velocity", "fast"], 2, "--velocity: expected numbers, found 'fast'"),
         (["--improve-for", "1"], 2, "start_time: expected no improve_for with it"),
-        (["--proof", "in_time.proof"], 2, "--proof cannot be combined with --sampled or --start-time"),
+        (
+            ["--proof", "in_time.proof"],
+            2,
+            "--proof: plans in time have no proofs yet, and this is one by --start-time and --vel",
+        ),
         (["--leave", "ball", "gate"], 2, "--leave: expected a plan that is not in time, found --start-time and --vel"),
         (["--reach", "ball", "gate"], 2, "--reach: expected a plan that is not in time, found --start-time and --vel"),
     ):
@@ -864,7 +870,10 @@ def test_plan_in_time(with_end, capsys):
     ):
         status, out, err = run(capsys, *AROUND, *more, "--proof", "in_time.proof", "-o", "no.csv")
         assert (status, out) == (2, "")
-        assert f"--proof: expected a plan that is not in time, found {found}; write the trajectory by --out" in err
+        assert (
+            f"--proof: plans in time have no proofs yet, and this is one by {found}; write the trajectory by --out"
+            in err
+        )
     assert not Path("in_time.proof").exists()
     assert not Path("no.csv").exists()
 
@@ -1385,6 +1394,36 @@ def test_tables_in_a_pipe_are_not_broken(capsys, monkeypatch):
     assert len(lines) == 1
     assert path in lines[0]
     assert "0.123456789" in lines[0]
+
+
+@pytest.mark.parametrize(
+    "command", [("robot", "check", *ROBOT, "--random", "2"), ("clearance", "wall.yaml")], ids=["check", "clearance"]
+)
+@pytest.mark.parametrize("rich", [True, False])
+def test_a_reader_that_left_is_not_a_collision(folder, monkeypatch, command, rich):
+    """Nobody has read the whole answer, so the status is that of errors, whichever program prints the tables."""
+    Path("wall.yaml").write_text("bodies: {wall: {box: [0.1, 4, 1], position: [9, 0, 0]}, post: {box: [1, 1, 1]}}\n")
+    if not rich:
+        monkeypatch.setitem(sys.modules, "rich.table", None)
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        assert cli.main(list(command)) == 2
+
+
+def test_every_argument_has_a_help():
+    """No line of a help text names an argument without a word about it."""
+
+    def without(parser):
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for command in action.choices.values():
+                    yield from without(command)
+            elif not action.help:
+                yield parser.prog, action.metavar or action.dest
+
+    assert list(without(_parser())) == []
 
 
 def test_wrong_usage_exits_with_2(capsys):

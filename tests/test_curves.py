@@ -534,6 +534,7 @@ def _without(key):
         ("a.json", json.dumps(MESSAGE | {"points": [1, 2]}), "expected points of a trajectory"),
         ("a.json", json.dumps(MESSAGE).replace("[1, 0]", "[]"), "velocities of some points only"),
         ("a.yaml", "points: [", "line 1"),
+        ("a.yaml", 2 * (json.dumps(MESSAGE) + "\n---\n"), "found several, .* write each to a file of its own"),
         ("a.json", "[" * 100_000, "expected points of a trajectory"),
     ],
 )  # fmt: skip
@@ -668,15 +669,38 @@ def test_values_of_other_joints_are_given_by_the_caller(tmp_path):
         assert found.velocities.tolist() == [[0, 0], [2, 0]]
     state = {"name": ["lift", "grip", "slide"], "position": [0.8, 0.8, 0.0]}
     path.write_text(json.dumps({"trajectory": SLID, "trajectory_start": {"joint_state": state}}))
-    with pytest.raises(FileError, match=r"found lift = 0\.8 \("):
+    whole = r"found lift = 0\.8 \(.*a whole configuration of the robot \(2 values\); its .* not used$"
+    with pytest.raises(FileError, match=whole):
         ControllerPoints.load(path, robot=robot)
     assert ControllerPoints.load(path, robot=robot, others=[0.8, 0.0]).positions[:, 1].tolist() == [0.8, 0.8]
     state["name"][1] = "wheel"
     path.write_text(json.dumps({"trajectory": SLID, "trajectory_start": {"joint_state": state}}))
-    with pytest.raises(FileError, match="'r', found values of joints that it lacks: wheel"):
+    with pytest.raises(FileError, match="'r', .* it lacks: wheel; the state belongs to a larger robot: read that"):
         ControllerPoints.load(path, robot=robot, others=[0.8, 0.0])
     with pytest.raises(InputError, match="others: expected a configuration of robot="):
         ControllerPoints.load(path, others=[0.8, 0.0])
+
+
+def test_bases_of_messages_are_given_by_the_caller(tmp_path):
+    """A base that a state moves is refused with advice that works: place the robot there, or give the base values."""
+    robot, path = Robot.from_urdf(text=TWO_SLIDES), tmp_path / "m.json"
+    moved = {"joint_names": ["base"], "transforms": [UNMOVED | {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}}]}
+    path.write_text(json.dumps({"trajectory": SLID, "trajectory_start": {"multi_dof_joint_state": moved}}))
+    for others in (None, [0.5, 3.0]):
+        with pytest.raises(
+            FileError, match="base away from the identity .*Robot.placed .* remove .*add_base"
+        ) as caught:
+            ControllerPoints.load(path, robot=robot, others=others)
+        assert "--others" not in str(caught.value)
+    on_base = robot.add_base("planar")
+    with pytest.raises(FileError, match=r"base away from the identity .*--others .* \(5 values\)") as caught:
+        ControllerPoints.load(path, robot=on_base)
+    assert "Robot.placed" not in str(caught.value)
+    found = ControllerPoints.load(path, robot=on_base, others=[1.0, 0.0, 0.0, 0.5, 0.0])
+    assert found.positions[:, found.names.index("base/x")].tolist() == [1, 1]
+    path.write_text(json.dumps({"trajectory": SLID}))
+    T = [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    assert ControllerPoints.load(path, robot=robot.placed(T)).names == ("slide", "lift")
 
 
 def test_worlds_and_other_starts_of_messages_are_told(tmp_path):
@@ -687,7 +711,7 @@ def test_worlds_and_other_starts_of_messages_are_told(tmp_path):
     with pytest.warns(UserWarning, match=r"a world of its own \(wall, an octree\), which is not read"):
         ControllerPoints.load(path)
     path.write_text(json.dumps(_stating(["elbow", "rail"], [0.2, 1e-3])))
-    with pytest.warns(UserWarning, match=r"the start state has elbow = 0\.2, and the first point rail = 0, elbow = 0;"):
+    with pytest.warns(UserWarning, match=r"the start state has elbow = 0\.2, and the first point elbow = 0; the"):
         ControllerPoints.load(path)
 
 

@@ -599,6 +599,8 @@ TWO = links("ab")
         ("<xacro:v xmlns:xacro='urn:other'/>", FileError, ["<xacro:v>; run xacro"]),
         ("<link name='a'><xi:include href='b'/></link>", FileError, ["line 3", "<xi:include>"]),
         ("<i:include xmlns:i='http://www.w3.org/2001/XInclude' href='b'/>", FileError, ["<i:include>"]),
+        (TURNED.format("xyz='0 0 ${h}'"), InputError, ["line 5", "3 numbers as 'xyz'", "'0 0 .{h}'; run xacro on"]),
+        (TURNED.format("rpy='0 0 $(arg turn)'"), InputError, ["line 5", "; run xacro on the file first"]),
         ("<include filename='b'/>", FileError, ["line 3", "<include>; run xacro"]),
         ("<macro name='b'/>", FileError, ["<macro>; run xacro"]),
         ("<property name='b' value='1'/>", FileError, ["<property>; run xacro"]),

@@ -34,7 +34,7 @@ def add(commands: Any) -> None:
     """Add the command."""
     check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES)
     check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
-    check.add_argument("b", metavar="B", type=Path)
+    check.add_argument("b", metavar="B", type=Path, help="the other one")
     check.add_argument("--pose-a", metavar="POSE", help=f"pose of A: {POSE_HELP}")
     check.add_argument("--pose-b", metavar="POSE", help=f"pose of B: {POSE_HELP}")
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")

@@ -66,7 +66,7 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
 def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Add the options of commands that take a robot; if it is not required, it is an option, too."""
     if required:
-        command.add_argument("urdf", type=Path, metavar="URDF")
+        command.add_argument("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
     else:
         command.add_argument(
             "--robot", dest="urdf", type=Path, metavar="URDF", help="the robot that the proof must be about"

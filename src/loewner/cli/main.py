@@ -1,8 +1,9 @@
 """Run the command line: parse arguments, call the public API, and print.
 
 The exit status is 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or configurations); 2
-for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check --method certified``,
-``loewner plan`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ.
+for an error, if at least one of many meshes failed, or if the program that reads the output ends before it has read all
+(``loewner verify`` keeps the status of its verdict then); 3 for ambiguous (only for ``loewner check --method
+certified``, ``loewner plan`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
     except BrokenPipeError:
-        reader_gone()  # `| head`
+        reader_gone()  # `| head`; not all of the answer has been printed
     except KeyboardInterrupt:
         print("loewner: interrupted", file=sys.stderr)
     except Exception:

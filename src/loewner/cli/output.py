@@ -19,6 +19,7 @@ from loewner.errors import FileError
 from loewner.robots.written_proofs import MAGIC
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
 
@@ -117,14 +118,30 @@ class NoProgress(nullcontext["NoProgress"]):
     advance = update
 
 
+def _console(**options: Any) -> Console:
+    """Make a console of Rich that leaves a broken pipe to `main`.
+
+    Rich would end the program with status 1, which here means "colliding".
+    """
+    from rich.console import Console
+
+    class Quiet(Console):
+        """A console that does not end the program."""
+
+        def on_broken_pipe(self) -> None:
+            """Tell the caller that the reader has gone."""
+            raise BrokenPipeError
+
+    return Quiet(**options)
+
+
 def progress_bar() -> Progress | NoProgress:
     """Show progress on standard error, so that standard output contains only the answer."""
     try:
-        from rich.console import Console
         from rich.progress import Progress
     except ImportError:
         return NoProgress()
-    return Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    return Progress(console=_console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
 def new_table(*columns: str, title: str | None = None) -> Table | PlainTable:
@@ -141,11 +158,9 @@ def print_table(table: Table | PlainTable) -> None:
     if isinstance(table, PlainTable):
         print(table)
         return
-    from rich.console import Console
-
     # A program that reads a pipe or a file needs each name, path and number in one piece, so a table is as wide there
     # as its cells. Names and messages are not markup: they may contain `pip install "loewner[meshes]"`.
-    Console(width=None if sys.stdout.isatty() else UNBROKEN, markup=False, emoji=False).print(table)
+    _console(width=None if sys.stdout.isatty() else UNBROKEN, markup=False, emoji=False).print(table)
 
 
 def is_surface(body: loewner.Body) -> bool:

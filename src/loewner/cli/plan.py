@@ -201,8 +201,8 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
-    if options.proof is not None and (options.sampled or options.start_time is not None):
-        raise InputError("--proof cannot be combined with --sampled or --start-time")
+    if options.proof is not None and options.sampled:
+        raise InputError("--proof: expected no --sampled with it; sampled motions have no proof")
     if options.weights is not None and not options.improve_for:
         raise InputError("--weights: expected --improve-for with it; without that no path is improved")
     if options.clearance is not None and not options.improve_for:
@@ -222,15 +222,18 @@ def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
         return
     if options.start_time is None:
         options.start_time = 0.0
-    advice = {
-        "proof": "write the trajectory by --out, which loewner audit proves again",
-        "leave": "among moving bodies, all contact is a collision",
-        "reach": "among moving bodies, all contact is a collision",
-    }
-    for name, words in advice.items():
+    found = " and ".join(reasons)
+    if options.proof is not None:
+        raise InputError(
+            f"--proof: plans in time have no proofs yet, and this is one by {found}; write the trajectory by --out, "
+            "which loewner audit without --proof proves again"
+        )
+    for name in ("leave", "reach"):
         if getattr(options, name):
-            found = " and ".join(reasons)
-            raise InputError(f"--{name}: expected a plan that is not in time, found {found}; {words}")
+            raise InputError(
+                f"--{name}: expected a plan that is not in time, found {found}; among moving bodies, all contact is a "
+                "collision"
+            )
 
 
 def _found(

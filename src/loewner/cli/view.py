@@ -30,7 +30,7 @@ def add(commands: Any) -> None:
     """Add the command."""
     view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES)
     view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
-    view.add_argument("b", metavar="B", type=Path, nargs="?")
+    view.add_argument("b", metavar="B", type=Path, nargs="?", help="the other one")
     view.add_argument("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
     view.add_argument("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
     view.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")

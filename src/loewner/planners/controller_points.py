@@ -323,28 +323,49 @@ def _expect_all_used(
     if robot is not None and lacking:
         raise FileError(
             f"{name}: expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
-            f"{', '.join(lacking[: messages.LISTED])}"
+            f"{', '.join(lacking[: messages.LISTED])}; the state belongs to a larger robot: read that robot, or remove "
+            "these names from the message"
         )
     dropped = [f"{joint} = {value:g}" for joint, value in beside if others is None and value != 0]
-    columns = () if robot is None or others is None else robot.configuration_names
-    dropped += [
-        f"{joint} away from the identity"
-        for joint in found.placed()
-        if not any(column.startswith(f"{joint}/") for column in columns)
-    ]
-    if dropped:
+    columns = () if robot is None else robot.configuration_names
+    without = [joint for joint in found.placed() if not any(column.startswith(f"{joint}/") for column in columns)]
+    placed = without if others is not None else found.placed()
+    if dropped or placed:
+        told = ", ".join([*dropped, *(f"{joint} away from the identity" for joint in placed)])
         raise FileError(
-            f"{name}: expected a state of the joints that the points name, found {', '.join(dropped)} "
-            f"({messages.places([*found.states, *found.multi_dof_states])}); give the values of all joints that the "
-            "points do not name: by robot= and others=, or by --others on the command line"
+            f"{name}: expected a state of the joints that the points name, found {told} "
+            f"({messages.places([*found.states, *found.multi_dof_states])}){_advice(robot, dropped, placed, without)}"
         )
-    away = [f"{joint} = {value:g}" for joint, value in found.values(before=True) if _is_off(value, first.get(joint))]
+    away = [(joint, value) for joint, value in found.values(before=True) if _is_off(value, first.get(joint))]
     if away:
-        start = ", ".join(f"{joint} = {value:g}" for joint, value in first.items())
+        states = ", ".join(f"{joint} = {value:g}" for joint, value in away)
+        start = ", ".join(f"{joint} = {first[joint]:g}" for joint in dict(away))
         warn(
-            f"{name}: the start state has {', '.join(away)}, and the first point {start}; the trajectory does not "
+            f"{name}: the start state has {states}, and the first point {start}; the trajectory does not "
             "contain the way between them"
         )
+
+
+def _advice(robot: Robot | None, dropped: list[str], placed: list[str], without: list[str]) -> str:
+    """Say how to give the values that a message states and that are not used.
+
+    `placed` are bases away from the identity, and `without` those for which the robot, if one is given, has no values.
+    """
+    words = ""
+    if dropped or robot is None or set(placed) - set(without):
+        count = "" if robot is None else f" ({robot.dof} values)"
+        words = (
+            "; give the values of all joints that the points do not name: by robot= and others=, or by --others on the "
+            f"command line. This is a whole configuration of the robot{count}; its values of joints that the points "
+            "name are not used"
+        )
+    if without:
+        words += (
+            f"; for a robot without values of {', '.join(without)}: place it there, by Robot.placed or a fixed joint "
+            "in its URDF, and remove the entry from the message; or put it on a base of this name that moves, by "
+            "Robot.add_base, and give its values by others="
+        )
+    return words
 
 
 def _is_off(value: float, first: float | None) -> bool:

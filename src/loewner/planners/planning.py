@@ -239,7 +239,10 @@ def plan(
     better, keep = None, rare.pop("keep", None)
     proof = _validate.flag(rare.pop("proof", False), "proof")
     if proof and timed:
-        raise InputError("proof: plans in time (start_time=) have no proofs yet")
+        raise InputError(
+            "proof: plans in time have no proofs yet, and start_time=, arrive_by= or velocity= makes one; leave out "
+            "proof=, and each motion is proven all the same; certify_trajectory proves the trajectory again"
+        )
     if proof and not full:
         raise InputError("proof=True needs full=True: the proof is an attribute of the Plan")
     if proof and step:

@@ -222,7 +222,8 @@ def _refuse(ready: Problem) -> None:
     """Refuse robots and scenes that the format cannot express."""
     if ready.paths is not None:
         raise InputError(
-            "proof: expected bodies that stand or belong to the robot, found bodies that follow motions (Scene.follow)"
+            "proof: plans in time have no proofs yet, and bodies of the scene follow motions (Scene.follow); leave out "
+            "proof= or --proof: motions among these bodies are proven all the same, but not written"
         )
     for pair in ready.ruled[:1]:
         a, b = (ready.names[k] for k in ready.pairs[pair])

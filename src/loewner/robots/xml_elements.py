@@ -85,7 +85,9 @@ class Element:
         except ValueError:
             values = []
         if len(values) != count or any(math.isnan(v) for v in values):
-            self.fault(f"{count} number{'s' * (count > 1)} as {attribute!r} of <{self.tag}>", cut(text))
+            unexpanded = "${" in text or "$(" in text
+            advice = "; run xacro on the file first" if unexpanded else ""
+            self.fault(f"{count} number{'s' * (count > 1)} as {attribute!r} of <{self.tag}>", cut(text) + advice)
         return values
 
     def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:

@@ -270,7 +270,11 @@ def yaml_data(data: bytes, file: Path) -> Any:
     def parse(data: bytes, Loader: Any) -> Any:
         loader = Loader(data)
         try:
-            node = loader.get_single_node()
+            node = loader.get_node() if loader.check_node() else None
+            if loader.check_node():
+                raise FileError(
+                    f"{file}: expected one message, found several, separated by ---; write each to a file of its own"
+                )
             _expect_keys_once(node, file)
             return None if node is None else loader.construct_document(node)
         finally:
