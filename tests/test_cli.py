@@ -1396,11 +1396,7 @@ def test_tables_in_a_pipe_are_not_broken(capsys, monkeypatch):
     assert "0.123456789" in lines[0]
 
 
-@pytest.mark.parametrize(
-    "command",
-    [("robot", "check", *ROBOT, "--random", "2"), ("clearance", "a.npz", "b.npz")],
-    ids=["check", "clearance"],
-)
+@pytest.mark.parametrize("command", [("robot", "check", *WITH_WALL, "--random", "2"), ("clearance", "a.npz", "b.npz")])
 @pytest.mark.parametrize("rich", [True, False])
 def test_a_reader_that_left_is_not_a_collision(folder, capsys, monkeypatch, command, rich):
     """Nobody has read the whole answer, so the status is that of errors, whichever program prints the tables."""
