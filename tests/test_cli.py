@@ -1396,13 +1396,12 @@ def test_tables_in_a_pipe_are_not_broken(capsys, monkeypatch):
     assert "0.123456789" in lines[0]
 
 
-@pytest.mark.parametrize(
-    "command", [("robot", "check", *ROBOT, "--random", "2"), ("clearance", "wall.yaml")], ids=["check", "clearance"]
-)
+@pytest.mark.parametrize("command", [("robot", "check", *WITH_WALL, "--random", "2"), ("clearance", "a.npz", "b.npz")])
 @pytest.mark.parametrize("rich", [True, False])
-def test_a_reader_that_left_is_not_a_collision(folder, monkeypatch, command, rich):
+def test_a_reader_that_left_is_not_a_collision(folder, capsys, monkeypatch, command, rich):
     """Nobody has read the whole answer, so the status is that of errors, whichever program prints the tables."""
-    Path("wall.yaml").write_text("bodies: {wall: {box: [0.1, 4, 1], position: [9, 0, 0]}, post: {box: [1, 1, 1]}}\n")
+    for name in ("a.npz", "b.npz"):
+        loewner.Body.sphere(1.0).save(name)
     if not rich:
         monkeypatch.setitem(sys.modules, "rich.table", None)
     reader, writer = os.pipe()
@@ -1410,6 +1409,7 @@ def test_a_reader_that_left_is_not_a_collision(folder, monkeypatch, command, ric
     with os.fdopen(writer, "w") as out:
         monkeypatch.setattr(sys, "stdout", out)
         assert cli.main(list(command)) == 2
+    assert capsys.readouterr().err == ""
 
 
 def test_every_argument_has_a_help():

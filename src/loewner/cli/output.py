@@ -129,7 +129,7 @@ def _console(**options: Any) -> Console:
         """A console that does not end the program."""
 
         def on_broken_pipe(self) -> None:
-            """Tell the caller that the reader has gone."""
+            """Raise the error again, for `main`."""
             raise BrokenPipeError
 
     return Quiet(**options)

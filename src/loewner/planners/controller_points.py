@@ -347,7 +347,7 @@ def _expect_all_used(
 
 
 def _advice(robot: Robot | None, dropped: list[str], placed: list[str], without: list[str]) -> str:
-    """Say how to give the values that a message states and that are not used.
+    """Return advice on values that a message states and that are not used.
 
     `placed` are bases away from the identity, and `without` those for which the robot, if one is given, has no values.
     """
