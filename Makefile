@@ -48,7 +48,7 @@ built_with = @{ $(BUILD); } & building=$$!; \
 
 demo: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.demo)
-	$(COMPILE) --only verdicts robots fits distances paper
+	$(COMPILE) --only verdicts robots fits surfaces distances paper
 	$(BIN)/python examples/demo.py
 
 # Tests run in as many processes as there are cores; linear algebra on several threads in each of them takes turns, and
