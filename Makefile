@@ -40,7 +40,7 @@ COMPILE := $(BIN)/python -m loewner compile
 
 .PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds other-machines sanitize newest bench check docs wheel sdist dist-c test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 19
+	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
 
 # $(call built_with,STAMP[,COMMAND]): build the library while the packages of a stamp are installed and a command runs.
 built_with = @{ $(BUILD); } & building=$$!; \
