@@ -34,6 +34,7 @@ from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
+from loewner._threads import processors  # noqa: E402
 from loewner.planners import compiled as compiled_planner  # noqa: E402
 from loewner.planners import joint_limits, judge  # noqa: E402
 from loewner.robots import checker, contacts, motion_tables, robot, watch  # noqa: E402
@@ -296,7 +297,7 @@ def run_all(commands: list[Command], slowness: float = 1.0) -> None:
     """
     start, done = time.perf_counter(), set[Path]()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
-    cores = min(os.cpu_count() or 1, len(commands))
+    cores = min(processors(), len(commands))
     whole = sum(command.seconds for command in commands)
     next_word = start + EVERY
 
@@ -310,7 +311,7 @@ def run_all(commands: list[Command], slowness: float = 1.0) -> None:
     try:
         while waiting or running:
             ready = [command for command in waiting if done.issuperset(command.needed)]
-            for command in ready[: (os.cpu_count() or 1) - len(running)]:
+            for command in ready[: processors() - len(running)]:
                 waiting.remove(command)
                 say(f"{command.what} ...")
                 environment = os.environ | command.environment | {"LOEWNER_QUIET": "1"}

@@ -170,7 +170,7 @@ def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, caps
     """A step starts when the files that it needs are whole; a line tells each step that begins, and what is left."""
     build = module("build")
     monkeypatch.setattr(build.time, "perf_counter", lambda: 0.0)
-    monkeypatch.setattr(build.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(build, "processors", lambda: 2)
     code = "import sys, pathlib as p; p.Path(sys.argv[1]).write_text(''.join(map(open_text, sys.argv[2:])) + 'x')"
     code = f"open_text = lambda path: open(path).read(); {code}"
     first, second, last = (tmp_path / name for name in ("first", "second", "last"))
