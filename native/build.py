@@ -221,11 +221,11 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False) -> list[Path]
     """
     home.mkdir(parents=True, exist_ok=True)
     before = source_hash()
-    what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
-    print(f"native library: {what} ...", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder, ThreadPoolExecutor() as pool:
         work = Path(folder)
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
+        what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
+        print(f"native library: {what} ...", file=sys.stderr, flush=True)
         for_c = [pool.submit(compile_api, work / name) for name in FOR_C]
         start = time.perf_counter()
         run(
