@@ -144,12 +144,17 @@ CUT_OFF = """() => {
 }"""
 
 
+# Until a page has loaded [s]: half a minute, Playwright's own, is too short on a busy machine.
+LONGEST_WAIT = 300
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_pages_can_be_read_by_all(browser, width, scheme):
     """axe finds no fault; no code is cut off without a bar; the page fits the window; nothing foreign is loaded."""
     opened, axe = browser
     page = opened.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page.set_default_timeout(1000 * LONGEST_WAIT)
     requests, faults = [], []
     page.on("request", lambda request: requests.append(request.url))
     for name in SHOWN:
