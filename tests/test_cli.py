@@ -790,6 +790,9 @@ def test_an_older_proof_does_not_pass_for_the_new_one(with_end, capsys, kind):
     status, out, err = run(capsys, *asked[:-1], "nowhere/p.proof")
     assert (status, out) == (2, "")
     assert "--proof: expected a file in a folder that exists, found nowhere/p.proof" in err
+    status, out, err = run(capsys, *asked[:-1], 5000 * "x")
+    assert (status, out) == (2, "")
+    assert "--proof: expected a file that can be written, found xxx" in err
 
 
 def test_plan_improves_the_path(with_end, capsys):

@@ -72,19 +72,20 @@ def remove_older_proof(path: Path | None) -> None:
     """
     if path is None:
         return
-    if not path.parent.is_dir():
-        raise FileError(f"--proof: expected a file in a folder that exists, found {shown(path)}")
-    if not path.is_file():
-        return
     try:
+        if not path.parent.is_dir():
+            raise FileError(f"--proof: expected a file in a folder that exists, found {shown(path)}")
+        if not path.is_file():
+            return
         with path.open("rb") as file:
             is_proof = file.read(len(MAGIC)) == MAGIC
         if is_proof:
             path.resolve().unlink()  # a link stays a link
-    except OSError as error:
-        raise FileError(
-            f"--proof: expected a file that can be replaced, found {shown(path)} ({error.strerror or error})"
-        ) from None
+    except (OSError, ValueError) as error:  # also of a name that is too long for the system
+        if isinstance(error, FileError):
+            raise
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"--proof: expected a file that can be written, found {shown(path)} ({why})") from None
 
 
 class PlainTable:
