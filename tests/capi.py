@@ -91,11 +91,13 @@ def ask(name: str, *arguments: Any) -> Any:
 class Handle:
     """Something that is opened and closed."""
 
+    _leave: str | None = None  # also where opening it fails
+
     def __init__(self, make: str, leave: str, *arguments: Any) -> None:
         made = ctypes.c_void_p()
         ask(make, *arguments, ctypes.byref(made))
         self._as_parameter_ = made
-        self._leave: str | None = leave
+        self._leave = leave
 
     def close(self) -> None:
         if self._leave:

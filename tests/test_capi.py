@@ -3,6 +3,7 @@
 import ctypes
 import os
 import re
+import shlex
 import shutil
 import struct
 import subprocess
@@ -706,7 +707,7 @@ def test_cmake_and_pkg_config_find_it(pair, tmp_path):
     example = (Path(__file__).parents[1] / "examples" / "query.c").as_posix()
     (tmp_path / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.18)\nproject(query C)\nfind_package(loewner 0.1 REQUIRED)\n"
-        f"add_executable(query {example})\ntarget_link_libraries(query loewner::loewner)\n"
+        f"add_executable(query \"{example}\")\ntarget_link_libraries(query loewner::loewner)\n"
     )
     places = [INCLUDE.parent / "share", tmp_path / "prefix" / "lib"]
     for place, cmake in zip(places, ("cmake", "cmake/loewner"), strict=True):
@@ -720,9 +721,9 @@ def test_cmake_and_pkg_config_find_it(pair, tmp_path):
             assert done.returncode == 0, done.stdout + done.stderr
         environment = os.environ | {"PKG_CONFIG_PATH": str(place / "pkgconfig")}
         asked = ["pkg-config", "--cflags", "--libs", "loewner"]
-        told = subprocess.run(asked, capture_output=True, text=True, check=True, env=environment).stdout.split()
+        told = subprocess.run(asked, capture_output=True, text=True, check=True, env=environment).stdout
         program = str(build / "with-pkg-config")
-        subprocess.run(["cc", example, *told, "-o", program], check=True)
+        subprocess.run(["cc", example, *shlex.split(told), "-o", program], check=True)
         assert subprocess.run([program, str(tmp_path / "cell.lwn")], check=False).returncode == 0
 
 
