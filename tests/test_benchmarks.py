@@ -182,6 +182,7 @@ def test_what_could_not_run_is_in_the_table(few: samples.Pairs, tmp_path: Path):
     report.show("pairs", rows)
 
 
+@pytest.mark.slow("several programs, one after another")
 def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """`run.py --quick`, on still smaller sizes: tables, CSV, figures."""
     for module, names in (

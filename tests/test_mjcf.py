@@ -284,7 +284,8 @@ def test_a_plane_is_the_space_below_it(tmp_path):
     assert loewner.collide(ball, T, scene["floor"], scene.pose("floor")).tolist() == [False, True, True, True]
 
 
-def test_height_fields_are_where_mujoco_has_them(tmp_path):
+@pytest.mark.parametrize("count", [400, pytest.param(2000, marks=pytest.mark.verify)])
+def test_height_fields_are_where_mujoco_has_them(count, tmp_path):
     """Balls touch a tilted terrain for both, over it, in it and at its rim, and so do they in a scene."""
     rng = np.random.default_rng(0)
     asset = (
@@ -297,13 +298,13 @@ def test_height_fields_are_where_mujoco_has_them(tmp_path):
         '<body name="ball"><freejoint/><geom size="0.1"/></body>',
         asset,
     )
-    Q = np.zeros((2000, 7))
-    Q[:, :3], Q[:, 3] = rng.uniform([-1.7, -1.3, -0.2], [1.9, 1.7, 1.4], (2000, 3)), 1
+    Q = np.zeros((count, 7))
+    Q[:, :3], Q[:, 3] = rng.uniform([-1.7, -1.3, -0.2], [1.9, 1.7, 1.4], (count, 3)), 1
     told = compare(Robot.from_mjcf(path), path, Q)
     assert told["off"] < 1e-14
-    assert told["both"] > 300
+    assert told["both"] > 0.15 * count
     assert (told["ours"], told["theirs"]) == (0, 0)
-    scene, Ts = load_scene(path), np.tile(np.eye(4), (2000, 1, 1))
+    scene, Ts = load_scene(path), np.tile(np.eye(4), (count, 1, 1))
     Ts[:, :3, 3] = Q[:, :3]
     assert loewner.collide(scene["ball"], Ts, scene["hill"], scene.pose("hill")).sum() == told["both"] + told["near"]
 

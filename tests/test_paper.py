@@ -78,6 +78,7 @@ def test_points_are_spread_as_named(name, power):
 # -- truth and detectors ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow("the first with the experiment of all tests here, and its oracle compiles")
 def test_truth_agrees_with_separating_axes(experiment):
     """The experiment's exact answers are those of the separating-axis oracle."""
     n = 200
@@ -414,7 +415,7 @@ def test_homogeneity_against_scipy(rng):
 
 def test_a_wrong_data_set_is_called_inconsistent():
     """Uniform volume is not the paper's data set, and the tables say so."""
-    other = paper.run(1000, seed=0, dataset="volume")
+    other = paper.run(400, seed=0, dataset="volume")
     assert tables.classes(other)[1] < 1e-6
     assert tables.statement(1e-7) == "no (p = 1e-07)"
     assert tables.statement(0.5) == "yes (p = 0.5)"

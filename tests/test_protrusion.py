@@ -285,6 +285,7 @@ def test_plates_in_one_plane_are_not_joined():
     assert plane_cuts._merged(flat, solid, 1.0, np.random.default_rng(0)) == flat
 
 
+@pytest.mark.slow("the first of those that decompose a mug")
 def test_tolerance_of_a_mug(mug_body):
     """A ball in a mug is as far from the walls as the cavity says, to the tolerance."""
     mesh, body = mug(), mug_body

@@ -350,7 +350,8 @@ def test_margins_of_slivers(seed: int):
             assert not collide(b, None, a, None, margin=true - off)
 
 
-@settings(max_examples=40)
+@pytest.mark.slow("the first of those that compile the oracle of surfaces")
+@settings(max_examples=20)
 @given(SEEDS)
 def test_contact_far_from_the_own_origin(seed: int):
     """What is apart by the last bit is free in either order, although coordinates are far larger than the bodies."""
@@ -493,6 +494,7 @@ def test_the_last_bit_of_contact(first: str, second: str, offset: float):
     assert found >= 1
 
 
+@pytest.mark.slow("its oracle counts in whole numbers")
 def test_a_pose_means_its_doubles():
     """A rotation off by 4e-7 makes the placed body larger or smaller by as much: it touches or not accordingly."""
     A = box()
