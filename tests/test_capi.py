@@ -707,7 +707,7 @@ def test_cmake_and_pkg_config_find_it(pair, tmp_path):
     example = (Path(__file__).parents[1] / "examples" / "query.c").as_posix()
     (tmp_path / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.18)\nproject(query C)\nfind_package(loewner 0.1 REQUIRED)\n"
-        f"add_executable(query \"{example}\")\ntarget_link_libraries(query loewner::loewner)\n"
+        f'add_executable(query "{example}")\ntarget_link_libraries(query loewner::loewner)\n'
     )
     places = [INCLUDE.parent / "share", tmp_path / "prefix" / "lib"]
     for place, cmake in zip(places, ("cmake", "cmake/loewner"), strict=True):
