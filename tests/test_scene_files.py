@@ -339,9 +339,9 @@ def test_saved_scenes_are_those_of_one_instant(tmp_path, monkeypatch):
         (
             "bodies:\n  a: {box: [1, 1, 1]}\n\n  a: {box: [1, 1, 1]}",
             4,
-            "bodies: expected each key once, found 'a' again",
+            "bodies: expected each key once in a mapping, found 'a' again",
         ),
-        ("bodies: {}\nbodies: {}", 2, "expected each key once, found 'bodies'"),
+        ("bodies: {}\nbodies: {}", 2, "expected each key once in a mapping, found 'bodies'"),
         ("bodies: {}\nbody: {}", 2, "expected keys among margin, bodies, allow, leave, reach, margins, found 'body'"),
         ("bodies:\nmargin: 1", 1, "bodies: expected a mapping, found nothing"),
         ("margin: 1", 1, "expected the key bodies, found margin"),
@@ -404,7 +404,7 @@ def test_saved_scenes_are_those_of_one_instant(tmp_path, monkeypatch):
         ("bodies: {a: &p {points: *p}}", 1, "bodies/a/points: expected a sequence"),
         ("bodies:\n\ta: 1", 2, "expected YAML, found a fault"),
         ("bodies: {\n", 2, "expected YAML, found a fault"),
-        ("bodies: {}\n---\nbodies: {}", 2, "expected YAML, found a fault"),
+        ("bodies: {}\n---\nbodies: {}", 2, "found several, separated by ---"),
         ("bodies: {}\nmargin: *none", 2, "undefined alias"),
     ],
 )

@@ -11,6 +11,7 @@ import numpy as np
 
 import loewner
 from loewner import Verdict, _validate, planners, plots
+from loewner._matrices import image, product
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
@@ -27,16 +28,24 @@ WITHIN = np.geomspace(1e-3, 1e9, 13)
 
 DRAWN = (".png", ".svg")
 CONTROLLERS = ("linear", "cubic", "quintic")
+WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
 
 EXAMPLES = """examples:
   loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3 -o moves.svg
   loewner audit panda.urdf path.csv --srdf panda.srdf --scene shelf.yaml       a path of loewner plan -o path.csv
+  loewner audit panda.urdf solution.yaml --scene shelf.yaml --attach 2:can=panda_hand --attach 3:can=panda_hand
 
-trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
-  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint;
-  or a path without times that loewner plan has written (.csv or .json), whose straight motions are checked.
+trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within a message of MoveIt or of
+  an action; or a .csv file with the columns time, the joints' names and optionally "NAME velocity" and "NAME
+  acceleration" for each joint; or a path without times that loewner plan has written (.csv or .json), whose straight
+  motions are checked. A message with several trajectories is proven part by part, in order, each in its own state.
   Bodies that follow motions move at the file's own times; messages count from their start, so give --start-time.
+  Parts of a message follow each other without a pause.
+
+attach: in the parts that are named, or in all, the body of the scene is carried by the link. It is taken from where it
+  stands when the part begins, and stays where it is put down. Bodies that the message attaches have to be attached by
+  this option or in the scene file.
 
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
@@ -60,7 +69,17 @@ def add(commands: Any) -> None:
         help="interpolation between points (default: from the contents of the file)",
     )
     audit.add_argument(
-        "--others", metavar="Q", help="values of joints that the file does not name: a state, a file, or numbers (0)"
+        "--others",
+        metavar="Q",
+        help="values of joints that the file does not name: a state, a file, or numbers (those of the message's start "
+        "state, or 0)",
+    )
+    audit.add_argument(
+        "--attach",
+        action="append",
+        default=[],
+        metavar="[PART:]BODY=LINK",
+        help="let a link carry a body of the scene, in all parts of a message or in one (may be repeated)",
     )
     audit.add_argument(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
@@ -90,35 +109,121 @@ def _run(options: argparse.Namespace) -> int:
     others = None
     if options.others is not None:
         others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    given = _read(options.trajectory, robot, others)
-    if isinstance(given, planners.ControllerPoints):
-        given = _executed(given, options.controller)
-        if options.start_time is not None:
-            given.start_time = _validate.real(options.start_time, "--start-time")
-    elif options.start_time is not None:
-        raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
-    elif options.controller not in (None, "linear"):
-        raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
-    answer = _answer(checker, given, options)
-    if options.out is not None:
-        plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), options.out)
+    parts = _read(options.trajectory, robot, others)
+    carrying = _carrying(options.attach, scene, robot, len(parts))
+    for number, given in enumerate(parts):
+        if isinstance(given, planners.ControllerPoints):
+            parts[number] = _executed(given, options.controller)
+        elif options.start_time is not None:
+            raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
+        elif options.controller not in (None, "linear"):
+            raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
+    _set_clock(parts, options.start_time)
+    answers = []
+    for number, given in enumerate(parts):
+        _carry(scene, robot, given, carrying[number])
+        proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
+        remove_older_proof(proof)
+        answers.append(_answer(checker, given, options, proof))
+        if picture is not None:
+            plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), picture)
+        _put_down(scene, robot, given, carrying[number])
+        if not options.json:
+            if len(parts) > 1:
+                print(f"{chr(10) * bool(number)}part      {number + 1} of {len(parts)}, {answers[-1]['place']}")
+            _print_answer(answers[-1])
+            if proof is not None and answers[-1]["proof"] is None:
+                print(f"no proof  {proof} is not written: there is no proof of this motion")
+    worst = min((answer["verdict"] for answer in answers), key=WORST_FIRST.index)
     if options.json:
-        print(json.dumps(answer, indent=2))
-    else:
-        _print_answer(answer)
-        if options.proof is not None and answer["proof"] is None:
-            print(f"no proof  {options.proof} is not written: there is no proof of this motion")
-    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+        print(json.dumps(answers[0] if len(answers) == 1 else {"verdict": worst, "parts": answers}, indent=2))
+    elif len(answers) > 1:
+        free = sum(answer["verdict"] == "FREE" for answer in answers)
+        print(f"\n{worst}  {free} of {len(answers)} parts proven free")
+    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
 
 
-def _read(path: Path, robot: loewner.Robot, others: Floats | None) -> planners.ControllerPoints | Floats:
+def _read(path: Path, robot: loewner.Robot, others: Floats | None) -> list[planners.ControllerPoints | Floats]:
     """Read points with times, or a path without times, as `loewner plan` writes it, of shape (two or more, dof)."""
     try:
-        return planners.ControllerPoints.load(path, robot=robot, others=others)
+        return list(planners.ControllerPoints.load_all(path, robot=robot, others=others))
     except LoewnerError:
         if not configurations.is_path(path, TIMES):
             raise
-    return configurations.path_of(path, robot)
+    return [configurations.path_of(path, robot)]
+
+
+def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, count: int) -> list[dict[str, str]]:
+    """Return, for each part, the links by the bodies that they carry, as --attach says."""
+    found: list[dict[str, str]] = [{} for _ in range(count)]
+    for text in given:
+        where, _, what = text.rpartition(":")
+        body, equals, link = what.partition("=")
+        whole = where.isascii() and where.isdigit() and 1 <= int(where) <= count
+        if not (equals and body and link) or (where and not whole):
+            parts = f", with a PART from 1 to {count}" if where else ""
+            raise InputError(f"--attach {text}: expected [PART:]BODY=LINK{parts}")
+        if body not in scene:
+            raise _validate.unknown_name(f"--attach {text}: body", body, scene.names)
+        if link not in robot.link_names:
+            raise _validate.unknown_name(f"--attach {text}: link", link, robot.link_names)
+        for part in found if not where else [found[int(where) - 1]]:
+            if part.setdefault(body, link) != link:
+                raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")
+    return found
+
+
+def _set_clock(parts: list[planners.ControllerPoints | Floats], start_time: float | None) -> None:
+    """Let the parts begin one after the other, the first at `start_time`."""
+    end = None if start_time is None else _validate.real(start_time, "--start-time")
+    for given in parts:
+        if isinstance(given, planners.ControllerPoints):
+            given.start_time = given.start_time if end is None else end
+            end = given.start_time + float(given.times[-1])
+
+
+def _carry(
+    scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
+) -> None:
+    """Let links carry bodies from the beginning of a part, each from where it stands."""
+    touching = part._touching if isinstance(part, planners.ControllerPoints) else {}
+    links = robot.forward_kinematics(_end(robot, part, 0))
+    for body, link in carrying.items():
+        if body in scene.attachments or body in scene.following:
+            raise InputError(f"--attach {body}={link}: expected a body that stands in the scene, found one that moves")
+        T_link_body = _in_frame(links[robot.link_names.index(link)], scene.pose(body))
+        scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()))
+
+
+def _put_down(
+    scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
+) -> None:
+    """Leave bodies where a part ends."""
+    links = robot.forward_kinematics(_end(robot, part, -1))
+    for body, link in carrying.items():
+        T_link_body = scene.attachments[body].T_link_body
+        scene.detach(body, product(links[robot.link_names.index(link)], T_link_body))
+
+
+def _end(robot: loewner.Robot, part: planners.ControllerPoints | Floats, row: int) -> Floats:
+    """Return a configuration of a part, with the robot's columns."""
+    if not isinstance(part, planners.ControllerPoints) or part.names is None:
+        rows = part if isinstance(part, np.ndarray) else part.positions
+        return np.asarray(rows[row])
+    return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
+
+
+def _in_frame(T_world_link: Floats, T_world_body: Floats) -> Floats:
+    """Return the pose of a body in the frame of a link."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T_world_link[:3, :3].T
+    inverse[:3, 3] = -image(inverse[:3, :3], T_world_link[:3, 3])
+    return product(inverse, T_world_body)
+
+
+def _numbered(file: Path | None, number: int, count: int) -> Path | None:
+    """Return the file of one part, which has the part's number in its name if there are several."""
+    return file if file is None or count == 1 else file.with_stem(f"{file.stem}-{number + 1}")
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
@@ -134,19 +239,24 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
         wanted = ("velocities", "accelerations")[_derivatives(points)]
         raise InputError(f"--controller {controller}: expected points with {wanted}, found none in the file")
     kept = [one if k < used else None for k, one in enumerate(held)]
-    return planners.ControllerPoints(
+    made = planners.ControllerPoints(
         points.times, points.positions, *kept, names=points.names, start_time=points.start_time
     )
+    made._keep(points)
+    return made
 
 
 def _answer(
-    checker: loewner.CollisionChecker, given: planners.ControllerPoints | Floats, options: argparse.Namespace
+    checker: loewner.CollisionChecker,
+    given: planners.ControllerPoints | Floats,
+    options: argparse.Namespace,
+    written: Path | None,
 ) -> dict[str, Any]:
     """Return the verdicts and distances of a trajectory or path and of its pieces, for printing."""
-    prove = options.proof is not None
+    prove = written is not None
     curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory), prove)
     if found.proof is not None:
-        found.proof.save(options.proof)
+        found.proof.save(written)
     times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     ticks, piece, Q = curves.sampled(checker.robot, curve, found)
     measured = checker.distance(Q, ticks, exact=True)
@@ -186,9 +296,19 @@ def _answer(
         "nearest_pair": measured.names[nearest].tolist(),
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
-        "proof": str(options.proof) if found.proof is not None else None,
+        "proof": str(written) if found.proof is not None else None,
         "moving": list(checker.scene.following),
+        **_told_by_a_message(given),
     }
+
+
+def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, Any]:
+    """Return what a message says besides the points, and when its first point is due."""
+    if not isinstance(given, planners.ControllerPoints):
+        return {}
+    stated = {"stated": given._stated, "stated_in": given._stated_in} if given._stated else {}
+    carried = {"carried": given.carried} if given.carried else {}
+    return {"place": given._place, "first_point_due": float(given.times[0]), **stated, **carried}
 
 
 def _nearest_of(
@@ -258,6 +378,13 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"curve     {answer['controller']} between points{error}")
     else:
         print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")
+    for column, value in answer.get("stated", {}).items():
+        print(f"state     {column} = {value:.9g}, as {answer['stated_in']} says; the points do not name it")
+    if answer.get("first_point_due", 0.0) > 0:
+        print(
+            f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from where the "
+            "robot stands is not in the file and not checked"
+        )
     if answer["moving"]:
         print(
             f"clock     the trajectory begins at {answer['begins']:.6g} s on the clock of the bodies that move "

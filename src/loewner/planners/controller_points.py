@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _json, _tables, _validate
+from loewner import _tables, _validate
 from loewner._files import read_regular, shown
+from loewner._nodes import Node, read_json, read_yaml, some
 from loewner._pictures import POINTS, curves, pictured
 from loewner._plausible import warn
 from loewner._validate import Floats
@@ -22,7 +23,6 @@ from loewner.planners.joint_limits import expect_robot
 from loewner.robots import Robot
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of
-from loewner.scene_files.yaml_scenes import yaml_data
 
 # Endings of files with points, and the largest file [bytes].
 ENDINGS = (".csv", ".json", ".yaml", ".yml")
@@ -31,8 +31,25 @@ MOST_BYTES = 2**28
 # A robot may be this far from the first point when a trajectory starts, in each value [rad or m]: MoveIt's default.
 START_TOLERANCE = 0.01
 
+# Times of the joints and of a base may differ by rounding [s]; so may a planar motion from its plane [m or 1], and the
+# norm of a quaternion, in a file of few digits, from 1.
+SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
+
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
+
+# Derivatives of positions in messages, and keys of a file that `Trajectory.save` has written.
+RATES = ("velocities", "accelerations")
+SAVED_KEYS = ("names", "times", "positions", *RATES, "blended", "jumps", "start_time")
+
+# A pose that does not move, as position and quaternion x, y, z, w.
+IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+# Advice where a message places a base that the robot does not have.
+WITHOUT_BASE = (
+    "; for a robot without values of {0}: place it there, by Robot.placed or a fixed joint in its URDF, and remove the "
+    "entry from the message; or put it on a base of this name that moves, by Robot.add_base"
+)
 
 
 class ControllerPoints:
@@ -54,6 +71,12 @@ class ControllerPoints:
         Names of the columns. By default the columns are in the order of `Robot.configuration_names`.
     start_time : float
         Seconds that are added to the times, unless a query is given another `t0`; as for `Trajectory`.
+
+    Attributes
+    ----------
+    carried : dict
+        Links by the names of the bodies that the robot carries, as a message says; empty otherwise. Queries refuse the
+        points unless the scene has attached these bodies to these links.
 
     Raises
     ------
@@ -79,6 +102,13 @@ class ControllerPoints:
         start_time: float = 0.0,
     ) -> None:
         self.start_time = _validate.real(start_time, "start_time")
+        self.carried: dict[str, str] = {}
+        # Of a message: columns that run straight where others are curved; links that bodies may touch; values of
+        # columns that stand still; where in the message the points and these values are.
+        self._straight: tuple[str, ...] = ()
+        self._touching: dict[str, tuple[str, ...]] = {}
+        self._stated: dict[str, float] = {}
+        self._place = self._stated_in = ""
         self.times = _validate.finite_array(times, "times", ("n",))
         if len(self.times) < 2 or not (np.diff(self.times) > 0).all():
             raise InputError(
@@ -111,13 +141,16 @@ class ControllerPoints:
         Parameters
         ----------
         path : path
-            A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within another
-            message; or a ``.csv`` file whose columns are ``time``, the joints' names and optionally ``NAME velocity``
-            and ``NAME acceleration`` for each joint. Files written by `Trajectory.save` can be read as well.
+            A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within a message
+            of MoveIt or of a controller's action; or a ``.csv`` file whose columns are ``time``, the joints' names and
+            optionally ``NAME velocity`` and ``NAME acceleration`` for each joint. Files written by `Trajectory.save`
+            can be read as well.
         robot : Robot, optional
-            Add columns for the values of this robot that the file does not name; they do not change.
+            Add columns for the values of this robot that the file does not name; they do not change. The motion of a
+            base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
         others : array_like, shape (dof,), optional
-            A configuration of the robot, with the values for these columns. Default: `Robot.configuration()`.
+            A configuration of the robot, with the values for these columns. Default: the message's start state, and
+            `Robot.configuration()` for what it does not name.
 
         Returns
         -------
@@ -126,10 +159,9 @@ class ControllerPoints:
         Raises
         ------
         FileError
-            If the file does not exist, contains no such points, or has a key twice; if a message contains more than
-            the points of one trajectory: a second trajectory, a motion of a base (a multi-DOF trajectory), bodies
-            attached to the robot, or a start state with values of joints that the points do not name. Such values are
-            allowed if they are 0, which is the default of `others`. If you give `others`, they are ignored.
+            If the file does not exist, contains no such points or several trajectories (see `load_all`), has a key
+            twice, a key that its message does not have, or a value of another kind; if without a robot, or for the
+            given one, a message contains values of joints or motions that could not be used.
         InputError
             If the file has any other extension, or `others` is given without `robot` or is not its configuration.
         MissingExtraError
@@ -138,8 +170,8 @@ class ControllerPoints:
         Warns
         -----
         UserWarning
-            If the message has bodies in a world of its own, which are not read, or if the trajectory does not begin at
-            the message's start state.
+            If the message has bodies in a world of its own, which are not read; if it is for a robot of another name;
+            if a goal lets the controller deviate; if the trajectory does not begin at the message's start state.
 
         Examples
         --------
@@ -148,6 +180,36 @@ class ControllerPoints:
         >>> ControllerPoints.load("moves.csv")
         ControllerPoints(2 points, 2 joints, positions)
         """
+        (found,) = cls._loaded(path, robot, others, only=True)
+        return found
+
+    @classmethod
+    def load_all(
+        cls, path: str | os.PathLike[str], *, robot: Robot | None = None, others: ArrayLike | None = None
+    ) -> list[ControllerPoints]:
+        """Read all trajectories of a file, in their order; parameters and errors as for `load`.
+
+        Joints that a trajectory does not name stand where the one before has left them, or where the message's states
+        say. Each has the bodies that the robot then carries as `carried`.
+
+        Examples
+        --------
+        >>> import json
+        >>> from pathlib import Path
+        >>> point = [{"positions": [k], "time_from_start": {"sec": k, "nanosec": 0}} for k in range(3)]
+        >>> first, second = ({"joint_names": ["rail"], "points": point[k : k + 2]} for k in range(2))
+        >>> _ = Path("two.json").write_text(json.dumps({"trajectory": [{"joint_trajectory": first},
+        ...                                                            {"joint_trajectory": second}]}))
+        >>> ControllerPoints.load_all("two.json")
+        [ControllerPoints(2 points, 1 joint, positions), ControllerPoints(2 points, 1 joint, positions)]
+        """
+        return cls._loaded(path, robot, others)
+
+    @classmethod
+    def _loaded(
+        cls, path: str | os.PathLike[str], robot: Robot | None, others: ArrayLike | None, only: bool = False
+    ) -> list[ControllerPoints]:
+        """Read all trajectories of a file, or the `only` one."""
         source = _validate.path(path, "path")
         suffix, name = source.suffix.lower(), shown(source)
         if suffix not in ENDINGS:
@@ -157,24 +219,30 @@ class ControllerPoints:
         elif others is not None:
             raise InputError("others: expected a configuration of robot=, found no robot")
         q = None if robot is None or others is None else robot.checked_one(others, "others")
-        data = read_regular(source, "points of a trajectory", MOST_BYTES)
+        what = "points of a trajectory"
+        data = read_regular(source, what, MOST_BYTES)
         try:
             if suffix == ".csv":
-                points = cls._of_table(data.decode("utf-8-sig"))
-            else:
-                # A recorded message ends with a separator line.
-                text = data if suffix == ".json" else data.rstrip().removesuffix(b"---")
-                held = _json.parsed(text, name) if suffix == ".json" else yaml_data(text, source)
-                points = cls._of_message(held, name, robot, q)
+                return [cls._of_table(data.decode("utf-8-sig"))._completed(robot, q)]
+            if suffix == ".json":
+                root: Node = read_json(data, source, what)
+            else:  # a recorded message ends with a separator line
+                root = read_yaml(data.rstrip().removesuffix(b"---"), source, what, merges=True)
+            if root.kind == "mapping" and {"blended", "jumps"} & root.mapping(None).keys():
+                return [cls._of_saved(root)._completed(robot, q)]
+            found = messages.read(root)
+            if only and len(found.parts) > 1:
+                raise FileError(
+                    f"{name}: expected one trajectory, found {len(found.parts)} with points "
+                    f"({some(part.place for part in found.parts)}); ControllerPoints.load_all reads them all"
+                )
+            return cls._of_message(found, name, robot, q)
         except FileError:
             raise
-        except KeyError as error:
-            raise FileError(f"{name}: expected points of a trajectory, found no {error}") from None
         except InputError as error:
             raise FileError(f"{name}: {error}") from None
-        except (ValueError, TypeError, OverflowError, RecursionError, AttributeError, csv.Error) as error:
-            raise FileError(f"{name}: expected points of a trajectory, found: {_validate.short(str(error))}") from None
-        return points if robot is None else points._completed(robot, robot.configuration() if q is None else q)
+        except (ValueError, OverflowError, csv.Error) as error:
+            raise FileError(f"{name}: expected {what}, found: {_validate.short(str(error))}") from None
 
     @classmethod
     def _of_table(cls, text: str) -> ControllerPoints:
@@ -184,7 +252,10 @@ class ControllerPoints:
         header = rows[0] if rows else []
         if not header or header[0] not in TIMES or len(set(header)) < len(header):
             raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
-        table = np.array([[float(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
+        for number, row in enumerate(rows[1:], 1):
+            if len(row) != len(header):
+                raise ValueError(f"{len(row)} cells in row {number} below a header of {len(header)}")
+        table = np.array([[_tables.number(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
         names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
         held, used = set(header), [VELOCITY, ACCELERATION]
         rates = [name + kind for kind in used if any(name + kind in held for name in names) for name in names]
@@ -202,56 +273,69 @@ class ControllerPoints:
         return cls(table[:, 0], columns(""), *derivatives, names=names, start_time=start_time)
 
     @classmethod
-    def _of_message(cls, held: Any, name: str, robot: Robot | None, others: Floats | None) -> ControllerPoints:
-        """Read points from a message or from a file written by `Trajectory.save`."""
-        if isinstance(held, dict) and ("blended" in held or "jumps" in held):
-            arrays = held["positions"], held.get("velocities"), held.get("accelerations")
-            return cls(held["times"], *arrays, names=held["names"], start_time=held.get("start_time", 0.0))
-        found = messages.parts(held)
-        message = _only_trajectory(found, name)
-        if message is None:
-            raise KeyError("points")
-        points = cls._of_trajectory(message)
-        _expect_all_used(found, points, name, robot, others)
-        if found.around:
-            around = messages.around(found.around)
-            warn(f"{name}: the message has a world of its own ({around}), which is not read; a scene gives obstacles")
-        return points
+    def _of_saved(cls, root: Node) -> ControllerPoints:
+        """Read points from a file that `Trajectory.save` has written."""
+        keys = root.mapping(SAVED_KEYS, required=("names", "times", "positions"))
+        names = [name.text() for name in keys["names"].items()]
+        rows = [keys[kind].rows(len(names)) if kind in keys else None for kind in RATES]
+        start_time = keys["start_time"].number() if "start_time" in keys else 0.0
+        for flags in (["jumps"] if "jumps" in keys else []) + (["blended"] if "blended" in keys else []):
+            for each in keys[flags].items() if flags == "blended" else [keys[flags]]:
+                each.flag()
+        return cls(
+            keys["times"].numbers(), keys["positions"].rows(len(names)), *rows, names=names, start_time=start_time
+        )
 
     @classmethod
-    def _of_trajectory(cls, message: dict[Any, Any]) -> ControllerPoints:
-        """Read the points of a JointTrajectory."""
-        points = message["points"]
+    def _of_message(
+        cls, found: messages.Message, name: str, robot: Robot | None, others: Floats | None
+    ) -> list[ControllerPoints]:
+        """Make the points of each trajectory of a message, and tell what is not read."""
+        if not found.parts:
+            raise FileError(f"{name}: expected points of a trajectory, found none")
+        told = list(found.told)
+        if robot is not None:
+            foreign = [other for other in dict.fromkeys(found.robots) if other != robot.name]
+            told += [f"it is for the robot {other!r}, and is read for {robot.name!r}" for other in foreign]
+        if found.around:
+            around = some(found.around)
+            told.append(f"the message has a world of its own ({around}), which is not read; a scene gives obstacles")
+        for text in told:
+            warn(f"{name}: {text}")
+        return [_points_of(part, name, robot, others) for part in found.parts]
 
-        def rows(kind: str) -> Any:
-            given = [point.get(kind) or None for point in points]
-            if any(given) and not all(given):
-                raise ValueError(f"{kind} of some points only")
-            return given if any(given) else None
+    def _completed(
+        self, robot: Robot | None, others: Floats | None, stated: dict[str, float] | None = None
+    ) -> ControllerPoints:
+        """Add columns for the values of a robot that the points do not name; these do not move.
 
-        times = [_seconds(point["time_from_start"]) for point in points]
-        positions, velocities, accelerations = rows("positions"), rows("velocities"), rows("accelerations")
-        if positions is None:
-            raise KeyError("positions")
-        return cls(times, positions, velocities, accelerations, names=message["joint_names"])
-
-    def _completed(self, robot: Robot, others: Floats) -> ControllerPoints:
-        """Add columns for the values of a robot that the points do not name; these do not move."""
-        missing = [k for k, name in enumerate(robot.configuration_names) if self.names and name not in self.names]
-        if self.names is None or not missing:
+        Their values are those of `others`, or what a message states, by columns, and the robot's default.
+        """
+        if robot is None or self.names is None:
             return self
+        missing = [k for k, name in enumerate(robot.configuration_names) if name not in self.names]
+        q = robot.configuration(stated) if others is None else others
         shape = len(self.times), len(missing)
-        positions = np.hstack([self.positions, np.broadcast_to(others[missing], shape)])
+        positions = np.hstack([self.positions, np.broadcast_to(q[missing], shape)])
         rates = [
             None if held is None else np.hstack([held, np.zeros(shape)])
             for held in (self.velocities, self.accelerations)
         ]
         names = [*self.names, *(robot.configuration_names[k] for k in missing)]
-        return ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
+        made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
+        made._keep(self)
+        made._stated = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
+        return made
+
+    def _keep(self, other: ControllerPoints) -> None:
+        """Take over what a message says besides points."""
+        self.carried, self._touching, self._straight = other.carried, other._touching, other._straight
+        self._place, self._stated, self._stated_in = other._place, other._stated, other._stated_in
 
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
-        return f"ControllerPoints({len(self.times)} points, {self.positions.shape[1]} joints, {kind})"
+        joints = "1 joint" if self.positions.shape[1] == 1 else f"{self.positions.shape[1]} joints"
+        return f"ControllerPoints({len(self.times)} points, {joints}, {kind})"
 
     @pictured
     def _repr_html_(self) -> str:
@@ -278,104 +362,164 @@ def _form(given: ControllerPoints, name: str) -> Curve:
             points = [
                 q0, q0 + v0 / 5, q0 + 2 * v0 / 5 + a0 / 20, q1 - 2 * v1 / 5 + a1 / 20, q1 - v1 / 5, q1,
             ]  # fmt: skip
-    return Curve(given.names, given.times, np.stack(points, axis=1), CURVE_ROUNDINGS * size)
+    courses = np.stack(points, axis=1)
+    for k in [given.names.index(name) for name in given._straight] if given.names else []:
+        courses[:, :, k] = q0[:, k, None] + (q1 - q0)[:, k, None] * np.linspace(0, 1, courses.shape[1])
+        courses[:, -1, k] = q1[:, k]
+    return Curve(given.names, given.times, courses, CURVE_ROUNDINGS * size, tuple(given.carried.items()))
 
 
-def _only_trajectory(found: messages.Message, name: str) -> dict[Any, Any] | None:
-    """Return the trajectory of a message, None if there is none; refuse motions and bodies beside it."""
-    if found.multi_dof:
-        joints = [
-            str(joint) for _, held in found.multi_dof for joint in held.get("joint_names") or ["an unnamed joint"]
-        ]
-        raise FileError(
-            f"{name}: expected one trajectory of joints with one value each, found a multi-DOF trajectory with points, "
-            f"which moves {', '.join(joints[: messages.LISTED])} ({messages.places(found.multi_dof)})"
-        )
-    if len(found.trajectories) > 1:
-        raise FileError(
-            f"{name}: expected one trajectory, found {len(found.trajectories)} with points "
-            f"({messages.places(found.trajectories)}); write each to a file of its own"
-        )
-    if found.attached:
-        raise FileError(
-            f"{name}: expected a robot that carries nothing, found attached bodies: "
-            f"{messages.carried(found.attached)}; attach them in the scene, and remove them from the message"
-        )
-    return found.trajectories[0][1] if found.trajectories else None
+# -- messages -----------------------------------------------------------------------------------
 
 
-def _expect_all_used(
-    found: messages.Message, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
-) -> None:
-    """Refuse a start state with values that are not used, and warn if it is not where the points begin.
+def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floats | None) -> ControllerPoints:
+    """Make the points of one trajectory of a message, with the state in which it begins."""
+    _expect_begin(part, name)
+    if part.placed is not None:
+        if robot is None:
+            raise FileError(
+                f"{name}: expected one trajectory of joints with one value each, found a multi-DOF trajectory, which "
+                f"moves {some(part.placed.names)} ({part.place}); give robot="
+            )
+        points = _with_base(part, part.placed, name, robot)
+    else:
+        assert part.joints is not None
+        rows = [part.joints.rows.get(kind) for kind in ("positions", *RATES)]
+        points = ControllerPoints(part.joints.times, *rows, names=part.joints.names)
+    points.carried = {body: link for body, (link, _) in part.start.carried.items()}
+    points._touching = {body: touched for body, (_, touched) in part.start.carried.items()}
+    points._place = part.place
+    stated, points._stated_in = _stated(part, points, name, robot, others), part.start.source
+    return points._completed(robot, others, stated)
 
-    A value of a joint that the points do not name is used if it is equal to the default, and replaced if the caller
-    gives values of such joints.
-    """
-    first = dict(zip(points.names or (), points.positions[0].tolist(), strict=True))
-    values = found.values()
-    stated = {joint for joint, _ in values}
-    mimics = {} if robot is None else {joint: followed for joint, (followed, _) in robot.mimics.items()}
-    beside = [
-        (joint, value) for joint, value in values if joint not in first and mimics.get(joint) not in {*first, *stated}
+
+def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: Robot) -> ControllerPoints:
+    """Join the motion of joints with one value and that of a base; the base moves straight between its points."""
+    times = np.array(placed.times)
+    if part.joints is not None:
+        of_joints = np.array(part.joints.times)
+        if len(of_joints) != len(times) or not (np.abs(of_joints - times) <= SAME_TIME).all():
+            raise FileError(
+                f"{name}: expected the same times for the joints and for {some(placed.names)}, found others "
+                f"({part.place})"
+            )
+        times = of_joints
+    names, columns = [], []
+    for k, joint in enumerate(placed.names):
+        T = np.array(placed.rows["transforms"]).reshape(len(times), len(placed.names), 7)[:, k]
+        found = _columns_of(joint, T, name, robot)
+        names += list(found)
+        columns += list(found.values())
+    base, held = np.stack(columns, axis=1), part.joints
+    if held is None:
+        return ControllerPoints(times, base, names=names)
+    curved = "velocities" in held.rows
+    if curved and any(joint in _floating(robot) for joint in placed.names) and (np.diff(base, axis=0) != 0).any():
+        turning = [n for n, column in zip(names, columns, strict=True) if "/q" in n and np.ptp(column) != 0]
+        if turning:
+            raise FileError(
+                f"{name}: expected a base that does not turn, as the joints have velocities, found {some(turning)} "
+                f"that change ({part.place}); remove the velocities, or let a planar joint turn"
+            )
+    rates = [
+        None if held.rows.get(kind) is None else np.hstack([held.rows[kind], np.zeros_like(base)]) for kind in RATES
     ]
-    lacking = [joint for joint, _ in beside if robot and joint not in {*robot.configuration_names, *mimics}]
-    if robot is not None and lacking:
-        raise FileError(
-            f"{name}: expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
-            f"{', '.join(lacking[: messages.LISTED])}; the state belongs to a larger robot: read that robot, or remove "
-            "these names from the message"
-        )
-    dropped = [f"{joint} = {value:g}" for joint, value in beside if others is None and value != 0]
-    columns = () if robot is None else robot.configuration_names
-    without = [joint for joint in found.placed() if not any(column.startswith(f"{joint}/") for column in columns)]
-    placed = without if others is not None else found.placed()
-    if dropped or placed:
-        told = ", ".join([*dropped, *(f"{joint} away from the identity" for joint in placed)])
-        raise FileError(
-            f"{name}: expected a state of the joints that the points name, found {told} "
-            f"({messages.places([*found.states, *found.multi_dof_states])}){_advice(robot, dropped, placed, without)}"
-        )
-    away = [(joint, value) for joint, value in found.values(before=True) if _is_off(value, first.get(joint))]
+    positions = np.hstack([held.rows["positions"], base])
+    made = ControllerPoints(times, positions, *rates, names=[*held.names, *names])
+    made._straight = tuple(names) if curved else ()
+    return made
+
+
+def _floating(robot: Robot) -> list[str]:
+    """Return the joints with a position and an orientation."""
+    return [n.removesuffix("/qw") for n in robot.configuration_names if n.endswith("/qw")]
+
+
+def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Floats]:
+    """Return the columns of a floating or planar joint for transforms: positions and quaternions x, y, z, w."""
+    known = robot.configuration_names
+    norms = np.linalg.norm(T[:, 3:], axis=1)
+    if not (np.abs(norms - 1) < NORMS).all():
+        raise FileError(f"{name}: expected quaternions of norm 1 for {joint}, found the norm {norms.max():g}")
+    if f"{joint}/x" in known and f"{joint}/qw" in known:
+        turned = T[:, [6, 3, 4, 5]] / norms[:, None]
+        flips = np.cumprod(np.append(1.0, np.where((turned[1:] * turned[:-1]).sum(axis=1) < 0, -1.0, 1.0)))
+        values = np.hstack([T[:, :3], turned * flips[:, None]])
+        return {f"{joint}/{axis}": values[:, k] for k, axis in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
+    if f"{joint}/theta" in known:
+        if np.abs(T[:, [2, 3, 4]]).max() > IN_PLANE:
+            raise FileError(f"{name}: expected motions of the planar joint {joint} in its plane, found others")
+        theta = np.unwrap(2 * np.arctan2(T[:, 5], T[:, 6]))
+        return {f"{joint}/x": T[:, 0], f"{joint}/y": T[:, 1], f"{joint}/theta": theta}
+    raise FileError(
+        f"{name}: expected joints of {robot.name!r} with a position and an orientation (floating or planar), found a "
+        f"multi-DOF trajectory that moves {joint!r}; Robot.add_base adds such a joint"
+    )
+
+
+def _expect_begin(part: messages.Part, name: str) -> None:
+    """Warn if a trajectory does not begin where the state says that the robot is."""
+    if part.joints is None:
+        return
+    first = dict(zip(part.joints.names, part.joints.rows["positions"][0], strict=True))
+    away = [joint for joint, value in part.start.joints.items() if _is_off(value, first.get(joint))]
     if away:
-        states = ", ".join(f"{joint} = {value:g}" for joint, value in away)
-        start = ", ".join(f"{joint} = {first[joint]:g}" for joint in dict(away))
+        states = ", ".join(f"{joint} = {part.start.joints[joint]:g}" for joint in away)
+        start = ", ".join(f"{joint} = {first[joint]:g}" for joint in away)
         warn(
             f"{name}: the start state has {states}, and the first point {start}; the trajectory does not "
             "contain the way between them"
         )
 
 
-def _advice(robot: Robot | None, dropped: list[str], placed: list[str], without: list[str]) -> str:
-    """Return advice on values that a message states and that are not used.
+def _stated(
+    part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
+) -> dict[str, float]:
+    """Return the values that a message states for columns of the robot which the points do not name.
 
-    `placed` are bases away from the identity, and `without` those for which the robot, if one is given, has no values.
+    Values that belong to no column are refused, unless they are 0 and no robot is given.
     """
-    words = ""
-    if dropped or robot is None or set(placed) - set(without):
-        count = "" if robot is None else f" ({robot.dof} values)"
-        words = (
-            "; give the values of all joints that the points do not name: by robot= and others=, or by --others on the "
-            f"command line. This is a whole configuration of the robot{count}; its values of joints that the points "
-            "name are not used"
+    named, start = set(points.names or ()), part.start
+    mimics = {} if robot is None else {joint: followed for joint, (followed, _) in robot.mimics.items()}
+    beside = {
+        joint: value for joint, value in start.joints.items()
+        if joint not in named and mimics.get(joint) not in {*named, *start.joints}
+    }  # fmt: skip
+    places = {joint: T for joint, T in start.places.items() if (T != IDENTITY).any()}
+    if robot is None:
+        _refuse_beside(beside, places, start.source, name)
+        return {}
+    known = set(robot.configuration_names)
+    lacking = [joint for joint in beside if joint not in {*known, *mimics}]
+    if lacking:
+        raise FileError(
+            f"{name}: expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
+            f"{some(lacking)}; the state belongs to a larger robot: read that robot, or remove these names from the "
+            "message"
         )
-    if without:
-        words += (
-            f"; for a robot without values of {', '.join(without)}: place it there, by Robot.placed or a fixed joint "
-            "in its URDF, and remove the entry from the message; or put it on a base of this name that moves, by "
-            "Robot.add_base, and give its values by others="
+    stated = {joint: value for joint, value in beside.items() if joint in known}
+    for joint, T in places.items():
+        if not any(column.startswith(f"{joint}/") for column in known):
+            raise FileError(
+                f"{name}: expected a state of the robot {robot.name!r}, found {joint} away from the identity "
+                f"({start.source}){WITHOUT_BASE.format(joint)}"
+            )
+        columns = _columns_of(joint, T[None], name, robot)
+        stated |= {column: float(value[0]) for column, value in columns.items() if column not in named}
+    return stated
+
+
+def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], source: str, name: str) -> None:
+    """Refuse values of a state that nothing uses, as no robot is given, unless they are 0."""
+    told = [f"{joint} = {value:g}" for joint, value in beside.items() if value != 0]
+    told += [f"{joint} away from the identity" for joint in places]
+    if told:
+        raise FileError(
+            f"{name}: expected a state of the joints that the points name, found {', '.join(told)} ({source}); give "
+            "the robot, by robot=, whose joints stand as the state says, or as others= says"
         )
-    return words
 
 
 def _is_off(value: float, first: float | None) -> bool:
     """Return whether a value of the start state is not the one with which the points begin, if they name its joint."""
     return first is not None and not abs(value - first) <= START_TOLERANCE
-
-
-def _seconds(given: Any) -> float:
-    """Convert a duration, in ROS's form or as a number, to seconds."""
-    if not isinstance(given, dict):
-        return float(given)
-    whole = given["sec"] if "sec" in given else given["secs"]
-    return float(whole) + 1e-9 * float(given["nanosec"] if "nanosec" in given else given["nsecs"])

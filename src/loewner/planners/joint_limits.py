@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._files import read_regular, shown
 from loewner._kernels import columns as tree_columns
+from loewner._nodes import Node, read_yaml, some
 from loewner._plausible import doubt_about_limits, doubt_about_velocity, warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, Floats
-from loewner.errors import FileError, InputError, UnknownNameError
+from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
-from loewner.scene_files.yaml_scenes import yaml_data
 
 # Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
 UP_IN = 1.0
@@ -26,19 +26,24 @@ UP_IN = 1.0
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
-# The largest file [bytes], and how deeply the limits may be nested in ROS's parameters.
+# The largest file [bytes].
 MOST_BYTES = 2**24
-DEEPEST = 8
 
 # Kinds of limits in a file, and the attribute that each of them bounds.
 KINDS = {"velocity": "velocity", "acceleration": "acceleration", "deceleration": "acceleration", "jerk": "jerk"}
 
-# Keys of a joint. The last ones are allowed, since MoveIt and ros2_control have them, but do not affect trajectories.
+# Keys of a joint. MoveIt and ros2_control have the last ones, which do not affect trajectories: forces, gains, and
+# whether an angle is a turn more or less.
 KEYS = (
     *(key for kind in KINDS for key in (f"max_{kind}", f"has_{kind}_limits")),
-    *("min_position", "max_position", "has_position_limits", "max_effort", "has_effort_limits", "angle_wraparound"),
-    *("has_soft_limits", "soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
+    *("min_position", "max_position", "has_position_limits"),
+    *("has_soft_limits", "soft_lower_limit", "soft_upper_limit"),
+    *("max_effort", "has_effort_limits", "angle_wraparound", "k_position", "k_velocity"),
 )
+
+# Keys beside the table of the joints.
+TABLE = "joint_limits"
+FACTORS = {kind: f"default_{kind}_scaling_factor" for kind in ("velocity", "acceleration")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +84,11 @@ class JointLimits(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A YAML file with the key ``joint_limits``, also within ROS's parameters. For each joint,
-            ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and ``has_velocity_limits: false`` means
-            that there is none; likewise for accelerations, decelerations and jerk, and for ``min_position`` and
-            ``max_position``. A limit of a joint that mimics another bounds the other joint; its positions are ignored.
+            A YAML file with the key ``joint_limits``, also within ROS's parameters, perhaps several times for different
+            joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
+            ``has_velocity_limits: false`` means that there is none; likewise for accelerations, decelerations and jerk,
+            and for ``min_position`` and ``max_position``, which soft limits narrow. A limit of a joint that mimics
+            another bounds the other joint; its positions are told, not read. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
@@ -94,7 +100,8 @@ class JointLimits(KeepsReadOnly):
         Raises
         ------
         FileError
-            If the file does not exist, contains no limits, a key of a joint is unknown, or a limit is malformed.
+            If the file does not exist, contains no limits, names a joint or a key twice, a key of a joint is unknown, a
+            limit is malformed, or a scaling factor is not beside ``joint_limits``.
         UnknownNameError
             If the robot lacks a joint of the file; the message lists such joints and the robot's.
         MissingExtraError
@@ -103,7 +110,8 @@ class JointLimits(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            Once, if limits of a joint that turns are probably in degrees.
+            Once, if limits of a joint that turns are probably in degrees; once, if the file has other tables beside
+            ``joint_limits``, or positions of joints that mimic others.
 
         Examples
         --------
@@ -114,15 +122,9 @@ class JointLimits(KeepsReadOnly):
         """
         source = _validate.path(path, "path")
         expect_robot(robot)
-        holder = _holder(yaml_data(read_regular(source, "limits of joints", MOST_BYTES), source), DEEPEST)
-        if holder is None:
-            raise FileError(f"{shown(source)}: expected the key joint_limits with joints below it, found none")
-        try:
-            limits, doubts = _read(holder, robot, _validate.flag(scaled, "scaled"))
-        except InputError as error:
-            raise FileError(f"{shown(source)}: {error}") from None
-        except UnknownNameError as error:
-            raise UnknownNameError(f"{shown(source)}: {error}") from None
+        flag, what = _validate.flag(scaled, "scaled"), "limits of joints"
+        root = read_yaml(read_regular(source, what, MOST_BYTES), source, what, merges=True)
+        limits, doubts = _read(root, robot, flag)
         if doubts:
             warn(f"{shown(source)}: {doubts[0]}" + (f" ({len(doubts) - 1} more like it)" if len(doubts) > 1 else ""))
         return limits
@@ -192,68 +194,142 @@ def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
     return np.broadcast_to(array, robot.dof)
 
 
-def _holder(held: Any, depth: int) -> Any:
-    """Find the first mapping with limits of joints, however it is wrapped; None if there is none."""
-    if not isinstance(held, Mapping) or depth == 0:
-        return None
-    if isinstance(held.get("joint_limits"), Mapping):
-        return held
-    found = (_holder(each, depth - 1) for each in held.values())
-    return next((each for each in found if each is not None), None)
+def _holders(node: Node, beside: list[Node]) -> Iterator[dict[str, Node]]:
+    """Find the mappings with a table of joints, however they are wrapped; what leads to none is added to `beside`."""
+    keys = node.mapping(None)
+    if TABLE in keys:
+        yield keys
+        beside += [held for key, held in keys.items() if key not in (TABLE, *FACTORS.values())]
+        return
+    for held in keys.values():
+        found = list(_holders(held, beside)) if held.kind == "mapping" else []
+        if not found:
+            beside.append(held)
+        yield from found
 
 
-def _read(holder: Mapping[Any, Any], robot: Robot, scaled: bool) -> tuple[JointLimits, list[str]]:
+def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str]]:
     """Return the limits, and why some may be in degrees."""
+    beside: list[Node] = []
+    holders = list(_holders(root, beside))
+    if not holders:
+        raise root.error("expected the key joint_limits with joints below it, found none")
+    for held in beside:
+        for name in {held.key.rpartition("/")[2]} & set(FACTORS.values()):
+            raise held.error(f"expected {name} beside joint_limits, found it elsewhere")
+    if beside:
+        warn(f"{root.file}: not read, since they are no limits of joints: {some(held.key for held in beside)}")
+    limits = {kind: np.full(robot.dof, np.nan) for kind in ("lower", "upper", *KINDS.values())}
+    entries: dict[str, tuple[Node, dict[str, float]]] = {}
+    factors = [_factors(holder, scaled) for holder in holders]
+    for holder, of_table in zip(holders, factors, strict=True):
+        for name, entry in holder[TABLE].mapping(None).items():
+            if name in entries:
+                raise entry.error(
+                    f"expected each joint once, found {name} again, first in line {entries[name][0].line}"
+                )
+            entries[name] = entry, of_table
+    if not entries:
+        raise root.error("expected joints below joint_limits, found none")
     columns = {name: (k, 1.0) for k, name in enumerate(robot.configuration_names)}
     columns |= {name: (columns[joint][0], factor) for name, (joint, factor) in robot.mimics.items() if joint in columns}
-    limits = {kind: np.full(robot.dof, np.nan) for kind in ("lower", "upper", *KINDS.values())}
-    _expect_joints(list(holder["joint_limits"]), columns)
-    turns, doubts = _turning(robot), []
-    for name, entry in holder["joint_limits"].items():
-        if not isinstance(entry, Mapping) or not entry:
-            raise InputError(f"{name}: expected limits by their names, found {_validate.short(entry)}")
-        for key in entry:
-            if key not in KEYS:
-                raise InputError(str(_validate.unknown_name(f"{name}: key", key, KEYS)))
-        k, factor = columns[name]
-        own = {}
+    _expect_joints(str(root.file), list(entries), columns)
+    turns, doubts, followed = _turning(robot), [], []
+    scales = {kind: np.ones(robot.dof) for kind in FACTORS}
+    for name, (entry, of_table) in entries.items():
+        (k, by), own = columns[name], _limits_of_joint(entry)
         for kind, attribute in KINDS.items():
-            limit = own[kind] = _limit(entry, name, kind, f"max_{kind}", np.inf, _validate.positive_scalar)
-            if limit is not None and factor != 0:
-                limits[attribute][k] = np.fmin(limits[attribute][k], limit / abs(factor))
-        for attribute, key, none in (("lower", "min_position", -np.inf), ("upper", "max_position", np.inf)):
-            limit = own[attribute] = _limit(entry, name, "position", key, none, _validate.real)
-            if limit is not None and name not in robot.mimics:
-                limits[attribute][k] = limit
+            if kind in own and by != 0:
+                limits[attribute][k] = np.fmin(limits[attribute][k], own[kind] / abs(by))
+        for kind in scales:
+            scales[kind][k] = min(scales[kind][k], of_table[kind])
+        if name in robot.mimics:
+            followed += [name] if any(np.isfinite(own.get(kind, np.inf)) for kind in ("lower", "upper")) else []
+        else:
+            for kind in {"lower", "upper"} & own.keys():
+                limits[kind][k] = own[kind]
         if turns[k]:
-            lower, upper, velocity = (own[kind] or 0.0 for kind in ("lower", "upper", "velocity"))
+            plain = {kind: value if np.isfinite(value) else 0.0 for kind, value in own.items()}
+            lower, upper, velocity = (plain.get(kind, 0.0) for kind in ("lower", "upper", "velocity"))
             texts = doubt_about_limits(lower, upper), doubt_about_velocity(velocity)
             doubts += [f"{name}: expected {text}" for text in texts if text]
+    if followed:
+        warn(f"{root.file}: not read: positions of joints that mimic others, {some(followed)}; limit those they mimic")
     for attribute, known in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
         limits[attribute] = np.where(np.isnan(limits[attribute]), known, limits[attribute])
     for k in np.flatnonzero(limits["lower"] > limits["upper"])[:1]:
         found = f"{limits['lower'][k]:g} and {limits['upper'][k]:g}"
-        raise InputError(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {found}")
-    for kind in ("velocity", "acceleration"):
-        key = f"default_{kind}_scaling_factor"
-        factor = _validate.positive_scalar(holder.get(key, 1.0), key)
-        if scaled and factor > 1:
-            raise InputError(f"{key}: expected at most 1 with scaled=True, found {factor:g}")
-        limits[kind] = limits[kind] * (factor if scaled else 1.0)
+        raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {found}")
+    for kind, factors_of in scales.items():
+        # Joints that the file does not name have the factors of the only table, if there is one.
+        rest = factors[0][kind] if len(factors) == 1 else 1.0
+        named = np.isin(np.arange(robot.dof), [columns[name][0] for name in entries])
+        limits[kind] = limits[kind] * np.where(named, factors_of, rest)
     for array in limits.values():
         array[np.isnan(array)] = np.inf
         array.setflags(write=False)
     return JointLimits(robot.configuration_names, **limits), doubts
 
 
-def _expect_joints(names: list[Any], known: Mapping[str, Any]) -> None:
+def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
+    """Return the scaling factors beside a table, which are 1 unless they are asked for."""
+    found = {}
+    for kind, key in FACTORS.items():
+        factor = holder[key].number() if key in holder else 1.0
+        if not factor > 0 or (scaled and factor > 1):
+            raise holder[key].error(f"expected a factor above 0{' and at most 1' if scaled else ''}, found {factor:g}")
+        found[kind] = factor if scaled else 1.0
+    return found
+
+
+def _limits_of_joint(entry: Node) -> dict[str, float]:
+    """Return the limits of one joint by their kinds, "lower" and "upper" among them; infinite if it says "none"."""
+    keys, found = entry.mapping(None), {}
+    if not keys:
+        raise entry.error("expected limits by their names, found none")
+    for key, held in keys.items():
+        if key not in KEYS:
+            raise held.error(str(_validate.unknown_name("key", key, KEYS)))
+        if key.startswith("has_") or key == "angle_wraparound":
+            held.flag()
+
+    def given(key: str, has: str) -> float | None:
+        """Return a limit; None if there is none, or it does not count."""
+        counts = keys[has].flag() if has in keys else True
+        return keys[key].angle() if key in keys and counts else None
+
+    for kind in KINDS:
+        key, has = f"max_{kind}", f"has_{kind}_limits"
+        limit = given(key, has)
+        if limit is not None and not limit > 0:
+            raise keys[key].error(f"expected a number > 0, found {limit:g}")
+        if limit is None and has in keys and keys[has].flag():
+            raise entry.error(f"expected {key} with {has}, found none")
+        if limit is not None or has in keys:
+            found[kind] = np.inf if limit is None else limit
+    for kind, key, soft, none in (
+        ("lower", "min_position", "soft_lower_limit", -np.inf),
+        ("upper", "max_position", "soft_upper_limit", np.inf),
+    ):
+        limit, narrower = given(key, "has_position_limits"), given(soft, "has_soft_limits")
+        if narrower is None and "has_soft_limits" in keys and keys["has_soft_limits"].flag():
+            raise entry.error(f"expected {soft} with has_soft_limits, found none")
+        if limit is None and "has_position_limits" in keys and not keys["has_position_limits"].flag():
+            limit = none
+        if limit is not None or narrower is not None:
+            both = [value for value in (limit, narrower) if value is not None]
+            found[kind] = max(both) if kind == "lower" else min(both)
+    return found
+
+
+def _expect_joints(file: str, names: list[str], known: Mapping[str, Any]) -> None:
     """Raise an UnknownNameError that names all joints that the robot lacks."""
     unknown = [name for name in names if name not in known]
     if unknown:
         more = ", ".join(map(_validate.short, unknown[1 : _validate.LISTED]))
         more += f" and {len(unknown) - _validate.LISTED} more" if len(unknown) > _validate.LISTED else ""
         error = _validate.unknown_name("joint", unknown[0], known)
-        raise UnknownNameError(f"{error}" + (f"; also unknown: {more}" if more else ""))
+        raise UnknownNameError(f"{file}: {error}" + (f"; also unknown: {more}" if more else ""))
 
 
 def _turning(robot: Robot) -> Bools:
@@ -262,17 +338,3 @@ def _turning(robot: Robot) -> Bools:
     turning[column[kind == tree_columns.REVOLUTE]] = True
     turning[column[(kind != tree_columns.REVOLUTE) & (kind != tree_columns.FIXED)]] = False
     return turning
-
-
-def _limit(
-    entry: Mapping[Any, Any], joint: str, kind: str, key: str, none: float, check: Callable[[Any, str], float]
-) -> float | None:
-    """Return a limit of a joint: `none` if its entry declares that there is none, None if it declares nothing."""
-    has, value = entry.get(f"has_{kind}_limits"), entry.get(key)
-    if has is not None and not _validate.flag(has, f"{joint}: has_{kind}_limits"):
-        return none
-    if value is not None:
-        return check(value, f"{joint}: {key}")
-    if has and kind != "position":
-        raise InputError(f"{joint}: expected {key} with has_{kind}_limits, found none")
-    return None

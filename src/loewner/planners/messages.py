@@ -1,187 +1,470 @@
-"""The parts of a ROS message that bear on a trajectory, however they are wrapped: nothing of them may be dropped.
+"""The ROS messages that contain trajectories, type by type: each field of a type is used, harmless, told or refused.
 
-Parts are recognised by their fields, since the names that lead to them depend on the message. All parts are collected;
-the caller decides which it uses, and refuses the others.
+A message is walked by the types of its fields. A key that its type does not have is an error, so nothing that bears on
+a motion is passed over: the states that its joints start from, bodies that the robot carries, and motions of a base.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
-# Limit on the depth of nested entries; an entry of a YAML file may contain itself.
-DEEPEST = 50
+import numpy as np
 
-# Number of places or names that a message lists.
-LISTED = 8
+from loewner import _tables
+from loewner._nodes import Node, some
+from loewner._validate import Floats
+from loewner.errors import FileError
 
-# A key of MoveIt's messages; the states below it describe the end of a motion.
-LATER = "scene_diff"
+# What becomes of a field that is no message of a type below: read by the code for its type; without an effect on the
+# joints and the bodies of a robot; or mentioned in a warning if it is not empty. A field may be of any type but these
+# that have such a field.
+USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
-# Keys with bodies around the robot and on it; their contents have no further parts.
-AROUND, CARRIED = "collision_objects", "attached_collision_objects"
+# Fields by type, in the order in which they take effect. Fields of a list have the type of its entries.
+TYPES: dict[str, dict[str, str]] = {
+    "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
+    "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
+    "RobotTrajectory": {
+        "joint_trajectory": "JointTrajectory",
+        "multi_dof_joint_trajectory": "MultiDOFJointTrajectory",
+    },
+    "RobotState": {
+        "is_diff": USED,
+        "joint_state": USED,
+        "multi_dof_joint_state": USED,
+        "attached_collision_objects": USED,
+    },
+    "PlanningSceneWorld": {"collision_objects": USED, "octomap": USED},
+    "PlanningScene": {
+        "name": HARMLESS,
+        "robot_state": "RobotState",
+        "robot_model_name": USED,
+        "fixed_frame_transforms": HARMLESS,  # frames of bodies in the message's world, which is not read
+        "allowed_collision_matrix": HARMLESS,  # more pairs are checked here
+        "link_padding": TOLD,
+        "link_scale": TOLD,
+        "object_colors": HARMLESS,
+        "world": "PlanningSceneWorld",
+        "is_diff": HARMLESS,  # of the world; a state has its own
+    },
+    "DisplayTrajectory": {"model_id": USED, "trajectory_start": "RobotState", "trajectory": "RobotTrajectory"},
+    "MotionPlanResponse": {
+        "trajectory_start": "RobotState",
+        "group_name": HARMLESS,
+        "trajectory": "RobotTrajectory",
+        "planning_time": HARMLESS,
+        "error_code": HARMLESS,
+    },
+    "MotionPlanDetailedResponse": {
+        "trajectory_start": "RobotState",
+        "group_name": HARMLESS,
+        "trajectory": "RobotTrajectory",
+        "description": HARMLESS,
+        "processing_time": HARMLESS,
+        "error_code": HARMLESS,
+    },
+    "MotionSequenceResponse": {
+        "error_code": HARMLESS,
+        "sequence_start": "RobotState",
+        "planned_trajectories": "RobotTrajectory",
+        "planning_time": HARMLESS,
+    },
+    "GetCartesianPath": {
+        "start_state": "RobotState",
+        "solution": "RobotTrajectory",
+        "fraction": HARMLESS,
+        "error_code": HARMLESS,
+    },
+    "MoveGroupResult": {
+        "error_code": HARMLESS,
+        "trajectory_start": "RobotState",
+        "planned_trajectory": "RobotTrajectory",
+        "executed_trajectory": TOLD,
+        "planning_time": HARMLESS,
+    },
+    "ExecuteTrajectoryGoal": {"trajectory": "RobotTrajectory", "controller_names": HARMLESS},
+    "FollowJointTrajectoryGoal": {
+        "trajectory": "JointTrajectory",
+        "multi_dof_trajectory": "MultiDOFJointTrajectory",
+        "path_tolerance": USED,
+        "component_path_tolerance": USED,
+        "goal_tolerance": HARMLESS,  # at the end only
+        "component_goal_tolerance": HARMLESS,
+        "goal_time_tolerance": HARMLESS,
+    },
+    "SubTrajectory": {
+        "info": HARMLESS,
+        "execution_info": HARMLESS,
+        "trajectory": "RobotTrajectory",
+        "scene_diff": "PlanningScene",
+    },
+    "Solution": {
+        "task_id": HARMLESS,
+        "start_scene": "PlanningScene",
+        "sub_solution": HARMLESS,  # which parts belong together; the parts are in sub_trajectory
+        "sub_trajectory": "SubTrajectory",
+    },
+    "ExecuteTaskSolutionGoal": {"solution": "Solution"},
+    "GetMotionPlanResponse": {"motion_plan_response": "MotionPlanResponse"},
+    "GetMotionSequenceResponse": {"response": "MotionSequenceResponse"},
+    "Goal": {"header": HARMLESS, "goal_id": HARMLESS, "goal": ANY},
+    "Result": {"header": HARMLESS, "status": HARMLESS, "result": ANY},
+}
+WRAPPED = [name for name, fields in TYPES.items() if ANY not in fields.values()]
+
+POINT = ("positions", "velocities", "accelerations", "effort", "time_from_start")
+PLACED_POINT = ("transforms", "velocities", "accelerations", "time_from_start")
+JOINT_STATE = ("header", "name", "position", "velocity", "effort")
+PLACED_STATE = ("header", "joint_names", "transforms", "twist", "wrench")
+CARRIED = ("link_name", "object", "touch_links", "detach_posture", "weight")
+TOLERANCE = ("name", "component", "position", "velocity", "acceleration")
+
+# Seconds and their fractions in a duration, in ROS 2 and ROS 1. A number that is larger than a day in seconds is
+# probably in nanoseconds.
+HALVES = (("sec", "nanosec"), ("secs", "nsecs"))
+DAY = 86400.0
+
+# The operation by which a body is taken away, in moveit_msgs/CollisionObject.
+REMOVE = 1
+
+
+@dataclass(eq=False)
+class State:
+    """What a message says of the robot at one time.
+
+    Attributes
+    ----------
+    joints : dict
+        Values by joint [rad or m].
+    places : dict
+        For a joint of several values: position [m] and quaternion x, y, z, w, as one array of 7 numbers.
+    carried : dict
+        For each body that the robot carries, by name: the link that carries it, and links that it may touch.
+    source : str
+        The key of the latest state.
+    """
+
+    joints: dict[str, float] = field(default_factory=dict)
+    places: dict[str, Floats] = field(default_factory=dict)
+    carried: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    source: str = ""
+
+    def copy(self) -> State:
+        """Return a state that changes by itself."""
+        return State(dict(self.joints), dict(self.places), dict(self.carried), self.source)
+
+
+@dataclass(eq=False)
+class Motion:
+    """Timed values of joints.
+
+    Attributes
+    ----------
+    names : list of str
+    times : list of float
+        In seconds.
+    rows : dict
+        "positions", and "velocities" and "accelerations" if all points have them: rows of numbers for each point; or
+        "transforms", rows of positions and quaternions x, y, z, w, of shape (joints, 7).
+    """
+
+    names: list[str]
+    times: list[float]
+    rows: dict[str, list[list[float]]]
+
+
+@dataclass(eq=False)
+class Part:
+    """One trajectory of a message: of joints with one value, of joints with several, or of both at the same time."""
+
+    place: str
+    joints: Motion | None
+    placed: Motion | None
+    start: State
 
 
 @dataclass(eq=False)
 class Message:
-    """The parts of a message, each with the keys that lead to it.
+    """All trajectories of a message in their order, and what else it says.
 
     Attributes
     ----------
-    trajectories : list of (str, mapping)
-        Trajectories of joints that have points.
-    multi_dof : list of (str, mapping)
-        Trajectories of joints with several values, which have points with transforms.
-    states : list of (str, mapping)
-        Values of joints, ``sensor_msgs/JointState``.
-    multi_dof_states : list of (str, mapping)
-        Transforms of joints with several values, ``sensor_msgs/MultiDOFJointState``.
-    attached : list of (str, mapping)
-        Bodies that the robot carries, ``moveit_msgs/AttachedCollisionObject``.
-    around : list of (str, str)
-        Bodies of the message's world, by their names.
+    parts : list of Part
+    robots : list of str
+        Names of robots in the message.
+    around : list of str
+        Names of the bodies in the message's world.
+    told : list of str
+        What else is not read, as sentences.
     """
 
-    trajectories: list[tuple[str, dict[Any, Any]]] = field(default_factory=list)
-    multi_dof: list[tuple[str, dict[Any, Any]]] = field(default_factory=list)
-    states: list[tuple[str, dict[Any, Any]]] = field(default_factory=list)
-    multi_dof_states: list[tuple[str, dict[Any, Any]]] = field(default_factory=list)
-    attached: list[tuple[str, Any]] = field(default_factory=list)
-    around: list[tuple[str, str]] = field(default_factory=list)
-
-    def values(self, *, before: bool = False) -> list[tuple[str, float]]:
-        """Return the joints and values of all states, or only of states before the motion, each pair once."""
-        states = [held for key, held in self.states if not (before and LATER in key)]
-        return list(dict.fromkeys(pair for held in states for pair in _values(held)))
-
-    def placed(self) -> list[str]:
-        """Return the joints with several values that a state moves away from the identity."""
-        found = (name for _, held in self.multi_dof_states for name in _away(held))
-        return list(dict.fromkeys(found))
+    parts: list[Part] = field(default_factory=list)
+    robots: list[str] = field(default_factory=list)
+    around: list[str] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
 
 
-def parts(message: Any) -> Message:
-    """Collect the parts of a message.
+def read(root: Node) -> Message:
+    """Read a message.
 
     Raises
     ------
-    ValueError
-        If entries are nested too deeply.
+    FileError
+        If the message is of none of the known types, has a key that its type does not have, or a value of another kind.
     """
-    found = Message()
-    _collect(message, "", found, 0)
+    found, state = Message(), State()
+    for each in _listed(root):
+        _walk(each, _type_of(each, tuple(TYPES)), found, state)
     return found
 
 
-def places(found: Sequence[tuple[str, Any]]) -> str:
-    """List the places of parts, for messages."""
-    more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
-    return ", ".join(key or "the message itself" for key, _ in found[:LISTED]) + more
+def _type_of(node: Node, among: Collection[str]) -> str:
+    """Return the type that fits a message best, by its keys and those of its parts."""
+    keys = set(node.mapping(None))
+
+    def fits(name: str) -> tuple[bool, int, int]:
+        return _fits(node, name), len(keys & TYPES[name].keys()), -len(TYPES[name])
+
+    return max(among, key=fits)
 
 
-def carried(attached: Sequence[tuple[str, Any]]) -> str:
-    """List the bodies that a robot carries, and their links, for messages."""
-    return _some(
-        f"{_field(_field(held, 'object'), 'id')!r} on link {_field(held, 'link_name')!r}" for _, held in attached
-    )
-
-
-def around(found: Sequence[tuple[str, str]]) -> str:
-    """List the bodies of a message's world, for messages."""
-    return _some(name for _, name in found)
-
-
-def _collect(held: Any, key: str, found: Message, depth: int) -> None:
-    """Add the parts of an entry and of the entries within it."""
-    if depth > DEEPEST:
-        raise ValueError(f"more than {DEEPEST} entries inside each other")
-    if isinstance(held, (tuple, set)):  # of YAML's tags !!omap, !!pairs and !!set, which no message has
-        raise ValueError(f"entries in another form than mappings and lists at {key!r}")
-    if isinstance(held, list):
-        for k, each in enumerate(held):
-            if isinstance(each, (dict, list, tuple, set)):
-                _collect(each, f"{key}[{k}]", found, depth + 1)
-    elif isinstance(held, dict):
-        whole = _note(held, key, found)
-        for name, each in held.items():
-            if name not in whole and isinstance(each, (dict, list, tuple, set)):
-                _collect(each, f"{key}/{name}" if key else str(name), found, depth + 1)
-
-
-def _note(held: dict[Any, Any], key: str, found: Message) -> list[str]:
-    """Add a mapping to the parts of its kind, and return the keys whose contents this has settled."""
-    settled = [CARRIED, AROUND]
-    if _has_points(held):
-        kind = found.multi_dof if _has_transforms(held["points"]) else found.trajectories
-        kind.append((key, held))
-        settled.append("points")
-    if isinstance(held.get("name"), list) and "position" in held:
-        found.states.append((key, held))
-    if held.get("transforms") and "joint_names" in held:
-        found.multi_dof_states.append((key, held))
-    if "link_name" in held and "object" in held:
-        found.attached.append((key, held))
-        settled.append("object")
-    if "resolution" in held and held.get("data"):
-        found.around.append((key, "an octree"))
-    found.attached += [(key, each) for each in _listed(held.get(CARRIED))]
-    found.around += [(key, str(_field(each, "id"))) for each in _listed(held.get(AROUND))]
-    return settled
-
-
-def _has_points(held: dict[Any, Any]) -> bool:
-    """Return whether a mapping is a trajectory with at least one point; polygons and clouds have points, too."""
-    points = held.get("points")
-    if not points:
+def _fits(node: Node, name: str) -> bool:
+    """Return whether a message may be of a type: it has none but the type's keys, and so have its parts."""
+    if node.kind != "mapping":
         return False
-    return "joint_names" in held or (isinstance(points, list) and "time_from_start" in _mapping(points[0]))
+    fields = TYPES[name]
+    keys = node.mapping(None)
+    if not keys.keys() <= fields.keys():
+        return False
+    if name in ("JointTrajectory", "MultiDOFJointTrajectory") and "points" in keys:
+        return _is_placed(keys["points"]) == (name == "MultiDOFJointTrajectory")
+    parts = ((held, fields[key]) for key, held in keys.items() if fields[key] in TYPES and not held.empty)
+    return all(_fits(each, of) for held, of in parts for each in _listed(held))
 
 
-def _has_transforms(points: Any) -> bool:
-    return isinstance(points, list) and any("transforms" in point for point in points if isinstance(point, dict))
+def _is_placed(points: Node) -> bool:
+    """Return whether points have transforms."""
+    listed = points.items() if points.kind == "sequence" else []
+    return bool(listed) and listed[0].kind == "mapping" and "transforms" in listed[0].mapping(None)
 
 
-def _values(state: dict[Any, Any]) -> Iterator[tuple[str, float]]:
-    """Return the joints and values of a JointState, which may also have velocities alone."""
-    names, positions = state["name"], state["position"] or []
-    if not isinstance(positions, list) or len(positions) not in (0, len(names)):
-        count = len(positions) if isinstance(positions, list) else type(positions).__name__
-        raise ValueError(f"a state of {len(names)} joints with the positions {count}")
-    return ((str(name), float(value)) for name, value in zip(names, positions, strict=False))
+def _walk(node: Node, name: str, found: Message, state: State) -> None:
+    """Read a message of a known type, in which `state` is changed as the message says."""
+    keys = node.mapping(TYPES[name])
+    if name in ("JointTrajectory", "MultiDOFJointTrajectory"):
+        _add_part(node, {name: node}, found, state)
+    elif name == "RobotTrajectory":
+        of = TYPES[name]
+        _add_part(node, {of[key]: held for key, held in keys.items() if not held.empty}, found, state)
+    elif name == "FollowJointTrajectoryGoal":
+        of = TYPES[name]
+        given = {of[key]: held for key, held in keys.items() if of[key] in TYPES and not held.empty}
+        _add_part(node, given, found, state)
+        found.told += _tolerated(keys)
+    elif name == "RobotState":
+        _read_state(keys, state)
+    elif name == "PlanningSceneWorld":
+        found.around += _around(keys)
+    else:
+        for key, of in TYPES[name].items():
+            if key not in keys or keys[key].empty or of == HARMLESS:
+                continue
+            if of == USED:
+                found.robots.append(keys[key].text())
+            elif of == TOLD:
+                found.told.append(f"{keys[key].key} is not read")
+            else:
+                for each in _listed(keys[key]):
+                    _walk(each, _type_of(each, WRAPPED) if of == ANY else of, found, state)
 
 
-def _away(state: dict[Any, Any]) -> Iterator[str]:
-    """Return the joints of a MultiDOFJointState whose transforms are not the identity."""
-    names, transforms = state["joint_names"], state["transforms"]
-    if not isinstance(transforms, list) or not isinstance(names, list) or len(names) != len(transforms):
-        raise ValueError("a state of joints with several values whose names and transforms differ in number")
-    for name, transform in zip(names, transforms, strict=True):
-        numbers = [*_xyz(_field(transform, "translation")), *_xyz(_field(transform, "rotation"))]
-        if any(number != 0 for number in numbers):
-            yield str(name)
+def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) -> None:
+    """Add the motion of a message; afterwards the joints have the values of its last points."""
+    joints = placed = None
+    if "JointTrajectory" in given:
+        joints = _joint_motion(given["JointTrajectory"])
+    if "MultiDOFJointTrajectory" in given:
+        placed = _placed_motion(given["MultiDOFJointTrajectory"])
+    if joints is None and placed is None:
+        return
+    found.parts.append(Part(node.key or "the message itself", joints, placed, state.copy()))
+    if joints is not None:
+        state.joints.update(zip(joints.names, joints.rows["positions"][-1], strict=True))
+    if placed is not None:
+        rows = np.array(placed.rows["transforms"][-1]).reshape(-1, 7)
+        state.places.update(zip(placed.names, rows, strict=True))
 
 
-def _xyz(held: Any) -> list[Any]:
-    """Return three components of a vector or a quaternion; a quaternion that turns nothing has zeros here."""
-    return [_mapping(held).get(axis) for axis in "xyz"]
+def _joint_motion(node: Node) -> Motion | None:
+    """Read a JointTrajectory; None if it has no points."""
+    keys = node.mapping(TYPES["JointTrajectory"])
+    if "points" not in keys or keys["points"].empty:
+        return None
+    names = _names(node, keys)
+    points = [point.mapping(POINT, required=("time_from_start",)) for point in keys["points"].items()]
+    rows = {}
+    for kind in ("positions", "velocities", "accelerations"):
+        given = [kind in point and not point[kind].empty for point in points]
+        if not any(given):
+            continue
+        if not all(given):
+            raise (
+                keys["points"]
+                .items()[given.index(False)]
+                .error(f"expected {kind} of all points or of none, found none")
+            )
+        rows[kind] = [point[kind].numbers(len(names)) for point in points]
+    if "positions" not in rows:
+        raise keys["points"].error("expected positions of the points, found none")
+    return Motion(names, [_seconds(point["time_from_start"]) for point in points], rows)
 
 
-def _listed(held: Any) -> list[Any]:
-    """Return the entries of a list; one that is not in a list counts as well, and nothing is an empty list."""
-    return held if isinstance(held, list) else [held] if held else []
+def _placed_motion(node: Node) -> Motion | None:
+    """Read a MultiDOFJointTrajectory; None if it has no points."""
+    keys = node.mapping(TYPES["MultiDOFJointTrajectory"])
+    if "points" not in keys or keys["points"].empty:
+        return None
+    names = _names(node, keys)
+    points = [p.mapping(PLACED_POINT, required=("transforms", "time_from_start")) for p in keys["points"].items()]
+    rows = []
+    for point in points:
+        for kind in ("velocities", "accelerations"):
+            if kind in point and not point[kind].empty and any(map(_moves, point[kind].items())):
+                raise point[kind].error(f"expected transforms alone, between which a base moves straight, found {kind}")
+        rows.append([x for each in point["transforms"].items(len(names)) for x in _transform(each)])
+    return Motion(names, [_seconds(point["time_from_start"]) for point in points], {"transforms": rows})
 
 
-def _mapping(held: Any) -> dict[Any, Any]:
-    return held if isinstance(held, dict) else {}
+def _names(node: Node, keys: dict[str, Node]) -> list[str]:
+    if "joint_names" not in keys:
+        raise node.error("expected the key joint_names, found none")
+    names = [name.text() for name in keys["joint_names"].items()]
+    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    if twice:
+        raise keys["joint_names"].error(f"expected each joint once, found {some(twice)} again")
+    return names
 
 
-def _field(held: Any, name: str) -> Any:
-    return _mapping(held).get(name, "")
+def _read_state(keys: dict[str, Node], state: State) -> None:
+    """Change a state as a RobotState says; one that is not a difference replaces what the robot carries."""
+    differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
+    for key, known in (("joint_state", JOINT_STATE), ("multi_dof_joint_state", PLACED_STATE)):
+        if key not in keys or keys[key].empty:
+            continue
+        held = keys[key].mapping(known)
+        if key == "joint_state":
+            names, values = _list(held, "name"), _list(held, "position")
+            if values and len(values) != len(names):  # a state may have velocities alone
+                raise keys[key].error(f"expected as many positions as names, found {len(values)} and {len(names)}")
+            given = [(name.text(), value.number()) for name, value in zip(names, values, strict=False)]
+            state.joints.update(given)
+        else:
+            names, places = _list(held, "joint_names"), _list(held, "transforms")
+            if len(places) != len(names):
+                raise keys[key].error(f"expected as many transforms as names, found {len(places)} and {len(names)}")
+            given = [(name.text(), np.array(_transform(T))) for name, T in zip(names, places, strict=True)]
+            state.places.update(given)
+        twice = {name for name, _ in given if sum(name == other for other, _ in given) > 1}
+        if twice:
+            raise keys[key].error(f"expected each joint once, found {some(sorted(twice))} again")
+        if given:
+            state.source = keys[key].key
+    if "attached_collision_objects" in keys:
+        _carry(keys["attached_collision_objects"], state, differs)
 
 
-def _some(names: Iterator[str]) -> str:
-    """Format names for messages, limited to a readable number."""
-    listed = list(names)
-    more = f" and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
-    return ", ".join(listed[:LISTED]) + more
+def _carry(node: Node, state: State, differs: bool) -> None:
+    """Change what a state carries."""
+    if not differs:
+        state.carried.clear()
+    for entry in _listed(node) if not node.empty else []:
+        held = entry.mapping(CARRIED, required=("link_name", "object"))
+        body = held["object"].mapping(None)
+        name = body["id"].text() if "id" in body and not body["id"].empty else ""
+        if "operation" in body and body["operation"].number() == REMOVE:
+            for one in [name] if name else list(state.carried):
+                state.carried.pop(one, None)
+        else:
+            touched = tuple(link.text() for link in _list(held, "touch_links"))
+            state.carried[name] = held["link_name"].text(), touched
+
+
+def _around(keys: dict[str, Node]) -> Iterator[str]:
+    """Return the names of the bodies in a message's world."""
+    for entry in _list(keys, "collision_objects"):
+        held = entry.mapping(None)
+        yield held["id"].text() if "id" in held and not held["id"].empty else "a body without a name"
+    tree = keys["octomap"].mapping(None) if "octomap" in keys and not keys["octomap"].empty else {}
+    inner = tree["octomap"].mapping(None) if "octomap" in tree and not tree["octomap"].empty else tree
+    if "data" in inner and not inner["data"].empty:
+        yield "an octree"
+
+
+def _tolerated(keys: dict[str, Node]) -> Iterator[str]:
+    """Say how far a goal lets a controller deviate from the path."""
+    for key in ("path_tolerance", "component_path_tolerance"):
+        for entry in _list(keys, key):
+            held = entry.mapping(None if key.startswith("component") else TOLERANCE)
+            allowed = held["position"].number() if "position" in held and not held["position"].empty else 0.0
+            if allowed:  # 0 is the controller's default, and negative no limit
+                joint = held["name"].text() if "name" in held else "a joint"
+                far = f"by {allowed:g}" if allowed > 0 else "without a limit"
+                yield f"{entry.key} lets {joint} deviate {far} on the way; joint_error= covers deviations"
+
+
+def _seconds(node: Node) -> float:
+    """Read a duration: seconds and nanoseconds as in ROS 1 or ROS 2, or a number of seconds."""
+    if node.kind == "scalar":
+        try:
+            seconds = node.number()
+        except FileError:
+            seconds = _text_of_seconds(node)
+        if seconds > DAY:
+            raise node.error(f"expected seconds, at most a day, found {seconds:g}; is it in nanoseconds?")
+        return seconds
+    held = node.mapping(tuple(key for pair in HALVES for key in pair))
+    for pair in HALVES:
+        if held.keys() == set(pair):
+            return held[pair[0]].number() + 1e-9 * held[pair[1]].number()
+    raise node.error(f"expected sec and nanosec, or secs and nsecs, found {some(held) or 'neither'}")
+
+
+def _text_of_seconds(node: Node) -> float:
+    """Read a number of seconds in quotes; a fault is that of a number without quotes."""
+    try:
+        return _tables.number(node.text())
+    except (ValueError, FileError):
+        return node.number()
+
+
+def _transform(node: Node) -> list[float]:
+    """Read a geometry_msgs/Transform: position, and quaternion x, y, z, w; without a rotation, or with 0, it is 1."""
+    keys = node.mapping(("translation", "rotation"))
+    position, quaternion = [0.0] * 3, [0.0, 0.0, 0.0, 0.0]
+    if "translation" in keys and not keys["translation"].empty:
+        held = keys["translation"].mapping(("x", "y", "z"))
+        position = [held[axis].number() if axis in held else 0.0 for axis in "xyz"]
+    if "rotation" in keys and not keys["rotation"].empty:
+        held = keys["rotation"].mapping(("x", "y", "z", "w"))
+        quaternion = [held[axis].number() if axis in held else 0.0 for axis in "xyzw"]
+    if not any(quaternion):
+        quaternion[3] = 1.0
+    return [*position, *quaternion]
+
+
+def _moves(node: Node) -> bool:
+    """Return whether a twist has a number other than 0."""
+    if node.kind == "scalar":
+        return not node.empty and node.number() != 0
+    return any(map(_moves, node.mapping(None).values() if node.kind == "mapping" else node.items()))
+
+
+def _list(keys: dict[str, Node], key: str) -> list[Node]:
+    """Return the entries of a list, which may be missing."""
+    return [] if key not in keys or keys[key].empty else keys[key].items()
+
+
+def _listed(node: Node) -> list[Node]:
+    """Return the entries of a list; a message that is not in a list counts as well."""
+    return list(node.items()) if node.kind == "sequence" else [node]

@@ -538,7 +538,8 @@ class CollisionChecker:
         errors = curves.joint_errors(self.robot, joint_error)
         ready = self._ready(timed=True)
         model = model_of(ready) if _validate.flag(proof, "proof") else None
-        found = curves.certified(self.robot, ready, curves.curves_of(self.robot, curve, t0), tolerance, errors, model)
+        given = curves.curves_of(self.robot, self.scene, curve, t0)
+        found = curves.certified(self.robot, ready, given, tolerance, errors, model)
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     joint_error = tracking.joint_error

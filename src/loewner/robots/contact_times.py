@@ -118,7 +118,7 @@ def first_contact(
     tolerance = _validate.positive_scalar(tolerance, "tolerance")
     ready: Problem = self._ready(timed=True)
     found = []
-    for k, one in enumerate(curves_of(self.robot, curve, t0)):
+    for k, one in enumerate(curves_of(self.robot, self.scene, curve, t0)):
         # On courses of degree 1, parts of a body's turn would have to be made otherwise.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
         found.append(_first(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))

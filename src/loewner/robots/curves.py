@@ -26,6 +26,7 @@ from loewner.robots.proof_models import Model
 from loewner.robots.proofs import prove
 from loewner.robots.robot import Robot
 from loewner.robots.written_proofs import proof_of
+from loewner.scenes import Scene
 
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
@@ -52,12 +53,15 @@ class Curve(NamedTuple):
     courses : ndarray, shape (n, degree + 1, dof)
     off : ndarray, shape (n, dof)
         Bounds on the rounding error of each value.
+    carried : tuple of (str, str)
+        Bodies that the robot has to carry, and their links.
     """
 
     names: tuple[str, ...] | None
     times: Floats
     courses: Floats
     off: Floats
+    carried: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,11 +230,24 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
 # -- forms of curves ----------------------------------------------------------------------------
 
 
-def curves_of(robot: Robot, given: Any, t0: float | None = None) -> list[Curve]:
-    """Return the courses of one curve, or of each curve in a list; errors as for `curve_of`."""
+def curves_of(robot: Robot, scene: Scene, given: Any, t0: float | None = None) -> list[Curve]:
+    """Return the courses of one curve, or of each curve in a list; errors as for `curve_of`.
+
+    The scene must have attached the bodies that the robot carries on a curve.
+    """
     if isinstance(given, (list, tuple)):
-        return [started(robot, one, f"curve {k}", t0) for k, one in enumerate(given)]
-    return [started(robot, given, "curve", t0)]
+        curves = [started(robot, one, f"curve {k}", t0) for k, one in enumerate(given)]
+    else:
+        curves = [started(robot, given, "curve", t0)]
+    for body, link in dict.fromkeys(pair for curve in curves for pair in curve.carried):
+        held = scene.attachments.get(body)
+        if held is None or held.link != link:
+            found = "none" if held is None else f"it on {held.link!r}"
+            raise InputError(
+                f"expected a body {body!r} attached to the link {link!r}, which carries it on this trajectory, found "
+                f"{found}; attach it in the scene (Scene.attach, or --attach on the command line)"
+            )
+    return curves
 
 
 def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Curve:
@@ -417,7 +434,7 @@ def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
         found = ", and ".join(f"{what} {', '.join(joints)}" for what, joints in faults.items() if joints)
         raise InputError(f"{name}: expected the joints {', '.join(wanted)}, found {found}")
     order = [curve.names.index(joint) for joint in wanted]
-    return Curve(wanted, curve.times, curve.courses[..., order], curve.off[..., order])
+    return curve._replace(names=wanted, courses=curve.courses[..., order], off=curve.off[..., order])
 
 
 def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:

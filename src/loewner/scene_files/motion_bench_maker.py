@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 import functools
-import json
-import math
-import re
-import reprlib
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from loewner import _json, _validate
+from loewner import _validate
 from loewner._files import read_regular
 from loewner._guard import guarded
+from loewner._nodes import JsonNode, cut, read_json
+from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.errors import FileError
-from loewner.scene_files.node import DEEPEST, Node, cut
 from loewner.scenes import Scene
 
 # The largest file that is read [bytes].
 MOST_BYTES = 2**28
 
+# How far the rotations of a quaternion and of angles may differ, in each entry of the matrix; files have few digits.
+SAME_ROTATION = 1e-2
+
+TOP_KEYS = ("robot", "joints", "problems")
 PROBLEM_KEYS = ("sphere", "box", "cylinder", "index", "problem", "start", "goals", "valid")
 NEEDED_KEYS = ("index", "start", "goals")
 OBSTACLE_KEYS = {
@@ -113,15 +110,8 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     [('shelf', 1)]
     """
     file = _validate.path(path, "path")
-    try:
-        content = _json.parsed(_json_text(file), str(file))
-    except FileError:
-        raise
-    except json.JSONDecodeError as error:
-        raise FileError(f"{file}, line {error.lineno}: expected JSON, found a fault in it ({error.msg})") from None
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"{file}: expected JSON, found something else ({error})") from None
-    top = JsonNode(file, "", content).mapping(None, required=("robot", "joints", "problems"))
+    what = "problems in JSON"
+    top = read_json(read_regular(file, what, MOST_BYTES), file, what).mapping(TOP_KEYS, required=TOP_KEYS)
     robot, joints, groups = (top[key] for key in ("robot", "joints", "problems"))
     name, names = robot.text(), tuple(joint.text() for joint in joints.items())
     for joint, count in Counter(names).most_common(1):
@@ -133,67 +123,6 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
         for group, listed in groups.mapping(None).items()
         for node in listed.items()
     )
-
-
-def _json_text(file: Path) -> str:
-    """Read the text of a JSON file, which must not be nested too deeply."""
-    data = read_regular(file, "problems in JSON", MOST_BYTES)
-    text = data.decode(json.detect_encoding(data))
-    if text.startswith("\ufeff"):
-        text = text[1:]
-    # Opening minus closing brackets; brackets in names can only make it too large, in contrived files.
-    depth = deepest = 0
-    for bracket in re.finditer(r"[\[{\]}]", text):
-        depth += 1 if bracket[0] in "[{" else -1
-        deepest = max(deepest, depth)
-    if deepest > DEEPEST:
-        raise FileError(f"{file}: expected problems in JSON, found more than {DEEPEST} entries inside each other")
-    return text
-
-
-class JsonNode(Node):
-    """A place in a JSON file; the JSON reader records no line numbers."""
-
-    @property
-    def line(self) -> None:
-        """The line is unknown."""
-
-    def expect(self, kind: str, wanted: str) -> Any:
-        """Check the kind of the place and return its content: mapping pairs, sequence entries, or a plain value."""
-        raw = self.raw
-        found = "mapping" if isinstance(raw, dict) else "sequence" if isinstance(raw, list) else "scalar"
-        if found != kind:
-            raise self.error(f"expected {wanted}, found {self.described()}")
-        return raw.items() if isinstance(raw, dict) else raw
-
-    def described(self) -> str:
-        """Describe the content, for messages."""
-        if isinstance(self.raw, dict | list):
-            return f"a {'mapping' if isinstance(self.raw, dict) else 'sequence'} of {len(self.raw)}"
-        return cut(repr(self.raw) if isinstance(self.raw, str) else reprlib.repr(self.raw))
-
-    def _plain(self, kind: type, wanted: str) -> Any:
-        # In Python a bool is an int; in a file it is not.
-        if not isinstance(self.raw, kind) or (isinstance(self.raw, bool) and kind is not bool):
-            raise self.error(f"expected {wanted}, found {self.described()}")
-        return self.raw
-
-    def text(self) -> str:
-        """Read a name."""
-        return str(self._plain(str, "a name"))
-
-    def number(self) -> float:
-        """Read a finite number; integers may be too large for a float."""
-        value = self.raw if isinstance(self.raw, float) else self._plain(int, "a number")
-        return self.finite(float(value) if abs(value) <= sys.float_info.max else math.nan)
-
-    def whole(self) -> int:
-        """Read a whole number."""
-        return int(self._plain(int, "a whole number"))
-
-    def flag(self) -> bool:
-        """Read a boolean."""
-        return bool(self._plain(bool, "true or false"))
 
 
 def _problem(node: JsonNode, group: str, robot: str, joints: tuple[str, ...], make: Callable[..., Body]) -> Problem:
@@ -232,14 +161,22 @@ def _obstacle(kind: str, *sizes: float) -> Body:
 
 
 def _pose(keys: dict[str, JsonNode]) -> Floats:
-    """Read the pose of an obstacle."""
+    """Read the pose of an obstacle; where a quaternion and angles are given, the quaternion counts."""
     T = np.eye(4)
     T[:3, 3] = keys["position"].numbers(3)
+    angles = keys.get("orientation_euler_xyz")
+    if angles is not None:
+        rpy = angles.numbers(3)
+        T[:3, :3] = from_rpy(*rpy)
+        doubt = doubt_about_rpy(rpy)
+        if doubt:
+            warn(f"{angles.file}: {angles.key}: expected {doubt}")
     if "orientation_quat_xyzw" in keys:
         node = keys["orientation_quat_xyzw"]
         *xyz, w = node.numbers(4)
         with node.blamed():
-            T[:3, :3] = from_quaternion([w, *xyz], "quaternion")
-    elif "orientation_euler_xyz" in keys:
-        T[:3, :3] = from_rpy(*keys["orientation_euler_xyz"].numbers(3))
+            R = from_quaternion([w, *xyz], "quaternion")
+        if angles is not None and np.abs(R - T[:3, :3]).max() > SAME_ROTATION:
+            raise angles.error(f"expected the rotation of the quaternion {[*xyz, w]}, found {angles.numbers(3)}")
+        T[:3, :3] = R
     return T

@@ -11,9 +11,9 @@ import numpy as np
 
 from loewner import _archives, _tables, _validate
 from loewner._files import read_regular
+from loewner._nodes import Node
 from loewner.bodies import Body
 from loewner.errors import FileError
-from loewner.scene_files.node import Node
 
 # Largest file of numbers in bytes: a cloud of ten million points in text.
 MOST_BYTES = 2**29

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import re
 from collections.abc import Callable
 from os import PathLike
@@ -16,22 +15,20 @@ from loewner import _validate
 from loewner._files import named_by_content, read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import columns
+from loewner._nodes import MOST_ENTRIES, YamlNode, read_yaml, some, yaml_package
 from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner._validate import Floats
 from loewner.bodies import ARRAYS, CURVED, Body, body_of_file, checksum_of, packed_of
-from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.errors import FileError, InputError
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
-from loewner.scene_files.node import DEEPEST, Node, cut, some
 from loewner.scene_files.sensor_shapes import SENSOR_SHAPES
 from loewner.scenes import MarginKey, Scene
 
 Maker = Callable[..., Body]
 
-# Limits on a file: bytes, and entries, with the entries of an alias counted at each use. A scene of a hundred thousand
-# boxes has half as many. Reading YAML takes a few seconds per megabyte.
+# The largest file [bytes].
 MOST_BYTES = 2**24
-MOST_ENTRIES = 2_000_000
 
 # Letters of a body's name in the name of its file.
 LONGEST_NAME = 100
@@ -54,11 +51,6 @@ ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     kind.name: (getattr(Body, kind.name), kind.size_names) for kind in CURVED.values() if kind.size_names
 }
 SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", *SENSOR_SHAPES, "mesh", "saved")
-
-# YAML's tags for plain values; a scene has no use for values with other tags.
-YAML_TAGS = tuple(
-    f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")
-)
 
 
 @guarded
@@ -100,8 +92,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     file = _validate.path(path, "path")
     if file.suffix.lower() in MJCF_SUFFIXES:
         return mjcf_scene(file)
-    root = YamlNode(file, "", _composed(file))
-    top = root.mapping(TOP_KEYS, required=("bodies",))
+    what = "a scene in YAML"
+    top = read_yaml(read_regular(file, what, MOST_BYTES), file, what).mapping(TOP_KEYS, required=("bodies",))
     scene = Scene()
     if "margin" in top:
         scene.set_margin(top["margin"].length())
@@ -121,7 +113,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
 def _set_margin(scene: Scene, entry: YamlNode) -> None:
     """Set the margin of an entry: ``[a, 0.02]``, ``[a, b, 0.02]``, or a mapping with the options of `set_margin`."""
     options: dict[str, Any] = {}
-    if entry.raw.id != "mapping":
+    if entry.kind != "mapping":
         *items, last = entry.items(2, 3)
     else:
         keys = entry.mapping(MARGIN_KEYS, required=("margin",))
@@ -171,7 +163,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     >>> load_scene("ball.yaml").margin
     0.01
     """
-    yaml = _yaml()
+    yaml = yaml_package()
     if not isinstance(scene, Scene):
         raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
     file = _validate.path(path, "path")
@@ -242,170 +234,6 @@ def _margin_entry(key: MarginKey, margin: float, lower: bool) -> list[Any] | dic
 
 
 # -- reading YAML -----------------------------------------------------------------------------
-
-
-def _yaml() -> Any:
-    try:
-        import yaml
-    except ImportError:
-        raise MissingExtraError(f"scene files need PyYAML: {installing('robots')}") from None
-    return yaml
-
-
-def _composed(file: Path) -> Any:
-    """Read the root node of a YAML file; nodes record their lines, and nothing in the file is executed."""
-    data = read_regular(file, "a scene in YAML", MOST_BYTES)
-    root = _parsed(data, file, _yaml().compose)
-    if root is None:
-        raise FileError(f"{file}: expected a scene in YAML, found an empty file")
-    return root
-
-
-def yaml_data(data: bytes, file: Path) -> Any:
-    """Read a YAML file as mappings, lists, numbers and strings, as `json.loads` does; a FileError names the line.
-
-    A key that occurs twice in a mapping is an error, since only its last value would be read.
-    """
-
-    def parse(data: bytes, Loader: Any) -> Any:
-        loader = Loader(data)
-        try:
-            node = loader.get_node() if loader.check_node() else None
-            if loader.check_node():
-                raise FileError(
-                    f"{file}: expected one message, found several, separated by ---; write each to a file of its own"
-                )
-            _expect_keys_once(node, file)
-            return None if node is None else loader.construct_document(node)
-        finally:
-            loader.dispose()
-
-    return _parsed(data, file, parse)
-
-
-def _expect_keys_once(root: Any, file: Path) -> None:
-    """Raise a FileError if a key occurs twice in a mapping; keys are compared as they are written."""
-    waiting, seen = [root], set()
-    while waiting:
-        node = waiting.pop()
-        if node is None or node.id == "scalar" or id(node) in seen:
-            continue
-        seen.add(id(node))  # aliases lead to the same node, perhaps from within it
-        if node.id == "sequence":
-            waiting.extend(node.value)
-            continue
-        keys = set()
-        for key, value in node.value:
-            if key.id == "scalar" and key.value in keys:
-                line = key.start_mark.line + 1
-                raise FileError(
-                    f"{file}, line {line}: expected each key once in a mapping, found {cut(repr(key.value))} again"
-                )
-            keys.add(key.value if key.id == "scalar" else id(key))
-            waiting += [key, value]
-
-
-def _parsed(data: bytes, file: Path, parse: Callable[..., Any]) -> Any:
-    """Parse a file with a function of PyYAML, within limits of depth and size."""
-    yaml = _yaml()
-    try:
-        return parse(data, Loader=_loader())
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
-    except (
-        yaml.YAMLError,
-        ValueError,
-        OverflowError,
-        RecursionError,
-    ) as error:  # the last three from escapes and depth
-        what = " ".join(str(error).split())[:200]
-        raise FileError(f"{file}: expected YAML, found something else ({what})") from None
-
-
-@functools.cache
-def _loader() -> Any:
-    """Make the class that reads YAML, when PyYAML is first needed."""
-    yaml = _yaml()
-    parent: Any = yaml.SafeLoader
-
-    class Loader(parent):  # type: ignore[misc]
-        """A YAML loader that counts nodes, so that neither depth nor nested aliases exceed the limits on a file."""
-
-        def __init__(self, data: bytes) -> None:
-            super().__init__(data)
-            self.depth = self.entries = 0
-            self.entries_of: dict[str, int] = {}
-
-        def compose_node(self, above: Any, index: Any) -> Any:
-            event = self.peek_event()
-            before = self.entries
-            self.depth += 1
-            self.entries += 1
-            if self.depth > DEEPEST:
-                self.refuse(f"more than {DEEPEST} entries inside each other", event)
-            node = super().compose_node(above, index)
-            self.depth -= 1
-            if isinstance(event, yaml.AliasEvent):
-                # Within the entries of an alias, a further alias counts as one entry: no part of a scene is read any
-                # deeper.
-                self.entries = before + self.entries_of.get(event.anchor, 1)
-            elif event.anchor is not None:
-                self.entries_of[event.anchor] = self.entries - before
-            if self.entries > MOST_ENTRIES:
-                self.refuse(f"more than {MOST_ENTRIES} entries, aliases counted each time", event)
-            return node
-
-        def refuse(self, what: str, event: Any) -> None:
-            raise yaml.composer.ComposerError(None, None, what, event.start_mark)
-
-    return Loader
-
-
-class YamlNode(Node):
-    """A place in a YAML file."""
-
-    @property
-    def line(self) -> int:
-        """Line at which the place begins in the file."""
-        return int(self.raw.start_mark.line) + 1
-
-    def expect(self, kind: str, wanted: str) -> Any:
-        """Check the kind of the place and return its content: mapping pairs, sequence entries, or a scalar's text."""
-        if self.raw.tag not in YAML_TAGS:
-            raise self.error(f"expected {wanted}, found the tag {self.raw.tag}")
-        if self.raw.id != kind:
-            raise self.error(f"expected {wanted}, found {self.described()}")
-        return self.raw.value
-
-    def described(self) -> str:
-        """Describe the content, for messages."""
-        if self.raw.id == "scalar":
-            return cut(repr(self.raw.value)) if self.raw.value else "nothing"
-        return f"a {self.raw.id} of {len(self.raw.value)}"
-
-    def text(self) -> str:
-        """Read a name, even one that YAML would read as a number."""
-        value: str = self.expect("scalar", "a name")
-        if not value:
-            raise self.error("expected a name, found nothing")
-        return value
-
-    def number(self) -> float:
-        """Read a finite number; 1e-3, which YAML 1.1 reads as text, counts as a number unless it is quoted."""
-        value = self.expect("scalar", "a number")
-        try:
-            plain = self.raw.style is None and value.isascii() and "_" not in value
-            return self.finite(float(value) if plain else math.nan)
-        except ValueError:
-            return self.finite(math.nan)
-
-    def flag(self) -> bool:
-        """Read a boolean."""
-        value = str(self.expect("scalar", "true or false")).lower()
-        if value not in ("true", "false"):
-            raise self.error(f"expected true or false, found {self.described()}")
-        return value == "true"
 
 
 def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> None:
@@ -513,7 +341,7 @@ def _model(keys: dict[str, YamlNode]) -> str:
 
 
 def _scale(entry: YamlNode) -> list[float]:
-    scale = [entry.number()] * 3 if entry.raw.id == "scalar" else entry.numbers(3)
+    scale = [entry.number()] * 3 if entry.kind == "scalar" else entry.numbers(3)
     if 0.0 in scale:
         raise entry.error(f"expected factors other than 0, found {scale}")
     return scale
