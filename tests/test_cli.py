@@ -1165,16 +1165,16 @@ def test_audit_of_a_path_with_a_key_twice(with_end, capsys):
 
 
 def test_audit_of_a_message_with_a_start_state(with_end, capsys):
-    """A state of joints that the points do not name has to be given by --others; the answer is then about it."""
+    """Joints that the points do not name stand where the message says, unless --others gives other values."""
     points = [{"positions": [x], "time_from_start": {"sec": x, "nanosec": 0}} for x in (0, 1)]
-    held = {"trajectory": {"joint_names": ["turn"], "points": points}}
+    held = {"trajectory": {"joint_trajectory": {"joint_names": ["turn"], "points": points}}}
     start = {"joint_state": {"name": ["turn", "x", "y"], "position": [0.0, -0.5, 0.7]}}
     Path("moves.json").write_text(json.dumps(held | {"trajectory_start": start}))
     audit = ("audit", *ROBOT, "moves.json", "--scene", "end.yaml")
-    status, out, err = run(capsys, *audit)
-    assert (status, out) == (2, "")
-    assert "found x = -0.5, y = 0.7 (trajectory_start/joint_state); give the values" in err
-    assert "--others" in err
+    status, out, _ = run(capsys, *audit)
+    assert status == 0
+    assert "x = -0.5, as trajectory_start/joint_state says" in out
+    assert json.loads(run(capsys, *audit, "--json")[1])["stated"] == {"x": -0.5, "y": 0.7}
     given = [json.loads(run(capsys, *audit, "--others", q, "--json")[1]) for q in ("-0.5,0.7,0", "0,0,0")]
     assert [one["verdict"] for one in given] == ["FREE", "COLLIDING"]
 

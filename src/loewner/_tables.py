@@ -61,6 +61,14 @@ def number(cell: str) -> float:
     raise ValueError(f"expected a number, found {short(cell)}")
 
 
+def below(header: list[str], rows: list[list[str]]) -> Floats:
+    """Numbers of rows below a header, shape (rows, columns); a ValueError says what else a row has."""
+    for number_of_row, cells in enumerate(rows, 1):
+        if len(cells) != len(header):
+            raise ValueError(f"{len(cells)} cells in row {number_of_row} below a header of {len(header)}")
+    return np.array([[number(cell.strip()) for cell in cells] for cells in rows]).reshape(-1, len(header))
+
+
 def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
     """Read lines that have equally many numbers; # begins a comment.
 

@@ -186,6 +186,8 @@ def _carry(
     scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
 ) -> None:
     """Let links carry bodies from the beginning of a part, each from where it stands."""
+    if not carrying:
+        return
     touching = part._touching if isinstance(part, planners.ControllerPoints) else {}
     links = robot.forward_kinematics(_end(robot, part, 0))
     for body, link in carrying.items():
@@ -199,6 +201,8 @@ def _put_down(
     scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
 ) -> None:
     """Leave bodies where a part ends."""
+    if not carrying:
+        return
     links = robot.forward_kinematics(_end(robot, part, -1))
     for body, link in carrying.items():
         T_link_body = scene.attachments[body].T_link_body

@@ -42,7 +42,8 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
         found: Any = _json.parsed(text, str(path)) if suffix == ".json" else _rows(text)
     except (ValueError, OverflowError, MemoryError, RecursionError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
-    if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found)):
+    names = robot.configuration_names
+    if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found, names)):
         raise FileError(f"{path}: expected names of the columns, found none")
     return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
 
@@ -113,9 +114,9 @@ def _rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
 
 
-def _has_header(rows: list[list[str]]) -> bool:
-    """Return whether the first row of a table names the columns."""
-    return bool(rows) and not any(_are_numbers([cell]) for cell in rows[0])
+def _has_header(rows: list[list[str]], names: Sequence[str] = ()) -> bool:
+    """Return whether the first row of a table names the columns; a joint may have a number as its name."""
+    return bool(rows) and (sorted(rows[0]) == sorted(names) or not any(_are_numbers([cell]) for cell in rows[0]))
 
 
 def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
@@ -127,7 +128,7 @@ def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
                 found = "semicolons" if ";" in cell else "spaces"
                 raise FileError(f"{path}: expected numbers separated by commas, found {found}: {','.join(row)}")
     order = names
-    if _has_header(rows):
+    if _has_header(rows, names):
         order = rows.pop(0)
         _check_columns(order, names, path)
     for k, row in enumerate(rows):

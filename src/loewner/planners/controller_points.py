@@ -20,6 +20,7 @@ from loewner._validate import Floats
 from loewner.errors import FileError, InputError
 from loewner.planners import messages
 from loewner.planners.joint_limits import expect_robot
+from loewner.planners.trajectories import RATES, SAVED_KEYS
 from loewner.robots import Robot
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of
@@ -37,10 +38,6 @@ SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
 
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
-
-# Derivatives of positions in messages, and keys of a file that `Trajectory.save` has written.
-RATES = ("velocities", "accelerations")
-SAVED_KEYS = ("names", "times", "positions", *RATES, "blended", "jumps", "start_time")
 
 # A pose that does not move, as position and quaternion x, y, z, w.
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -252,10 +249,7 @@ class ControllerPoints:
         header = rows[0] if rows else []
         if not header or header[0] not in TIMES or len(set(header)) < len(header):
             raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
-        for number, row in enumerate(rows[1:], 1):
-            if len(row) != len(header):
-                raise ValueError(f"{len(row)} cells in row {number} below a header of {len(header)}")
-        table = np.array([[_tables.number(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
+        table = _tables.below(header, rows[1:])
         names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
         held, used = set(header), [VELOCITY, ACCELERATION]
         rates = [name + kind for kind in used if any(name + kind in held for name in names) for name in names]
@@ -263,7 +257,6 @@ class ControllerPoints:
         if odd:
             what = "no column" if odd[0] not in held else "no joint for the column"
             raise InputError(f"expected a velocity or acceleration for all joints or none, found {what} {odd[0]!r}")
-        table = table.reshape(-1, len(header))
 
         def columns(kind: str) -> Any:
             wanted = [name + kind for name in names]
@@ -384,8 +377,9 @@ def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floa
         points = _with_base(part, part.placed, name, robot)
     else:
         assert part.joints is not None
-        rows = [part.joints.rows.get(kind) for kind in ("positions", *RATES)]
-        points = ControllerPoints(part.joints.times, *rows, names=part.joints.names)
+        held = part.joints.rows
+        rates = [None if kind not in held else np.array(held[kind]) for kind in RATES]
+        points = ControllerPoints(part.joints.times, np.array(held["positions"]), *rates, names=part.joints.names)
     points.carried = {body: link for body, (link, _) in part.start.carried.items()}
     points._touching = {body: touched for body, (_, touched) in part.start.carried.items()}
     points._place = part.place

@@ -251,15 +251,12 @@ def _is_placed(points: Node) -> bool:
 
 def _walk(node: Node, name: str, found: Message, state: State) -> None:
     """Read a message of a known type, in which `state` is changed as the message says."""
-    keys = node.mapping(TYPES[name])
+    fields = TYPES[name]
+    keys = node.mapping(fields)
     if name in ("JointTrajectory", "MultiDOFJointTrajectory"):
         _add_part(node, {name: node}, found, state)
-    elif name == "RobotTrajectory":
-        of = TYPES[name]
-        _add_part(node, {of[key]: held for key, held in keys.items() if not held.empty}, found, state)
-    elif name == "FollowJointTrajectoryGoal":
-        of = TYPES[name]
-        given = {of[key]: held for key, held in keys.items() if of[key] in TYPES and not held.empty}
+    elif name in ("RobotTrajectory", "FollowJointTrajectoryGoal"):
+        given = {fields[key]: held for key, held in keys.items() if fields[key] in TYPES and not held.empty}
         _add_part(node, given, found, state)
         found.told += _tolerated(keys)
     elif name == "RobotState":
@@ -267,7 +264,7 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
     elif name == "PlanningSceneWorld":
         found.around += _around(keys)
     else:
-        for key, of in TYPES[name].items():
+        for key, of in fields.items():
             if key not in keys or keys[key].empty or of == HARMLESS:
                 continue
             if of == USED:
@@ -340,10 +337,14 @@ def _names(node: Node, keys: dict[str, Node]) -> list[str]:
     if "joint_names" not in keys:
         raise node.error("expected the key joint_names, found none")
     names = [name.text() for name in keys["joint_names"].items()]
-    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-    if twice:
-        raise keys["joint_names"].error(f"expected each joint once, found {some(twice)} again")
+    _expect_once(names, keys["joint_names"])
     return names
+
+
+def _expect_once(names: list[str], node: Node) -> None:
+    if len(set(names)) < len(names):
+        twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+        raise node.error(f"expected each joint once, found {some(twice)} again")
 
 
 def _read_state(keys: dict[str, Node], state: State) -> None:
@@ -357,17 +358,15 @@ def _read_state(keys: dict[str, Node], state: State) -> None:
             names, values = _list(held, "name"), _list(held, "position")
             if values and len(values) != len(names):  # a state may have velocities alone
                 raise keys[key].error(f"expected as many positions as names, found {len(values)} and {len(names)}")
-            given = [(name.text(), value.number()) for name, value in zip(names, values, strict=False)]
-            state.joints.update(given)
+            given = [name.text() for name in names[: len(values)]]
+            state.joints.update(zip(given, (value.number() for value in values), strict=True))
         else:
             names, places = _list(held, "joint_names"), _list(held, "transforms")
             if len(places) != len(names):
                 raise keys[key].error(f"expected as many transforms as names, found {len(places)} and {len(names)}")
-            given = [(name.text(), np.array(_transform(T))) for name, T in zip(names, places, strict=True)]
-            state.places.update(given)
-        twice = {name for name, _ in given if sum(name == other for other, _ in given) > 1}
-        if twice:
-            raise keys[key].error(f"expected each joint once, found {some(sorted(twice))} again")
+            given = [name.text() for name in names]
+            state.places.update(zip(given, (np.array(_transform(T)) for T in places), strict=True))
+        _expect_once(given, keys[key])
         if given:
             state.source = keys[key].key
     if "attached_collision_objects" in keys:

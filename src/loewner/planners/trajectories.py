@@ -12,6 +12,7 @@ import io
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -19,10 +20,11 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _json, _tables, _validate
+from loewner import _tables, _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
+from loewner._nodes import read_json
 from loewner._pictures import POINTS, curves, pictured
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats
@@ -71,6 +73,10 @@ LARGEST_FILE = 2**28  # bytes
 
 ENDINGS = (".csv", ".json")
 WRITTEN = (*ENDINGS, ".yaml")
+
+# Keys of a .json file that is no message.
+RATES = ("velocities", "accelerations")
+SAVED_KEYS = ("names", "times", "positions", *RATES, "blended", "jumps", "start_time")
 OTHERS = "; planners.ControllerPoints.load reads messages and points of other programs"
 
 
@@ -371,11 +377,11 @@ class Trajectory(KeepsReadOnly):
         """
         source = _with_ending(path, ENDINGS, OTHERS)
         name = shown(source)
+        data = read_regular(source, "a trajectory", LARGEST_FILE)
         try:
-            text = read_regular(source, "a trajectory", LARGEST_FILE).decode()
-            read = _read_json(text, name) if source.suffix.lower() == ".json" else _read_csv(text)
-        except FileError:
-            raise
+            read = _read_json(data, source) if source.suffix.lower() == ".json" else _read_csv(data.decode())
+        except FileError as error:
+            raise FileError(f"{error}{OTHERS}") from None
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
             raise FileError(f"{name}: expected a trajectory, found {_why(error)}{OTHERS}") from None
         fault = read._fault()
@@ -877,42 +883,41 @@ def _read_csv(text: str) -> Trajectory:
     start_time, text = _tables.start_of(text)
     header, *rows = csv.reader(io.StringIO(text), strict=True)
     if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
-        return _read_straight(header[1:], [[float(entry) for entry in row] for row in rows], start_time)
+        return _read_straight(header[1:], _tables.below(header, rows), start_time)
     bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
     names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
     if header != _header(names, bends):
         raise ValueError(f"the header {_validate.short(header)}")
-    table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
+    table = _tables.below(header, rows)
     knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
     blended, bent = table[:-1, -1] != 0, more[0] if more else None
     return Trajectory(names, table[:, 0], knots, rates, blended, bent, start_time=start_time)
 
 
-def _read_straight(names: Any, rows: Any, start_time: float) -> Trajectory:
+def _read_straight(names: Sequence[str], table: Floats, start_time: float) -> Trajectory:
     """Make a trajectory whose velocities jump, from rows of times and positions."""
-    table = np.array(rows, dtype=np.float64).reshape(-1, len(names) + 1)
-    if not all(isinstance(name, str) for name in names) or not (np.diff(table[:, 0]) > 0).all() or not len(table):
-        raise ValueError("other names than texts, or times that do not increase")
+    if not (np.diff(table[:, 0]) > 0).all() or not len(table):
+        raise ValueError("times that do not increase")
     with np.errstate(over="ignore", invalid="ignore"):  # refused as numbers that are not finite
         return Trajectory._straight(tuple(names), table[:, 0], table[:, 1:], start_time)
 
 
-def _read_json(text: str, file: str) -> Trajectory:
-    """Read a string written by `save`."""
-    held = _json.parsed(text, file)
-    if not isinstance(held, dict):
-        raise ValueError(f"{type(held).__name__} instead of the keys names, times, positions, velocities and blended")
-    start_time = _validate.real(held.get("start_time", 0.0), "start_time")
-    if held.get("jumps") is True:
-        table = np.column_stack([np.array(held[key], dtype=np.float64) for key in ("times", "positions")])
-        return _read_straight(held["names"], table, start_time)
-    names, blended = held["names"], held["blended"]
-    if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
-        raise ValueError("other names than texts, or blends that are neither true nor false")
-    keys = ["times", "positions", "velocities", *(["accelerations"] if "accelerations" in held else [])]
-    times, knots, rates, *more = (np.array(held[key], dtype=np.float64) for key in keys)
-    bent = more[0] if more else None
-    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool), bent, start_time=start_time)
+def _read_json(data: bytes, file: Path) -> Trajectory:
+    """Read a file written by `save`."""
+    root = read_json(data, file, "a trajectory in JSON")
+    keys = root.mapping(SAVED_KEYS, required=("names", "times", "positions"))
+    names = tuple(name.text() for name in keys["names"].items())
+    start_time = keys["start_time"].number() if "start_time" in keys else 0.0
+    times, knots = np.array(keys["times"].numbers()), np.array(keys["positions"].rows(len(names)))
+    rates, bends = (np.array(keys[kind].rows(len(names))) if kind in keys else None for kind in RATES)
+    if "jumps" in keys:
+        if not keys["jumps"].flag() or {"blended", *RATES} & keys.keys():
+            raise root.error("expected jumps: true with times and positions alone")
+        return _read_straight(names, np.column_stack([times, knots]), start_time)
+    if "blended" not in keys or rates is None:
+        raise root.error("expected the keys velocities and blended, or jumps, found neither")
+    blended = np.array([each.flag() for each in keys["blended"].items()], dtype=bool)
+    return Trajectory(names, times, knots, rates, blended, bends, start_time=start_time)
 
 
 def _why(error: Exception) -> str:
