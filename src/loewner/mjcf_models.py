@@ -139,12 +139,14 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     Warns
     -----
     UserWarning
-        If the file has flexible bodies, which are ignored.
+        Once, if the file has what changes MuJoCo's motions or contacts and is not read: flexible bodies, constraints,
+        margins of geoms, and limits other than those of joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     mujoco, model = _compiled(file)
-    if model.nflex:
-        warn(f"{file}: expected rigid bodies, found {model.nflex} flexible ones besides, which are left out")
+    unread = [f"{count} {what}" for what, count in _unread(mujoco, model).items() if count]
+    if unread:
+        warn(f"{file}: not read, although MuJoCo computes with it: {', '.join(unread)}")
     names = _Names(mujoco, model)
     classes = _classes(model)
     members = [_members(classes, body) for body in range(model.nbody)]
@@ -172,7 +174,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
         bodies=bodies,
         related_pairs=related,
         excluded_pairs=excluded,
-        keyframes={model.key(k).name or f"key{k}": np.array(model.key_qpos[k]) for k in range(model.nkey)},
+        keyframes=dict(zip(names.keys, map(np.array, model.key_qpos), strict=True)),
     )
 
 
@@ -190,13 +192,47 @@ def _compiled(file: Path) -> tuple[Any, Any]:
         raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
 
 
+def _unread(mujoco: Any, model: Any) -> dict[str, int]:
+    """Count the parts of a model that are not read and that affect motions or contacts in MuJoCo."""
+    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    balls = model.jnt_type == mujoco.mjtJoint.mjJNT_BALL
+    mocap = np.flatnonzero(model.body_mocapid >= 0)
+    places = model.key_mpos.reshape(model.nkey, model.nmocap, 3)[:, model.body_mocapid[mocap]]
+    turns = model.key_mquat.reshape(model.nkey, model.nmocap, 4)[:, model.body_mocapid[mocap]]
+    elsewhere = (places != model.body_pos[mocap]).any(axis=2) | (turns != model.body_quat[mocap]).any(axis=2)
+    return {
+        "flexible bodies": model.nflex,
+        "constraints (equality)": model.neq,
+        "limits of tendons": int(np.count_nonzero(model.tendon_limited)),
+        "limits of ball joints": int(np.count_nonzero(balls & (model.jnt_limited != 0))),
+        "limits of position actuators within those of their joints": _narrower(mujoco, model),
+        "margins of geoms": int(np.count_nonzero(colliding & (model.geom_margin > 0))),
+        "margins of pairs": int(np.count_nonzero(model.pair_margin > 0)),
+        "poses of mocap bodies in keyframes": int(np.count_nonzero(elsewhere)),
+    }
+
+
+def _narrower(mujoco: Any, model: Any) -> int:
+    """Count actuators that hold a joint at the control's value and have a narrower range than the joint."""
+    joint = model.actuator_trnid[:, 0]
+    holds = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_ctrllimited != 0)
+    holds &= (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (model.actuator_gear[:, 0] == 1)
+    holds &= (model.actuator_gainprm[:, 0] != 0) & (model.actuator_gainprm[:, 0] == -model.actuator_biasprm[:, 1])
+    at = np.flatnonzero(holds)
+    lower, upper = model.actuator_ctrlrange[at].T
+    limited = model.jnt_limited[joint[at]] != 0
+    within = (lower > model.jnt_range[joint[at], 0]) | (upper < model.jnt_range[joint[at], 1])
+    return int(np.count_nonzero(~limited | within))
+
+
 class _Names:
-    """Names of bodies, joints and geoms, unique within their kind; an unnamed one is named by its kind and index."""
+    """Names of bodies, joints, geoms and keyframes, unique within their kind; the unnamed have their kind and index."""
 
     def __init__(self, mujoco: Any, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
         self.joints = _named([model.jnt(i).name for i in range(model.njnt)], "joint")
         self.geoms = _named([model.geom(i).name for i in range(model.ngeom)], "geom")
+        self.keys = _named([model.key(i).name for i in range(model.nkey)], "key")
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:

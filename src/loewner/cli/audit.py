@@ -118,6 +118,8 @@ def _run(options: argparse.Namespace) -> int:
             raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
         elif options.controller not in (None, "linear"):
             raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
+    for given, held in zip(parts, carrying, strict=True):
+        _expect_carried(scene, given, held)
     _set_clock(parts, options.start_time)
     answers = []
     for number, given in enumerate(parts):
@@ -171,6 +173,13 @@ def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, coun
             if part.setdefault(body, link) != link:
                 raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")
     return found
+
+
+def _expect_carried(scene: loewner.Scene, given: planners.ControllerPoints | Floats, carrying: dict[str, str]) -> None:
+    """Refuse a part on which the robot carries bodies that neither the scene nor --attach lets it carry."""
+    if isinstance(given, planners.ControllerPoints):
+        held = {body: each.link for body, each in scene.attachments.items()} | carrying
+        curves.expect_carried(held, given.carried.items())
 
 
 def _set_clock(parts: list[planners.ControllerPoints | Floats], start_time: float | None) -> None:

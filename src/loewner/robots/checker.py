@@ -18,6 +18,7 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._pictures import LINKS, bodies, pictured
+from loewner._plausible import warn
 from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
@@ -38,7 +39,10 @@ from loewner.scenes import Contact, Scene, poses_since
 from loewner.scenes import drawn as drawn_scene
 
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
-FIRST_LOOK = 256
+FIRST_LOOK = 32
+
+# Random configurations in which a pair has to collide, too, to be suspected of colliding in all.
+SUSPECTED = 64
 
 # Version of the scene, queries of one configuration, and the problem behind them: one tuple, for threads and for speed.
 UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
@@ -122,7 +126,7 @@ class CollisionChecker:
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared = UNPREPARED
         self._still: tuple[int, CollisionChecker] | None = None  # see `without_motions`, for a version of the scene
-        self._seen, self._next_look = 0, FIRST_LOOK
+        self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the prepared pairs out of copies and pickles: a handle is an address, valid only in this object."""
@@ -791,7 +795,24 @@ class CollisionChecker:
         self._seen += count
         if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen
+            if ready.hits.sum() >= self._seen and not self._suspected:
+                self._suspected = True
+                self._doubt_pairs(ready)
             self._keep(ready.with_order(np.argsort(-ready.hits, kind="stable")))
+
+    def _doubt_pairs(self, ready: Problem) -> None:
+        """Warn if all configurations so far have collided, and one pair collides wherever the robot is."""
+        if ready.paths is not None:
+            return
+        tried = self._robot.random_configurations(SUSPECTED)
+        for pair in np.flatnonzero(verdicts.always(ready, tried))[:1]:
+            a, b = (ready.names[n] for n in ready.pairs[pair])
+            warn(
+                f"{self._robot.name}: {a!r} and {b!r} collide in each of {self._seen + SUSPECTED} configurations, "
+                f"{SUSPECTED} of them random; if the links' shapes are larger than the links, read them as pieces "
+                "(meshes='pieces') or as they are (meshes='surface'); if they may touch, disable the pair in an SRDF, "
+                "or by allowed= or Scene.allow; otherwise move what stands there (this is said once)"
+            )
 
     def _keep(self, ready: Problem) -> None:
         # Fast queries of one configuration take no time.
@@ -830,7 +851,7 @@ class CollisionChecker:
         else:
             scene = self._scene.snapshot()
             ready = prepared(self._robot, scene, self._skipped, scene.version, ready)
-            self._seen, self._next_look = 0, FIRST_LOOK
+            self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
         self._keep(ready)
         return ready
 

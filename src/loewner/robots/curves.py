@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from math import comb
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._kernels import codes
 from loewner._pictures import pictured, verdicts
-from loewner._validate import Floats, Ints
+from loewner._validate import Floats, Ints, Pair
 from loewner.errors import InputError
 from loewner.queries import Verdict
 from loewner.robots import in_time
@@ -239,15 +240,20 @@ def curves_of(robot: Robot, scene: Scene, given: Any, t0: float | None = None) -
         curves = [started(robot, one, f"curve {k}", t0) for k, one in enumerate(given)]
     else:
         curves = [started(robot, given, "curve", t0)]
-    for body, link in dict.fromkeys(pair for curve in curves for pair in curve.carried):
-        held = scene.attachments.get(body)
-        if held is None or held.link != link:
-            found = "none" if held is None else f"it on {held.link!r}"
+    held = {body: attachment.link for body, attachment in scene.attachments.items()}
+    expect_carried(held, [pair for curve in curves for pair in curve.carried])
+    return curves
+
+
+def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
+    """Refuse bodies that the robot carries, with their links, unless these links hold them."""
+    for body, link in carried:
+        if held.get(body) != link:
+            found = f"it on {held[body]!r}" if body in held else "none"
             raise InputError(
                 f"expected a body {body!r} attached to the link {link!r}, which carries it on this trajectory, found "
                 f"{found}; attach it in the scene (Scene.attach, or --attach on the command line)"
             )
-    return curves
 
 
 def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Curve:

@@ -214,6 +214,15 @@ def collisions_by_pair(ready: Problem, Q: Floats) -> Bools:
     return out
 
 
+def always(ready: Problem, Q: Floats) -> Bools:
+    """Return which pairs collide at each of some configurations, shape (pairs,), as far as arithmetic settles them."""
+    found = np.ones(len(ready.pairs), dtype=bool)
+    for _, poses in ready.poses_in_turn(Q):
+        for T in poses:
+            found &= pair_verdicts(ready, T) == codes.COLLIDING
+    return found
+
+
 def expect_pairs_settled(ready: Problem, q: Floats, verdicts: NDArray[np.int8]) -> None:
     """Raise an error if any pair's verdict at a configuration is AMBIGUOUS.
 

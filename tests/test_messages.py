@@ -1,0 +1,350 @@
+"""Messages with several trajectories, states, carried bodies and bases: all of it is used, told or refused."""
+
+import copy
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene, Verdict, planners
+from loewner.cli.main import main
+
+ControllerPoints = planners.ControllerPoints
+
+# A lift, on which a slide carries a cart.
+CART = """<robot name="r"><link name="base"/>
+<link name="mast"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
+<link name="cart"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="mast"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" velocity="1"/></joint>
+<joint name="slide" type="prismatic"><parent link="mast"/><child link="cart"/><origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="3" velocity="1"/></joint></robot>"""
+
+
+def moved(*rows, names=("slide",), **more):
+    """A JointTrajectory with rows of a time and positions."""
+    points = [{"positions": list(row[1:]), "time_from_start": {"sec": row[0], "nanosec": 0}} for row in rows]
+    return {"joint_names": list(names), "points": points, **more}
+
+
+def of_joints(*rows, **more):
+    return {"joint_trajectory": moved(*rows, **more)}
+
+
+def driven(*rows, name="drive"):
+    """A MultiDOFJointTrajectory with rows of a time, x, y and a heading."""
+    return {
+        "joint_names": [name],
+        "points": [
+            {
+                "transforms": [
+                    {
+                        "translation": {"x": x, "y": y, "z": 0.0},
+                        "rotation": {"x": 0.0, "y": 0.0, "z": math.sin(turn / 2), "w": math.cos(turn / 2)},
+                    }
+                ],
+                "time_from_start": {"sec": time, "nanosec": 0},
+            }
+            for time, x, y, turn in rows
+        ],
+    }
+
+
+def carries(name, operation=0, **more):
+    return {"link_name": "cart", "object": {"id": name, "operation": operation}, **more}
+
+
+SOLUTION = {
+    "task_id": "pick",
+    "start_scene": {"robot_state": {"joint_state": {"name": ["lift", "slide"], "position": [0.8, 0.0]}}},
+    "sub_solution": [{"info": {"id": 1}}],
+    "sub_trajectory": [
+        {"info": {}, "trajectory": of_joints((0, 0.0), (1, 1.0))},
+        {
+            "trajectory": of_joints((0, 1.0), (1, 1.0)),
+            "scene_diff": {
+                "is_diff": True,
+                "robot_state": {"is_diff": True, "attached_collision_objects": [carries("can", touch_links=["mast"])]},
+            },
+        },
+        {"trajectory": of_joints((0, 0.8), (1, 0.2), names=["lift"])},
+        {
+            "scene_diff": {
+                "robot_state": {"is_diff": True, "attached_collision_objects": [carries("can", operation=1)]},
+            },
+        },
+        {"trajectory": of_joints((0, 0.2), (1, 0.8), names=["lift"])},
+    ],
+}
+
+
+@pytest.fixture
+def cart():
+    return Robot.from_urdf(text=CART)
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("r.urdf").write_text(CART)
+
+    def write(message, name="m.json"):
+        Path(name).write_text(message if isinstance(message, str) else json.dumps(message))
+        return name
+
+    return write
+
+
+def audit(capsys, *words):
+    status = main(["audit", "r.urdf", *words])
+    return status, *capsys.readouterr()
+
+
+def placed(x, y=0.0, z=0.0):
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+# -- parts and states -------------------------------------------------------------------------------
+
+
+def test_parts_follow_each_other_in_their_own_states(cart, written):
+    """A joint that a part does not name stands where the part before, or the message's start state, has left it."""
+    for name in ("m.json", "m.yaml"):
+        parts = ControllerPoints.load_all(written(SOLUTION, name), robot=cart)
+        found = [part.positions[:, [part.names.index(n) for n in ("lift", "slide")]].tolist() for part in parts]
+        assert found == [[[0.8, 0], [0.8, 1]], [[0.8, 1], [0.8, 1]], [[0.8, 1], [0.2, 1]], [[0.2, 1], [0.8, 1]]]
+        assert [part.carried for part in parts] == [{}, {}, {"can": "cart"}, {}]
+    with pytest.raises(FileError, match=r"expected one trajectory, found 4 with points .*sub_trajectory\[2\]"):
+        ControllerPoints.load("m.json", robot=cart)
+
+
+def test_given_values_come_before_those_of_the_message(cart, written):
+    for part in ControllerPoints.load_all(written(SOLUTION), robot=cart, others=[0.5, 3.0])[:2]:
+        assert part.positions[:, part.names.index("lift")].tolist() == [0.5, 0.5]
+
+
+def test_a_state_that_is_no_difference_replaces_what_is_carried(cart, written):
+    held = {"attached_collision_objects": [carries("can")], "is_diff": True}
+    message = copy.deepcopy(SOLUTION)
+    message["start_scene"]["robot_state"] |= held
+    message["sub_trajectory"][0]["scene_diff"] = {"robot_state": {"attached_collision_objects": []}}
+    parts = ControllerPoints.load_all(written(message), robot=cart)
+    assert [part.carried for part in parts[:2]] == [{"can": "cart"}, {}]
+
+
+def test_points_that_carry_a_body_need_a_scene_that_does(cart, written):
+    """Proofs are about the robot with the body; a scene with it on another link, or without it, is refused."""
+    part = ControllerPoints.load_all(written(SOLUTION), robot=cart)[2]
+    scene = Scene()
+    scene.add("can", Body.sphere(0.05), placed(1.3, 0, 0.86))
+    checker = CollisionChecker(cart, scene)
+    for query in (checker.certify_trajectory, checker.first_contact):
+        with pytest.raises(InputError, match="body 'can' attached to the link 'cart', .*found none"):
+            query(part)
+        scene.attach("can", "mast", placed(0, 0, 0.1))
+        with pytest.raises(InputError, match="found it on 'mast'"):
+            query(part)
+        scene.detach("can", placed(1.3, 0, 0.86))
+    scene.attach("can", "cart", placed(0, 0, 0.2))
+    assert checker.certify_trajectory(part).verdict == Verdict.FREE
+
+
+# -- the command --------------------------------------------------------------------------------
+
+
+CAN = """bodies:\n  can: {sphere: {radius: 0.05}, position: [1.3, 0, 0.92]}\n  post: {box: [1, 1, 1], position: [9, 9, 9]}"""
+
+
+def test_every_part_is_proven_with_what_it_carries(written, capsys):
+    """The can is carried from where it stands, and stays where it is put down: the cart hits it on its way back up."""
+    written(CAN, "s.yaml")
+    name = written(SOLUTION)
+    status, out, err = audit(capsys, name, "--scene", "s.yaml")
+    assert (status, out) == (2, "")
+    assert "body 'can' attached to the link 'cart'" in err
+    status, out, _ = audit(capsys, name, "--scene", "s.yaml", "--attach", "3:can=cart")
+    assert status == 1
+    assert "part      3 of 4, sub_trajectory[2]/trajectory" in out
+    assert "state     lift = 0.8, as start_scene/robot_state/joint_state says" in out
+    assert out.splitlines()[-1] == "COLLIDING  3 of 4 parts proven free"
+    answer = json.loads(audit(capsys, name, "--scene", "s.yaml", "--attach", "3:can=cart", "--json")[1])
+    assert [part["verdict"] for part in answer["parts"]] == ["FREE", "FREE", "FREE", "COLLIDING"]
+    assert answer["parts"][3]["pair"] == ["cart", "can"]
+    assert answer["parts"][2]["carried"] == {"can": "cart"}
+
+
+def test_a_second_trajectory_is_not_dropped(written, capsys):
+    written("bodies: {post: {box: [0.2, 0.2, 0.2], position: [2.3, 0, 0]}}", "s.yaml")
+    message = {"model_id": "r", "trajectory": [of_joints((0, 0.0), (1, 1.0)), of_joints((0, 1.0), (1, 3.0))]}
+    status, out, _ = audit(capsys, written(message), "--scene", "s.yaml", "--json", "--proof", "a.proof")
+    answer = json.loads(out)
+    assert (status, answer["verdict"]) == (1, "COLLIDING")
+    assert [part["verdict"] for part in answer["parts"]] == ["FREE", "COLLIDING"]
+    assert [part["proof"] for part in answer["parts"]] == ["a-1.proof", None]
+    assert [part["begins"] for part in answer["parts"]] == [0.0, 1.0]
+    assert main(["verify", "a-1.proof"]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("can", r"expected \[PART:\]BODY=LINK"),
+        ("5:can=cart", "with a PART from 1 to 4"),
+        ("x:can=cart", "with a PART from 1 to 4"),
+        ("pan=cart", "body: expected one of can, post; found 'pan'"),
+        ("can=card", "link: .*did you mean 'cart'"),
+        ("can=", r"expected \[PART:\]BODY=LINK"),
+    ],
+)
+def test_bodies_that_cannot_be_attached(written, capsys, option, told):
+    written(CAN, "s.yaml")
+    status, _, err = audit(capsys, written(SOLUTION), "--scene", "s.yaml", "--attach", option)
+    assert status == 2
+    assert re.search(told, err), err
+
+
+def test_the_way_to_a_later_first_point_is_told(written, capsys):
+    written(CAN, "s.yaml")
+    status, out, _ = audit(capsys, written(of_joints((1, 1.0), (2, 1.2))), "--scene", "s.yaml")
+    assert status == 0
+    assert "before    the first point is due at 1 s; the way there" in out
+
+
+# -- bases --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+@pytest.mark.parametrize("curved", [False, True])
+def test_a_base_is_driven_beside_the_joints(cart, written, kind, curved):
+    """The base moves straight between its points, whatever the joints do; a collision on its way is found."""
+    robot = cart.add_base(kind, name="drive")
+    arm = moved((0, 0.0), (4, 1.0))
+    if curved:
+        for point, velocity in zip(arm["points"], (0.5, -0.5), strict=True):
+            point["velocities"] = [velocity]
+    message = {"joint_trajectory": arm, "multi_dof_joint_trajectory": driven((0, 0, 0, 0), (4, 4, 2, 0))}
+    part = ControllerPoints.load(written(message), robot=robot)
+    scene = Scene()
+    scene.add("post", Body.sphere(0.01), placed(2, 1))  # where the mast is after two seconds
+    checker = CollisionChecker(robot, scene)
+    found = checker.certify_trajectory(part)
+    assert (found.verdict, found.names) == (Verdict.COLLIDING, ("mast", "post"))
+    assert checker.first_contact(part).touching_at == pytest.approx(2 - (0.05 + 0.01) / math.hypot(1, 0.5), abs=0.02)
+    scene.move("post", placed(2, 1.3))
+    assert checker.certify_trajectory(part).verdict == Verdict.FREE
+
+
+def test_a_base_turns(cart, written):
+    """A planar base has the headings of its points, without jumps of a turn; so has a floating one on straight ways."""
+    turns = driven((0, 0, 0, 3.0), (4, 0, 0, 3.4))
+    arm = moved((0, 0.0), (4, 0.0))
+    message = written({"joint_trajectory": arm, "multi_dof_joint_trajectory": turns})
+    part = ControllerPoints.load(message, robot=cart.add_base("planar", name="drive"))
+    np.testing.assert_allclose(part.positions[:, part.names.index("drive/theta")], [3.0, 3.4])
+    on_float = cart.add_base("floating", name="drive")
+    part = ControllerPoints.load(message, robot=on_float)
+    w, z = (part.positions[:, part.names.index(f"drive/q{axis}")] for axis in "wz")
+    np.testing.assert_allclose(2 * np.unwrap(np.arctan2(z, w)), [3.0, 3.4])
+    for point in arm["points"]:
+        point["velocities"] = [0.0]
+    message = written({"joint_trajectory": arm, "multi_dof_joint_trajectory": turns})
+    with pytest.raises(FileError, match=r"expected a base that does not turn, as the joints have velocities"):
+        ControllerPoints.load(message, robot=on_float)
+    alone = ControllerPoints.load(written(turns), robot=on_float)
+    assert alone.positions.shape == (2, 9)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            lambda m: m["points"][1]["time_from_start"].update(sec=5),
+            "expected the same times for the joints and for drive",
+        ),
+        (lambda m: m["points"].pop(), "expected the same times"),
+        (lambda m: m["joint_names"].append("b"), "expected a sequence of 2"),
+        (lambda m: m.update(joint_names=["wheel"]), "moves 'wheel'; Robot.add_base"),
+        (lambda m: m["points"][1]["transforms"][0]["translation"].update(z=0.1), "planar joint drive in its plane"),
+        (lambda m: m["points"][1]["transforms"][0]["rotation"].update(w=0.5), "quaternions of norm 1 for drive"),
+        (lambda m: m["points"][1].update(velocities=[{"linear": {"x": 1.0}}]), "between which a base moves straight"),
+    ],
+)
+def test_bases_that_cannot_be_read(cart, written, change, told):
+    base = driven((0, 0, 0, 0), (4, 4, 0, 0))
+    change(base)
+    message = written({"joint_trajectory": moved((0, 0.0), (4, 1.0)), "multi_dof_joint_trajectory": base})
+    with pytest.raises(FileError, match=told):
+        ControllerPoints.load(message, robot=cart.add_base("planar", name="drive"))
+
+
+# -- what is told, and what is refused --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        (
+            {"model_id": "panda", "trajectory": [of_joints((0, 0.0), (1, 1.0))]},
+            "for the robot 'panda', and is read for",
+        ),
+        (
+            {"trajectory": moved((0, 0.0), (1, 1.0)), "path_tolerance": [{"name": "slide", "position": 0.5}]},
+            "lets slide deviate by 0.5 on the way",
+        ),
+        (
+            {"trajectory": moved((0, 0.0), (1, 1.0)), "path_tolerance": [{"name": "slide", "position": -1}]},
+            "lets slide deviate without a limit",
+        ),
+        (
+            {
+                "start_scene": {"link_padding": [{"link_name": "cart", "padding": 0.1}]},
+                "sub_trajectory": [{"trajectory": of_joints((0, 0.0), (1, 1.0))}],
+            },
+            "start_scene/link_padding is not read",
+        ),
+    ],
+)
+def test_what_is_not_read_is_told(cart, written, message, told):
+    with pytest.warns(UserWarning, match=told):
+        ControllerPoints.load(written(message), robot=cart)
+
+
+@pytest.mark.parametrize(
+    ("time", "told"),
+    [
+        (True, "expected a number"),
+        ({"sec": 1, "secs": 5}, "expected sec and nanosec, or secs and nsecs, found sec, secs"),
+        ({"sec": 1}, "expected sec and nanosec"),
+        ({"sec": 1, "nanosec": 0, "msec": 500}, "found 'msec'"),
+        (1_000_000_000, "is it in nanoseconds"),
+        ("1_0", "expected"),
+    ],
+)
+def test_times_that_are_none(written, time, told):
+    message = moved((0, 0.0), (1, 1.0))
+    message["points"][1]["time_from_start"] = time
+    with pytest.raises(FileError, match=rf"time_from_start: .*{told}"):
+        ControllerPoints.load(written(message))
+
+
+@pytest.mark.parametrize("text", ["1e-05", "1.0e-5", "0.00001"])
+def test_numbers_as_other_programs_write_them(written, text):
+    """PyYAML reads an exponent without a point as text; other readers do not."""
+    point = "{{positions: [{}], time_from_start: {{secs: {}, nsecs:         0}}}}"
+    points = ", ".join(point.format(x, t) for t, x in enumerate((text, "1")))
+    found = ControllerPoints.load(written(f"joint_names: [slide]\npoints: [{points}]\n---\n", "m.yaml"))
+    assert found.positions[:, 0].tolist() == [1e-5, 1.0]
+
+
+@pytest.mark.parametrize("text", ["050000000", "010", "1:30", "1_5", "0x10", ".inf", "'1'"])
+def test_numbers_that_versions_of_yaml_read_differently(written, text):
+    points = "{positions: [0], time_from_start: {secs: 0, nsecs: 0}}"
+    points += f", {{positions: [1], time_from_start: {{secs: 1, nsecs: {text}}}}}"
+    with pytest.raises(FileError, match=r"line 2: points\[1\]/time_from_start/nsecs: expected a"):
+        ControllerPoints.load(written(f"joint_names: [slide]\npoints: [{points}]\n", "m.yaml"))
