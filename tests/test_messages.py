@@ -157,7 +157,8 @@ def test_points_that_carry_a_body_need_a_scene_that_does(cart, written):
 # -- the command --------------------------------------------------------------------------------
 
 
-CAN = """bodies:\n  can: {sphere: {radius: 0.05}, position: [1.3, 0, 0.92]}\n  post: {box: [1, 1, 1], position: [9, 9, 9]}"""
+CAN = """bodies:\n  can: {sphere: {radius: 0.05}, position: [1.3, 0, 0.92]}
+  post: {box: [1, 1, 1], position: [9, 9, 9]}"""
 
 
 def test_every_part_is_proven_with_what_it_carries(written, capsys):

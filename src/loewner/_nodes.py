@@ -150,6 +150,10 @@ class Node(ABC):
             raise self.error(f"expected {wanted}, found {self.described()}")
         return [type(self)(self.file, raw, self, i) for i, raw in enumerate(entries)]
 
+    def first(self) -> Self:
+        """Return the first place of a sequence that has some."""
+        return type(self)(self.file, self.expect("sequence", "a sequence")[0], self, 0)
+
     def finite(self, number: float) -> float:
         """Check that a number read here is finite; NaN means that none could be read."""
         if not math.isfinite(number):

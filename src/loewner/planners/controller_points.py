@@ -378,8 +378,8 @@ def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floa
     else:
         assert part.joints is not None
         held = part.joints.rows
-        rates = [None if kind not in held else np.array(held[kind]) for kind in RATES]
-        points = ControllerPoints(part.joints.times, np.array(held["positions"]), *rates, names=part.joints.names)
+        rates = [held.get(kind) for kind in RATES]
+        points = ControllerPoints(part.joints.times, held["positions"], *rates, names=part.joints.names)
     points.carried = {body: link for body, (link, _) in part.start.carried.items()}
     points._touching = {body: touched for body, (_, touched) in part.start.carried.items()}
     points._place = part.place
@@ -389,9 +389,9 @@ def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floa
 
 def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: Robot) -> ControllerPoints:
     """Join the motion of joints with one value and that of a base; the base moves straight between its points."""
-    times = np.array(placed.times)
+    times = placed.times
     if part.joints is not None:
-        of_joints = np.array(part.joints.times)
+        of_joints = part.joints.times
         if len(of_joints) != len(times) or not (np.abs(of_joints - times) <= SAME_TIME).all():
             raise FileError(
                 f"{name}: expected the same times for the joints and for {some(placed.names)}, found others "
@@ -400,8 +400,7 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
         times = of_joints
     names, columns = [], []
     for k, joint in enumerate(placed.names):
-        T = np.array(placed.rows["transforms"]).reshape(len(times), len(placed.names), 7)[:, k]
-        found = _columns_of(joint, T, name, robot)
+        found = _columns_of(joint, placed.rows["transforms"][:, k], name, robot)
         names += list(found)
         columns += list(found.values())
     base, held = np.stack(columns, axis=1), part.joints
@@ -455,7 +454,7 @@ def _expect_begin(part: messages.Part, name: str) -> None:
     """Warn if a trajectory does not begin where the state says that the robot is."""
     if part.joints is None:
         return
-    first = dict(zip(part.joints.names, part.joints.rows["positions"][0], strict=True))
+    first = dict(zip(part.joints.names, part.joints.rows["positions"][0].tolist(), strict=True))
     away = [joint for joint, value in part.start.joints.items() if _is_off(value, first.get(joint))]
     if away:
         states = ", ".join(f"{joint} = {part.start.joints[joint]:g}" for joint in away)
