@@ -24,12 +24,12 @@ from loewner.errors import FileError, InputError, MissingExtraError, installing
 # Largest number of keys that a message lists.
 LISTED = 30
 
-# Limits on a file: the depth of nested entries; and for YAML the number of entries, with those of an alias counted at
-# each use. A scene of a hundred thousand boxes has half as many. Reading YAML takes a few seconds per megabyte.
+# Limits on a file: the depth of nested entries; and for YAML the number of entries, in which an alias counts at each
+# use. A scene of a hundred thousand boxes has half as many. Reading YAML takes a few seconds per megabyte.
 DEEPEST = 50
 MOST_ENTRIES = 2_000_000
 
-# YAML's tags for plain values, and for a mapping whose entries are those of another one unless it has its own.
+# YAML's tags for plain values, and for a mapping that takes its entries from another one unless it has its own.
 TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp"))
 MERGE = "tag:yaml.org,2002:merge"
 
@@ -140,7 +140,7 @@ class Node(ABC):
         return str(self._at(raw_key).expect("scalar", "a name as key"))
 
     def items(self, *lengths: int, names: str = "") -> list[Self]:
-        """Return the places of a sequence, which has one of these lengths, or any length if none is given.
+        """Return the places of a sequence, which has one of the given lengths, or any length if none is given.
 
         Names of its entries are shown in messages.
         """
@@ -255,7 +255,7 @@ class JsonNode(Node):
 
 
 def read_json(data: str | bytes, file: Path, what: str) -> JsonNode:
-    """Read a file of JSON, in UTF-8, UTF-16 or UTF-32; a FileError says what was expected, with the line if known."""
+    """Read a file of JSON, in UTF-8, UTF-16 or UTF-32; a FileError names what, and the line if known."""
     try:
         text = data if isinstance(data, str) else data.decode(json.detect_encoding(data))
         return JsonNode(file, _json.parsed(text.removeprefix("\ufeff"), str(file)))
@@ -350,7 +350,7 @@ def yaml_package() -> Any:
 
 
 def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> YamlNode:
-    """Read a file of YAML that contains one document; a FileError says what was expected, and the line if it is known.
+    """Read a file of YAML that contains one document; a FileError names the expected content, and the line if known.
 
     With `merges`, the key ``<<`` adds the entries of other mappings; otherwise it is an unknown key.
     """

@@ -62,7 +62,7 @@ def number(cell: str) -> float:
 
 
 def below(header: list[str], rows: list[list[str]]) -> Floats:
-    """Numbers of rows below a header, shape (rows, columns); a ValueError says what else a row has."""
+    """Numbers of rows below a header, shape (rows, columns); a ValueError describes any other row."""
     for number_of_row, cells in enumerate(rows, 1):
         if len(cells) != len(header):
             raise ValueError(f"{len(cells)} cells in row {number_of_row} below a header of {len(header)}")

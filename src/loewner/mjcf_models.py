@@ -140,7 +140,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     -----
     UserWarning
         Once, if the file has what changes MuJoCo's motions or contacts and is not read: flexible bodies, constraints,
-        margins of geoms, and limits other than those of joints with one value.
+        margins of geoms, and limits of anything but joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     mujoco, model = _compiled(file)

@@ -156,7 +156,7 @@ def _read(path: Path, robot: loewner.Robot, others: Floats | None) -> list[plann
 
 
 def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, count: int) -> list[dict[str, str]]:
-    """Return, for each part, the links by the bodies that they carry, as --attach says."""
+    """Return, for each part, the links by the bodies that they carry, from --attach."""
     found: list[dict[str, str]] = [{} for _ in range(count)]
     for text in given:
         where, _, what = text.rpartition(":")
@@ -194,7 +194,7 @@ def _set_clock(parts: list[planners.ControllerPoints | Floats], start_time: floa
 def _carry(
     scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
 ) -> None:
-    """Let links carry bodies from the beginning of a part, each from where it stands."""
+    """Let links carry bodies from the beginning of a part, each from its present pose."""
     if not carrying:
         return
     touching = part._touching if isinstance(part, planners.ControllerPoints) else {}
@@ -316,7 +316,7 @@ def _answer(
 
 
 def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, Any]:
-    """Return what a message says besides the points, and when its first point is due."""
+    """Return the other contents of a message, and the time of its first point."""
     if not isinstance(given, planners.ControllerPoints):
         return {}
     stated = {"stated": given._stated, "stated_in": given._stated_in} if given._stated else {}

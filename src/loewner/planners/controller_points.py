@@ -72,8 +72,8 @@ class ControllerPoints:
     Attributes
     ----------
     carried : dict
-        Links by the names of the bodies that the robot carries, as a message says; empty otherwise. Queries refuse the
-        points unless the scene has attached these bodies to these links.
+        Links by the names of the bodies that the robot carries, according to a message; empty otherwise. Queries refuse
+        the points unless the scene has attached these bodies to these links.
 
     Raises
     ------
@@ -100,8 +100,8 @@ class ControllerPoints:
     ) -> None:
         self.start_time = _validate.real(start_time, "start_time")
         self.carried: dict[str, str] = {}
-        # Of a message: columns that run straight where others are curved; links that bodies may touch; values of
-        # columns that stand still; where in the message the points and these values are.
+        # For points from a message: columns that run straight where others are curved; links that bodies may touch;
+        # values of columns that do not move; the places of these points and values in the message.
         self._straight: tuple[str, ...] = ()
         self._touching: dict[str, tuple[str, ...]] = {}
         self._stated: dict[str, float] = {}
@@ -147,7 +147,7 @@ class ControllerPoints:
             base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
         others : array_like, shape (dof,), optional
             A configuration of the robot, with the values for these columns. Default: the message's start state, and
-            `Robot.configuration()` for what it does not name.
+            `Robot.configuration()` for all other values.
 
         Returns
         -------
@@ -186,8 +186,8 @@ class ControllerPoints:
     ) -> list[ControllerPoints]:
         """Read all trajectories of a file, in their order; parameters and errors as for `load`.
 
-        Joints that a trajectory does not name stand where the one before has left them, or where the message's states
-        say. Each has the bodies that the robot then carries as `carried`.
+        Joints that a trajectory does not name keep their values from the trajectory before, or from the message's
+        states. Each has the bodies that the robot then carries as `carried`.
 
         Examples
         --------
@@ -283,10 +283,10 @@ class ControllerPoints:
     def _of_message(
         cls, found: messages.Message, name: str, robot: Robot | None, others: Floats | None
     ) -> list[ControllerPoints]:
-        """Make the points of each trajectory of a message, and tell what is not read."""
+        """Make the points of each trajectory of a message, and warn about parts that are not read."""
         if not found.parts:
             raise FileError(f"{name}: expected points of a trajectory, found none")
-        told = list(found.told)
+        told = list(found.warnings)
         if robot is not None:
             foreign = [other for other in dict.fromkeys(found.robots) if other != robot.name]
             told += [f"it is for the robot {other!r}, and is read for {robot.name!r}" for other in foreign]
@@ -302,7 +302,7 @@ class ControllerPoints:
     ) -> ControllerPoints:
         """Add columns for the values of a robot that the points do not name; these do not move.
 
-        Their values are those of `others`, or what a message states, by columns, and the robot's default.
+        Their values come from `others`; without it, from the values that a message states, and the robot's defaults.
         """
         if robot is None or self.names is None:
             return self
@@ -321,7 +321,7 @@ class ControllerPoints:
         return made
 
     def _keep(self, other: ControllerPoints) -> None:
-        """Take over what a message says besides points."""
+        """Take over the other contents of a message."""
         self.carried, self._touching, self._straight = other.carried, other._touching, other._straight
         self._place, self._stated, self._stated_in = other._place, other._stated, other._stated_in
 
@@ -388,7 +388,7 @@ def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floa
 
 
 def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: Robot) -> ControllerPoints:
-    """Join the motion of joints with one value and that of a base; the base moves straight between its points."""
+    """Join the motion of joints with one value and the motion of a base; the base moves straight between its points."""
     times = placed.times
     if part.joints is not None:
         of_joints = part.joints.times
@@ -451,7 +451,7 @@ def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Flo
 
 
 def _expect_begin(part: messages.Part, name: str) -> None:
-    """Warn if a trajectory does not begin where the state says that the robot is."""
+    """Warn if a trajectory does not begin at the start state."""
     if part.joints is None:
         return
     first = dict(zip(part.joints.names, part.joints.rows["positions"][0].tolist(), strict=True))

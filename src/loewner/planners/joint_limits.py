@@ -88,7 +88,7 @@ class JointLimits(KeepsReadOnly):
             joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
             ``has_velocity_limits: false`` means that there is none; likewise for accelerations, decelerations and jerk,
             and for ``min_position`` and ``max_position``, which soft limits narrow. A limit of a joint that mimics
-            another bounds the other joint; its positions are told, not read. Angles may be tagged ``!degrees``.
+            another bounds the other joint; its positions cause a warning. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
@@ -272,7 +272,7 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
 
 
 def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
-    """Return the scaling factors beside a table, which are 1 unless they are asked for."""
+    """Return the scaling factors beside a table, which are 1 unless they are requested."""
     found = {}
     for kind, key in FACTORS.items():
         factor = holder[key].number() if key in holder else 1.0
@@ -283,7 +283,7 @@ def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
 
 
 def _limits_of_joint(entry: Node) -> dict[str, float]:
-    """Return the limits of one joint by their kinds, "lower" and "upper" among them; infinite if it says "none"."""
+    """Return the limits of one joint by their kinds, "lower" and "upper" among them; infinite if it declares none."""
     keys, found = entry.mapping(None), {}
     if not keys:
         raise entry.error("expected limits by their names, found none")

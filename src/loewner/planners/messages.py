@@ -1,4 +1,4 @@
-"""The ROS messages that contain trajectories, type by type: each field of a type is used, harmless, told or refused.
+"""The ROS messages that contain trajectories, type by type: each field is used, harmless, mentioned or refused.
 
 A message is walked by the types of its fields. A key that its type does not have is an error, so nothing that bears on
 a motion is passed over: the states that its joints start from, bodies that the robot carries, and motions of a base.
@@ -133,7 +133,7 @@ REMOVE = 1
 
 @dataclass(eq=False)
 class State:
-    """What a message says of the robot at one time.
+    """State of the robot at one time of a message.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class Part:
 
 @dataclass(eq=False)
 class Message:
-    """All trajectories of a message in their order, and what else it says.
+    """All trajectories of a message in their order, and its other contents.
 
     Attributes
     ----------
@@ -197,14 +197,14 @@ class Message:
         Names of robots in the message.
     around : list of str
         Names of the bodies in the message's world.
-    told : list of str
-        What else is not read, as sentences.
+    warnings : list of str
+        Sentences for warnings about other parts that are not read.
     """
 
     parts: list[Part] = field(default_factory=list)
     robots: list[str] = field(default_factory=list)
     around: list[str] = field(default_factory=list)
-    told: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 def read(root: Node) -> Message:
@@ -222,7 +222,7 @@ def read(root: Node) -> Message:
 
 
 def _type_of(node: Node, among: Collection[str]) -> str:
-    """Return the type that fits a message best, by its keys and those of its parts."""
+    """Return the type that fits a message best, by its keys and the keys of its parts."""
     keys = set(node.mapping(None))
 
     def fits(name: str) -> tuple[bool, int, int]:
@@ -252,7 +252,7 @@ def _is_placed(points: Node) -> bool:
 
 
 def _walk(node: Node, name: str, found: Message, state: State) -> None:
-    """Read a message of a known type, in which `state` is changed as the message says."""
+    """Read a message of a known type, and change `state` accordingly."""
     fields = TYPES[name]
     keys = node.mapping(fields)
     if name in ("JointTrajectory", "MultiDOFJointTrajectory"):
@@ -260,7 +260,7 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
     elif name in ("RobotTrajectory", "FollowJointTrajectoryGoal"):
         given = {fields[key]: held for key, held in keys.items() if fields[key] in TYPES and not held.empty}
         _add_part(node, given, found, state)
-        found.told += _tolerated(keys)
+        found.warnings += _tolerated(keys)
     elif name == "RobotState":
         _read_state(keys, state)
     elif name == "PlanningSceneWorld":
@@ -272,7 +272,7 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
             if of == USED:
                 found.robots.append(keys[key].text())
             elif of == TOLD:
-                found.told.append(f"{keys[key].key} is not read")
+                found.warnings.append(f"{keys[key].key} is not read")
             else:
                 for each in _listed(keys[key]):
                     _walk(each, _type_of(each, WRAPPED) if of == ANY else of, found, state)
@@ -377,7 +377,7 @@ def _expect_once(names: list[str], node: Node) -> None:
 
 
 def _read_state(keys: dict[str, Node], state: State) -> None:
-    """Change a state as a RobotState says; one that is not a difference replaces what the robot carries."""
+    """Change a state by a RobotState; one that is not a difference replaces the carried bodies."""
     differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
     for key, known in (("joint_state", JOINT_STATE), ("multi_dof_joint_state", PLACED_STATE)):
         if key not in keys or keys[key].empty:
@@ -403,7 +403,7 @@ def _read_state(keys: dict[str, Node], state: State) -> None:
 
 
 def _carry(node: Node, state: State, differs: bool) -> None:
-    """Change what a state carries."""
+    """Change the bodies that the robot carries in a state."""
     if not differs:
         state.carried.clear()
     for entry in _listed(node) if not node.empty else []:
@@ -430,7 +430,7 @@ def _around(keys: dict[str, Node]) -> Iterator[str]:
 
 
 def _tolerated(keys: dict[str, Node]) -> Iterator[str]:
-    """Say how far a goal lets a controller deviate from the path."""
+    """Describe how far a goal lets a controller deviate from the path."""
     for key in ("path_tolerance", "component_path_tolerance"):
         for entry in _list(keys, key):
             held = entry.mapping(None if key.startswith("component") else TOLERANCE)
@@ -459,7 +459,7 @@ def _seconds(node: Node) -> float:
 
 
 def _text_of_seconds(node: Node) -> float:
-    """Read a number of seconds in quotes; a fault is that of a number without quotes."""
+    """Read a number of seconds in quotes; faults are reported as for a number without quotes."""
     try:
         return _tables.number(node.text())
     except (ValueError, FileError):
