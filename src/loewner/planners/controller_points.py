@@ -101,7 +101,7 @@ class ControllerPoints:
         self.start_time = _validate.real(start_time, "start_time")
         self.carried: dict[str, str] = {}
         # For points from a message: columns that run straight where others are curved; links that bodies may touch;
-        # values of columns that do not move; the places of these points and values in the message.
+        # values of columns that do not move; their places in the message.
         self._straight: tuple[str, ...] = ()
         self._touching: dict[str, tuple[str, ...]] = {}
         self._stated: dict[str, float] = {}
