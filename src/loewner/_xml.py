@@ -92,14 +92,24 @@ class Element:
             self._asked = set()
         self._asked.add(name)
 
-    def unread(self, harmless: Mapping[str, AbstractSet[str]]) -> Iterator[tuple[Self, str]]:
+    def disown(self, *names: str) -> None:
+        """Let what has been asked for count as unread: tags, and names of attributes after "@"."""
+        if self._asked is not None:
+            self._asked.difference_update(names)
+
+    def unread(
+        self, harmless: Mapping[str, AbstractSet[str]], telling: AbstractSet[str] = frozenset()
+    ) -> Iterator[tuple[Self, str]]:
         """Yield the elements, and the attributes, in this one that nobody asked for, in the order of the file.
 
         Parameters
         ----------
         harmless : mapping of str to set of str
             By the tag of an element: tags of children, and names of attributes after "@", that may be passed over.
-            Nothing inside such children is reported.
+            Nothing inside such children is reported. A tag may end in "*": inside of such a child, elements that are
+            `telling` and have children are reported.
+        telling : set of str, optional
+            Tags.
 
         Yields
         ------
@@ -108,16 +118,27 @@ class Element:
         name : str
             For messages, as "<colision> in <link>", or "<limit min>" for an attribute.
         """
-        known = (self._asked or set()) | harmless.get(self.tag, frozenset())
+        asked, passed_over = self._asked or frozenset(), harmless.get(self.tag, frozenset())
         for name in self.attributes:
-            if f"@{name}" not in known and not name.startswith(("xmlns", "xml:")):
+            known = f"@{name}" in asked or f"@{name}" in passed_over
+            if not known and not name.startswith(("xmlns", "xml:")):
                 yield self, f"<{self.tag} {name}>"
-        passed_over = harmless.get(self.tag, frozenset())
         for child in self.children:
-            if child.tag not in known:
+            if f"{child.tag}*" in passed_over:
+                yield from child._inside(child.tag, telling)
+            elif child.tag in passed_over:
+                continue
+            elif child.tag in asked:
+                yield from child.unread(harmless, telling)
+            else:
                 yield child, f"<{child.tag}> in <{self.tag}>"
-            elif child.tag not in passed_over:
-                yield from child.unread(harmless)
+
+    def _inside(self, tag: str, telling: AbstractSet[str]) -> Iterator[tuple[Self, str]]:
+        for child in self.children:
+            if child.tag in telling and child.children:
+                yield child, f"<{child.tag}> in <{tag}>"
+            else:
+                yield from child._inside(tag, telling)
 
 
 def parse(

@@ -155,7 +155,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
             hits += checker.collide_by_pair(part[found]).sum(axis=0)
             colliding += (found + first).tolist()
             progress.advance(task, len(part))
-    outside = (robot.lower > Q) | (robot.upper < Q)
+    outside = (robot.hard_lower > Q) | (robot.hard_upper < Q)
     often = np.argsort(-hits, kind="stable")
     return {
         "robot": robot.name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -34,7 +34,7 @@ from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
-from loewner.robots.urdf import VALUES, Description, read_urdf
+from loewner.robots.urdf import VALUES, Description, Joint, read_urdf
 from loewner.robots.watch import LARGEST_VALUE, Watch
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
@@ -91,12 +91,17 @@ class Robot(KeepsReadOnly):
         j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
         "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
     lower, upper : ndarray, shape (dof,)
-        Limits, in radians for joints that turn and metres for joints that slide; infinite for values without limits.
+        Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
+        infinite for values without limits. They are within the limits of the file, and within its soft limits
+        (``<safety_controller>``); and joints that mimic the joint are within their own limits.
         All functions accept configurations outside the limits; a configuration far outside causes a single warning (see
         `checked`).
-    velocity : ndarray, shape (dof,)
-        The largest rate of each value [rad/s or m/s]: the URDF's limit, or less if a mimic joint would otherwise exceed
-        its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
+    hard_lower, hard_upper : ndarray, shape (dof,)
+        Limits of the joints as in the file. A plan may start between these and the narrower ones.
+    velocity, acceleration, jerk : ndarray, shape (dof,)
+        The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or less if a mimic joint would
+        otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
+        Only URDF 1.2 has limits of accelerations and jerk.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next two
         attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
@@ -138,7 +143,11 @@ class Robot(KeepsReadOnly):
     configuration_names: tuple[str, ...]
     lower: Floats
     upper: Floats
+    hard_lower: Floats
+    hard_upper: Floats
     velocity: Floats
+    acceleration: Floats
+    jerk: Floats
     bodies: dict[str, Body]
     groups: dict[str, tuple[str, ...]]
     states: dict[str, State]
@@ -256,14 +265,11 @@ class Robot(KeepsReadOnly):
         """Build the robot from the parsed files."""
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
-        lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
-        for name, column in columns.items():
-            lower[column], upper[column] = robot.joints[name].lower, robot.joints[name].upper
-            if kinds[name] in WITH_QUATERNION:
-                lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
-        velocity = _velocities(robot, columns, dof)
-        for limits in (lower, upper, velocity):
-            limits.setflags(write=False)
+        lower, upper = _ends(robot, columns, dof, lambda joint: joint.range)
+        hard_lower, hard_upper = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
+        rates = {kind: _rates(robot, columns, dof, kind) for kind in ("velocity", "acceleration", "jerk")}
+        for array in (lower, upper, hard_lower, hard_upper, *rates.values()):
+            array.setflags(write=False)
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
@@ -278,7 +284,9 @@ class Robot(KeepsReadOnly):
             configuration_names=names,
             lower=lower,
             upper=upper,
-            velocity=velocity,
+            hard_lower=hard_lower,
+            hard_upper=hard_upper,
+            **rates,
             bodies=Named("link with a body", bodies),
             groups=Named("group", semantics.groups),
             states=Named("state", semantics.states),
@@ -290,7 +298,7 @@ class Robot(KeepsReadOnly):
             package_dirs=package_dirs,
             _columns=columns,
             _only_visual=robot.only_visual,
-            _watch=Watch(robot.name, names, lower, upper, turns, free),
+            _watch=Watch(robot.name, names, hard_lower, hard_upper, turns, free),
             _rooted=tree,
             _sources=(Source("", format, path, text, package_dirs),),
             _parts={},
@@ -1047,15 +1055,27 @@ def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
     return below, above, turning & below & above
 
 
-def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:
-    """Compute the largest rates of configuration values; NaN if a rate is unlimited or not given."""
-    velocity = np.full(dof, np.nan)
+def _ends(
+    robot: Description, columns: Mapping[str, slice], dof: int, of: Callable[[Joint], tuple[float, float]]
+) -> tuple[Floats, Floats]:
+    """Return the least and the largest configuration values, of ranges of joints."""
+    lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
+    for name, column in columns.items():
+        lower[column], upper[column] = of(robot.joints[name])
+        if robot.joints[name].kind in WITH_QUATERNION:
+            lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
+    return lower, upper
+
+
+def _rates(robot: Description, columns: Mapping[str, slice], dof: int, kind: str) -> Floats:
+    """Compute the largest rates of one kind of configuration values; NaN if a rate is unlimited or not given."""
+    rates = np.full(dof, np.nan)
     for joint in robot.joints.values():
         moved, multiplier = (joint.name, 1.0) if joint.mimic is None else (joint.mimic.joint, joint.mimic.multiplier)
         if moved in columns and multiplier != 0:
             at = columns[moved]
-            velocity[at] = np.fmin(velocity[at], joint.velocity / abs(multiplier))
-    return velocity
+            rates[at] = np.fmin(rates[at], getattr(joint, kind) / abs(multiplier))
+    return rates
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
