@@ -525,11 +525,10 @@ def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
 
 def _tell_extensions(root: Element, joints: dict[str, Joint]) -> None:
     """Warn, once, of limits and mimics that only extensions of other programs have."""
-    told = list(dict.fromkeys((*_controlled(root, joints), *_simulated(root, joints))))
+    told = [*_controlled(root, joints), *_simulated(root, joints)]
     if told:
-        more = f" and {len(told) - UNREAD} more" if len(told) > UNREAD else ""
-        named = ", ".join(told[:UNREAD])
-        warn(f"{root.path}: limits and mimics in extensions are ignored, unless the <joint> has them: {named}{more}")
+        why = "limits and mimics in extensions are ignored, unless the <joint> has them"
+        warn(f"{root.path}: {why}: {some(told, UNREAD)}")
 
 
 def _controlled(root: Element, joints: dict[str, Joint]) -> Iterator[str]:

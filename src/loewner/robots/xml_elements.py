@@ -131,11 +131,10 @@ def settle(root: Element, what: str, harmless: Mapping[str, AbstractSet[str]]) -
     for element, name in root.unread(harmless, DESCRIBING):
         lines.setdefault(name, []).append(element.line)
     if lines:
-        places = {name: f"line {at[0]}" + (f" and {len(at) - 1} more" if len(at) > 1 else "") for name, at in lines.items()}
-        named = ", ".join(f"{name} ({place})" for name, place in list(places.items())[:UNREAD])
-        more = f", and {len(lines) - UNREAD} others" if len(lines) > UNREAD else ""
+        places = ("" if len(at) == 1 else f", and {len(at) - 1} more times" for at in lines.values())
+        named = (f"{name} (line {at[0]}{more})" for (name, at), more in zip(lines.items(), places, strict=True))
         why = f"since {what} does not define them, or gives them no meaning there"
-        warn(f"{root.path}: some parts are ignored, {why}: {named}{more}")
+        warn(f"{root.path}: some parts are ignored, {why}: {some(named, UNREAD)}")
 
 
 def _refuse_macros(root: Element, what: str) -> None:
@@ -184,11 +183,11 @@ def known(names: Iterable[str]) -> str:
     return f"known are {listed}" if listed else "there are none"
 
 
-def some(names: Iterable[str]) -> str:
+def some(names: Iterable[str], most: int = LISTED) -> str:
     """Format names for messages, without repeats and limited to a readable number."""
     once = list(dict.fromkeys(names))
-    more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
-    return ", ".join(once[:LISTED]) + more
+    more = f", and {len(once) - most} more" if len(once) > most else ""
+    return ", ".join(once[:most]) + more
 
 
 def cut(text: str) -> str:
