@@ -319,7 +319,7 @@ def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint
 def _version(root: Element) -> tuple[int, int]:
     """Read the version of URDF; a file without one is of the first."""
     text = root.get("version")
-    found = re.fullmatch(r"(\d{1,3})(?:\.(\d{1,3}))?", (text or "1.0").strip())
+    found = re.fullmatch(r"(\d{1,3})(?:\.(\d{1,3}))?", "1.0" if text is None else text.strip())
     if found is None or int(found[1]) != 1:
         root.fault("URDF of version 1.0, 1.1 or 1.2", f"version {cut(text or '')}")
     return 1, int(found[2] or 0)
@@ -428,7 +428,7 @@ def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float,
     (high,) = element.numbers("soft_upper_limit", 1, "inf")
     if kind != "continuous" and max(lower, low) < min(upper, high):
         return low, high
-    if low < high and (low, high) != none:  # otherwise there is no range, as where both are 0
+    if (low, high) not in (none, (0.0, 0.0)):  # 0 .. 0 is how programs write that there is no range
         element.disown("@soft_lower_limit", "@soft_upper_limit")
     return none
 
