@@ -250,6 +250,18 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
     )
 
 
+def package_folder(package: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
+    """Find the folder of a package that a robot's description names."""
+    looked = list(dict.fromkeys(_candidates(f"package://{package}/", _homes(urdf), folders)))
+    for path in looked:
+        if os.path.isdir(path):
+            return path
+    raise FileError(
+        f"{urdf}: expected the package {package!r}, but there is no such folder; looked at "
+        f"{', '.join(map(str, looked))}. Other folders of packages can be given (package_dirs, --package-dir)"
+    )
+
+
 def _homes(urdf: Path) -> list[Path]:
     """Return the folder of a URDF; if the file is a symbolic link, the folder of the link and then that of its target."""
     target = Path(os.path.realpath(urdf)).parent

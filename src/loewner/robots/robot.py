@@ -36,6 +36,7 @@ from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, Joint, read_urdf
 from loewner.robots.watch import LARGEST_VALUE, Watch
+from loewner.robots.xacro_files import SUFFIX, expanded
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
@@ -50,18 +51,26 @@ MANY_LINKS = 30
 LEAST_SHARE = 1024
 
 
-def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
-    """Return the contents of a URDF given as a path or as a string."""
+def _text_of(
+    path: str | os.PathLike[str] | None, text: str | None, xacro_args: Mapping[str, object] | None, places: list[Path]
+) -> str | None:
+    """Return the text of a URDF that is given as a string or as a xacro file; None for other files."""
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
         raise InputError("text: expected a path to a URDF or its text, found both")
-    if text is None:
-        assert path is not None
-        return read_urdf(path)
-    if not isinstance(text, str):
+    if text is not None and not isinstance(text, str):
         raise InputError(f"text: expected the text of a URDF, found {_validate.short(text)}")
-    return read_urdf("URDF text", text)
+    if xacro_args is not None and not isinstance(xacro_args, Mapping):
+        raise InputError(f"xacro_args: expected a mapping from names to values, found {_validate.short(xacro_args)}")
+    if path is None:
+        if xacro_args is not None:
+            raise InputError("xacro_args: expected a path to a xacro file with them, found text=")
+        return text
+    named = isinstance(path, (str, os.PathLike)) and os.fspath(path)
+    if xacro_args is None and not (isinstance(named, str) and named.lower().endswith(SUFFIX)):
+        return None
+    return expanded(path, xacro_args or {}, places)
 
 
 def _model(meshes: str, decompose: bool) -> str:
@@ -176,6 +185,7 @@ class Robot(KeepsReadOnly):
         path: str | os.PathLike[str] | None = None,
         *,
         text: str | None = None,
+        xacro_args: Mapping[str, str | float | bool] | None = None,
         srdf: str | os.PathLike[str] | None = None,
         package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
         meshes: Literal["hull", "pieces", "surface"] = "hull",
@@ -189,10 +199,15 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path, optional
-            A URDF file; xacro must be expanded.
+            A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
+            "loewner[xacro]"``), which evaluates expressions of Python in the file: read only files that you trust.
+            Lines in messages are then those of the expanded text.
         text : str, optional
             The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
             meshes in it are resolved from the working directory.
+        xacro_args : mapping of str to str, number or bool, optional
+            Values of a xacro file's arguments; a file of any name is then expanded. ``$(find package)`` is the folder
+            of a package, see `package_dirs`.
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
@@ -227,14 +242,16 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If a joint refers to a name that does not exist, or the SRDF belongs to a different robot.
         MissingExtraError
-            If a mesh is to be decomposed and CoACD is not installed.
+            If a mesh is to be decomposed and CoACD is not installed, or a xacro file is to be expanded without xacro.
 
         Warns
         -----
         UserWarning
-            If the SRDF names links or joints that the robot does not have, or none that it has; if it names a different
-            robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or the angles of
-            an origin or the limits of revolute joints are probably not in radians.
+            If the URDF or the SRDF has parts that its format does not define (docs/robots.md); if limits of a joint
+            that mimics another would leave that one hardly any range. If the SRDF names links or joints that the robot
+            does not have, or none that it has; if it names a different robot, or has passive joints, or a base that
+            moves. If a body is probably not in metres, or the angles of an origin or the limits of revolute joints are
+            probably not in radians.
 
         Examples
         --------
@@ -243,11 +260,12 @@ class Robot(KeepsReadOnly):
         """
         tol, cache, model = checked_tolerance(tol), _validate.flag(cache, "cache"), _model(meshes, decompose)
         _validate.callback(progress, "progress")
-        robot = _described(path, text)
-        semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
+        text = _text_of(path, text, xacro_args, places)
+        robot = read_urdf("URDF text" if path is None else path, text)
+        semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
         return cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
 
