@@ -17,7 +17,7 @@ from loewner._files import read_regular
 from loewner._matrices import lengths, product
 from loewner._validate import Floats, Ints
 from loewner.errors import FileError
-from loewner.mesh_files.parts import MOST, Refusal, Triangles, check_range, expect, joined, placed, quoted, strip
+from loewner.mesh_files.parts import MOST, Refusal, Tell, Triangles, check_range, expect, joined, placed, quoted, strip
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _INDICES = (5121, 5123, 5125)
@@ -31,7 +31,7 @@ _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "K
 _UNIT = 1e-2
 
 
-def read(data: bytes, folder: Path, binary: bool, limit: int) -> tuple[Floats, Triangles]:
+def read(data: bytes, folder: Path, binary: bool, limit: int, tell: Tell) -> tuple[Floats, Triangles]:
     """Read the vertices, in metres, and the triangles of the file's scene."""
     text, body = _chunks(data) if binary else (data, None)
     tree = _parsed(text)

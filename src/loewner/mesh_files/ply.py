@@ -9,11 +9,12 @@ import numpy as np
 from loewner._validate import Floats, Ints
 from loewner.mesh_files.parts import (
     Refusal,
+    Tell,
     Triangles,
     check_range,
+    cut,
     data_lines,
     expect,
-    fans,
     floats,
     in_line,
     integers,
@@ -40,6 +41,9 @@ _TYPES = {
 }
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
+
+# Elements other than vertex and face whose lists are no polygons; the lists of all others, such as tristrips, may be.
+_HARMLESS = ("multi_texture_face",)  # corners in a texture
 
 # Limits on the length of a header's line [bytes] and on the properties of an element. Scanners write about twenty.
 HEADER_LINE, MOST_PROPERTIES = 1 << 16, 1000
@@ -72,15 +76,17 @@ class _Content:
     sizes: Ints
 
 
-def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Read vertices as stored, and polygons as fans of triangles."""
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
+    """Read vertices as stored, and polygons as triangles."""
     order, elements, start = _header(data)
     vertex = [e for e in elements if e.name == "vertex"]
     face = [e for e in elements if e.name == "face"]
     expect(len(vertex) == 1 and vertex[0].has("x", "y", "z"), "expected one element vertex with x, y and z")
     expect(len(face) <= 1, f"expected one element face, found {len(face)}")
-    for strips in (e for e in elements if e.name in ("tristrips", "tristrip") and e.count):
-        raise Refusal("expected faces, found strips of triangles, which are not read", strips.line)
+    for other in elements:
+        lists = any(p.length is not None for p in other.properties)
+        polygons = lists and other.count and other.name not in ("vertex", "face", *_HARMLESS)
+        expect(not polygons, f"expected faces, found lists in {quoted(other.name)}, which are not read", other.line)
     contents = _text(data, start, elements) if not order else _binary(data, start, elements, order)
     xyz = contents[elements.index(vertex[0])].scalars
     points = np.stack([np.asarray(xyz[k], dtype=np.float64) for k in "xyz"], axis=1)
@@ -91,7 +97,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
         k = int(np.flatnonzero(sizes < 3)[0])
         raise Refusal(f"face {k}: expected at least 3 corners, found {sizes[k]}")
     check_range(corners, vertex[0].count, "a face")
-    return points, fans(corners, sizes)
+    return points, cut(points, corners, sizes, tell, lambda k: f"face {k}")
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
