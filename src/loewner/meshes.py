@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loewner import _validate, mesh_files
 from loewner._files import shown
@@ -137,7 +137,7 @@ def load(source: Source) -> tuple[Floats, Triangles]:
 
 def _used_and_finite(vertices: Floats, triangles: Triangles, name: str) -> tuple[Floats, Triangles]:
     """Leave out vertices without triangles that are not finite, as scanners write them where they saw nothing."""
-    finite: NDArray[np.bool_] = np.isfinite(vertices).all(axis=1)
+    finite = np.logical_and.reduce(np.isfinite(vertices), axis=1)
     if finite.all():
         return vertices, triangles
     if not finite[triangles].all():

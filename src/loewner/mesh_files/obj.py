@@ -17,6 +17,8 @@ from loewner.mesh_files.parts import (
     integers,
     is_integer,
     quoted,
+    remarks,
+    tell_unit,
 )
 
 # Bytes whose words are split at a time; they take about twenty times as much memory.
@@ -38,6 +40,7 @@ _WIDTHS = (3, 4, 6, 7)
 
 def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read vertices as stored, and polygons as triangles."""
+    tell_unit(remarks(data), tell)
     points: list[Floats] = []
     corners: list[Ints] = []
     sizes: list[Ints] = []

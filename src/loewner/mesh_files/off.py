@@ -15,6 +15,8 @@ from loewner.mesh_files.parts import (
     in_line,
     integers,
     quoted,
+    remarks,
+    tell_unit,
 )
 
 # Numbers in the line of a vertex: x y z, a normal, a colour of three or four numbers.
@@ -26,6 +28,7 @@ _COLOURS = (0, 1, 3, 4)
 
 def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read vertices as stored, and polygons as triangles."""
+    tell_unit(remarks(data), tell)
     lines, numbers = data_lines(data, b"#")
     word = lines[0][0] if lines else b""
     expect(word in _WIDTHS, f"expected an OFF file, found one that begins with {quoted(word)}")

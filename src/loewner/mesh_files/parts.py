@@ -1,6 +1,7 @@
 """Code shared by the readers of all formats: refuse files, read numbers from text, cut polygons into triangles."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._matrices import image
+from loewner._plausible import doubt_about_unit
 from loewner._validate import Floats, Ints
 
 Triangles = Ints
@@ -106,6 +108,18 @@ def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], token
         return convert(tokens)
     except Refusal as refusal:
         raise Refusal(str(refusal), number) from None
+
+
+def tell_unit(comments: bytes, tell: Tell) -> None:
+    """Report a unit that comments name."""
+    doubt = doubt_about_unit(comments.decode("latin-1"))
+    if doubt:
+        tell(f"expected {doubt}", "")
+
+
+def remarks(data: bytes) -> bytes:
+    """Return the comments of a text from # to the ends of their lines."""
+    return b"\n".join(re.findall(rb"#[^\r\n]*", data))
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:

@@ -19,6 +19,7 @@ from loewner.mesh_files.parts import (
     in_line,
     integers,
     quoted,
+    tell_unit,
 )
 
 _TYPES = {
@@ -40,6 +41,7 @@ _TYPES = {
     "float64": "f8",
 }
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_COMMENTS = (b"comment", b"obj_info")
 _CORNERS = ("vertex_indices", "vertex_index")
 
 # Elements other than vertex and face whose lists are no polygons; the lists of all others, such as tristrips, may be.
@@ -79,6 +81,7 @@ class _Content:
 def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read vertices as stored, and polygons as triangles."""
     order, elements, start = _header(data)
+    tell_unit(b"\n".join(line for line in data[:start].split(b"\n") if line.startswith(_COMMENTS)), tell)
     vertex = [e for e in elements if e.name == "vertex"]
     face = [e for e in elements if e.name == "face"]
     expect(len(vertex) == 1 and vertex[0].has("x", "y", "z"), "expected one element vertex with x, y and z")
@@ -112,7 +115,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
         position, number = end + 1, number + 1
         if number == 1:
             expect(words == ["ply"], f"expected ply, found {quoted(' '.join(words))}", 1)
-        elif not words or words[0] in ("comment", "obj_info"):
+        elif not words or words[0].encode() in _COMMENTS:
             continue
         elif words[0] == "format" and order is None and len(words) == 3:
             expect(

@@ -5,7 +5,18 @@ import struct
 import numpy as np
 
 from loewner._validate import Floats
-from loewner.mesh_files.parts import Refusal, Tell, Triangles, data_lines, expect, floats, in_line, plain_lines, quoted
+from loewner.mesh_files.parts import (
+    Refusal,
+    Tell,
+    Triangles,
+    data_lines,
+    expect,
+    floats,
+    in_line,
+    plain_lines,
+    quoted,
+    tell_unit,
+)
 
 HEADER, FACET = 84, 50  # bytes
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -28,8 +39,10 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read three vertices per triangle, in the file's order; the file's normals are ignored."""
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET * count:
+        tell_unit(data[:80], tell)
         corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+        tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # behind the name of the first solid
         corners = _text(data)
     else:  # a binary file's header may begin with "solid" too
         found = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
