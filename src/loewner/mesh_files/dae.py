@@ -131,7 +131,7 @@ def _metres(unit: _Element) -> float:
     """Read the metres of a <unit>."""
     for name in unit.attributes:
         expect(name in ("meter", "name"), f"<unit>: expected meter and name, found {quoted(name)}", unit.line)
-    text = (unit.get("meter") or "1").strip()
+    text = unit.attributes.get("meter", "1").strip()
     try:
         metres = float(floats([text.encode()])[0])
     except Refusal:

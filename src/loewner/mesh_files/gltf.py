@@ -203,8 +203,8 @@ class _Reader:
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
         """Return the meshes of the scene, each at its place."""
         scenes = self.tree.get("scenes")
-        chosen = "scene" in self.tree or not isinstance(scenes, list) or len(scenes) < 2
-        expect(chosen, f"expected scene, the number of the one to show, found none and {len(scenes or ())} scenes")
+        if isinstance(scenes, list) and len(scenes) > 1 and "scene" not in self.tree:
+            raise Refusal(f"expected scene, the number of the one of {len(scenes)} scenes to show, found none")
         scene, where = self.item("scenes", self.integer(self.tree, "the file", "scene", 0))
         waiting = [(index, np.eye(4)) for index in self.items(scene, where, "nodes", int)[::-1]]
         seen: set[int] = set()
