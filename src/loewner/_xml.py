@@ -14,8 +14,7 @@ E = TypeVar("E", bound="Element")
 # Python's expat decodes no encoding that has characters of several bytes, except those of Unicode. The names are those
 # of Python's codecs; other codecs can do more than decode, and stay with expat.
 _MULTIBYTE = frozenset(
-    "gb2312 gbk gb18030 hz big5 big5hkscs cp950 shift_jis cp932 shift_jis_2004 shift_jisx0213 euc_jp euc_jis_2004 "
-    "euc_jisx0213 iso2022_jp euc_kr cp949 johab iso2022_kr".split()
+    ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
 )
 _DECLARED = re.compile(rb"""<\?xml\s[^>]*?\sencoding\s*=\s*["']([A-Za-z][A-Za-z0-9._-]*)["']""")
 
