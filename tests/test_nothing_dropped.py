@@ -1,8 +1,8 @@
 """No part of a file is dropped without a word: each is used, is known to be harmless, or is told or refused.
 
-The sample of a format has every word of it. Its mutants have one part renamed, doubled, or joined by a stranger; a reader
-that picks what it knows, and does not account for the rest, reads some of them as if nothing had happened. The parts
-where that is right are listed.
+The sample of a format has every word of it. Its mutants have one part renamed, doubled, or joined by a stranger; a
+reader that picks what it knows, and does not account for the rest, reads some of them as if nothing had happened. The
+parts where that is right are listed.
 """
 
 import copy
@@ -130,8 +130,8 @@ URDF = """<robot name="r" version="1.2">
 <link name="d"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
 <link name="e"><collision><geometry><capsule radius="0.1" length="0.5"/></geometry></collision></link>
 <link name="f"><collision><geometry><mesh filename="m.obj" scale="1 1 2"/></geometry></collision></link>
-<joint name="j" type="revolute"><origin xyz="0 0 1" rpy="0.1 0 0"/><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="1.5" effort="1" velocity="2" acceleration="3" deceleration="2" jerk="9"/>
+<joint name="j" type="revolute"><origin xyz="0 0 1" rpy="0.1 0 0"/><parent link="a"/><child link="b"/>
+  <axis xyz="0 1 0"/><limit lower="-1" upper="1.5" effort="1" velocity="2" acceleration="3" deceleration="2" jerk="9"/>
   <dynamics damping="1"/><calibration rising="0"/>
   <safety_controller soft_lower_limit="-0.5" soft_upper_limit="0.5" k_position="1" k_velocity="1"/></joint>
 <joint name="k" type="prismatic"><origin xyz="0 0 0.5"/><parent link="b"/><child link="d"/><axis xyz="1 0 0"/>

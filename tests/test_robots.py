@@ -174,7 +174,13 @@ def test_mimicking_joints_have_no_columns_and_follow(tmp_path):
     robot = read(
         tmp_path,
         links("abc")
-        + joint("second", "revolute", "b", "c", '<limit lower="-9" upper="9"/><mimic joint="first" multiplier="-2" offset="0.5"/>')
+        + joint(
+            "second",
+            "revolute",
+            "b",
+            "c",
+            '<limit lower="-9" upper="9"/><mimic joint="first" multiplier="-2" offset="0.5"/>',
+        )
         + joint("first", "prismatic", "a", "b", '<limit lower="0" upper="1"/><mimic joint="lead" offset="0.25"/>')
         + '<link name="z"/>'
         + joint("lead", "continuous", "a", "z", ""),

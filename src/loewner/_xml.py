@@ -117,7 +117,8 @@ class Element:
         name : str
             For messages, as "<colision> in <link>", or "<limit min>" for an attribute.
         """
-        asked, passed_over = self._asked or frozenset(), harmless.get(self.tag, frozenset())
+        asked: AbstractSet[str] = self._asked or frozenset()
+        passed_over = harmless.get(self.tag, frozenset())
         for name in self.attributes:
             known = f"@{name}" in asked or f"@{name}" in passed_over
             if not known and not name.startswith(("xmlns", "xml:")):

@@ -181,7 +181,7 @@ def limits_of(
 def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
     """Raise an InputError for a position outside the limits; blends and profiles stay within the hull of the rows.
 
-    Limits that the file does not change are those of the joints, since a plan may start outside the soft ones.
+    Where the file does not change a limit, the hard limit of the joint counts: a plan may start outside the soft ones.
     """
     lower = np.where(given.lower == robot.lower, robot.hard_lower, given.lower)
     upper = np.where(given.upper == robot.upper, robot.hard_upper, given.upper)

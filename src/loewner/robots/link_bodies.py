@@ -263,7 +263,7 @@ def package_folder(package: str, urdf: Path, folders: Sequence[str | os.PathLike
 
 
 def _homes(urdf: Path) -> list[Path]:
-    """Return the folder of a URDF; if the file is a symbolic link, the folder of the link and then that of its target."""
+    """Return the folder of a URDF; if the file is a symbolic link, the folders of the link and of its target."""
     target = Path(os.path.realpath(urdf)).parent
     return [urdf.absolute().parent, target] if os.path.islink(urdf) else [target]
 
@@ -271,10 +271,10 @@ def _homes(urdf: Path) -> list[Path]:
 def _expect_one(shape: Shape, link: str, urdf: Path, places: Iterable[Iterable[Path]]) -> None:
     """Refuse a name that means one file beside a symbolic link to a URDF, and another one beside the target."""
     paths = [path for path in (next(filter(os.path.isfile, listed), None) for listed in places) if path is not None]
-    if len(paths) == 2 and not filecmp.cmp(*paths, shallow=False):
+    if len(paths) == 2 and not filecmp.cmp(paths[0], paths[1], shallow=False):
         raise FileError(
-            f"{urdf}, line {shape.line}: expected one mesh {shape.file_name!r} of link {link!r}, found two that differ: "
-            f"{paths[0]} beside the symbolic link, and {paths[1]} beside its target"
+            f"{urdf}, line {shape.line}: expected one mesh {shape.file_name!r} of link {link!r}, found two that "
+            f"differ: {paths[0]} beside the symbolic link, and {paths[1]} beside its target"
         )
 
 

@@ -201,7 +201,7 @@ class Robot(KeepsReadOnly):
         path : path, optional
             A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
             "loewner[xacro]"``), which evaluates expressions of Python in the file: read only files that you trust.
-            Lines in messages are then those of the expanded text.
+            Messages then have the lines of the expanded text.
         text : str, optional
             The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
             meshes in it are resolved from the working directory.

@@ -22,7 +22,7 @@ HARMLESS = {
         "@version",
         "contact", "gripper", "handle", "position", "rotor_params", "specificities",  # additions of other programs
         "end_effector",  # which group is a hand: for markers to drag
-        "link_sphere_approximation",  # shapes are those of the URDF
+        "link_sphere_approximation",  # the shapes of the URDF count
     )),
     "disable_collisions": frozenset(("@reason",)),
     "enable_collisions": frozenset(("@reason",)),
@@ -138,7 +138,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     disabled = _disabled_pairs(root, names)
     groups = _groups(root, names)
     states, doubts = _states(root, names, groups)
-    passive = {joint: e for e in root.all("passive_joint") if (joint := names.joint(e)) in set(robot.driven)}
+    passive = _passive(root, names)
     names.settle(root.path)
     for fault in (*_oddities(root, names), *_of_bases(root, robot), *_of_passive(passive), *doubts):
         warn(f"{root.path}: {fault}")
@@ -173,8 +173,15 @@ def _of_bases(root: Element, robot: Description) -> Iterator[str]:
             )
 
 
-def _of_passive(passive: Mapping[str | None, Element]) -> Iterator[str]:
-    """Tell which joints are passive."""
+def _passive(root: Element, names: _Names) -> dict[str, Element]:
+    """Return the passive joints that have values."""
+    named = ((names.joint(element), element) for element in root.all("passive_joint"))
+    driven = set(names.robot.driven)
+    return {joint: element for joint, element in named if joint is not None and joint in driven}
+
+
+def _of_passive(passive: Mapping[str, Element]) -> Iterator[str]:
+    """List the passive joints in a warning."""
     if passive:
         named = some((f"{joint!r} (line {element.line})" for joint, element in passive.items()), UNREAD)
         yield f"passive joints are left out of groups, but plans that name no joints move them: {named}"

@@ -46,13 +46,13 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
 # lengths below 1e-154 vanish, so readers do not agree on it.
 SHORTEST_AXIS = 1e-9
 
-# Parts of URDF files that change neither shapes nor motions, nor what is checked, by the element that contains them. A
-# tag that ends in "*" is told all the same if it contains links, joints or collision shapes, such as a model of SDF.
+# Parts of URDF files that change neither shapes nor motions nor checks, by the element that contains them. A part whose
+# tag ends in "*" causes a warning if it contains links, joints or collision shapes, as a model of SDF does.
 HARMLESS = {
     "robot": frozenset((
         "gazebo*",  # plugins, friction and sensors of a simulator
         "material",  # colours
-        "ros2_control",  # hardware; `_extensions` tells its limits and mimics
+        "ros2_control",  # hardware; `_warn_of_extensions` reports its limits and mimics
         "self_collision_checking", "drake:collision_filter_group",  # exempt pairs: without them, more is checked
         "sensor*",  # where cameras look
         "transmission",  # gears, which name joints
@@ -67,7 +67,7 @@ HARMLESS = {
         "@concave", "@enabled", "@group",  # exempt shapes, or make them larger: without them, more is checked
         "@name",
         "drake:proximity_properties",  # friction and stiffness
-        "material", "verbose",  # looks, and what a simulator prints
+        "material", "verbose",  # looks, and output of a simulator
     )),
     "geometry": frozenset(("@name",)),
     "mesh": frozenset(("@name", "drake:declare_convex")),  # every mesh may be made convex
@@ -81,17 +81,17 @@ HARMLESS = {
     "safety_controller": frozenset(("@k_position", "@k_velocity")),  # gains
 }  # fmt: skip
 
-# Of the range of a joint, the least share that the limits of joints that mimic it may leave: less is a slip, or means
+# The least share of the range of a joint that the limits of joints that mimic it may leave: less is a slip, or means
 # that the mimicking joints' limits were never used, as in the grippers of the PR2.
 LEAST_LEFT = 0.1
 
-# Limits of mimicking joints are written with rounded decimals, or computed: they leave out no less than this [rad or m].
+# Limits of mimicking joints are rounded: they leave out no less than this [rad or m].
 LEAST_CUT = 1e-9
 
 # Limits in extensions are often the joints' own with fewer digits; the share of the range by which they may differ.
 ROUNDED = 0.01
 
-# The version of URDF that defines quaternions, that of accelerations and jerk, and the first that is not known.
+# The versions of URDF that define quaternions, and accelerations and jerk, and the first version that is not known.
 WITH_QUATERNIONS, WITH_ACCELERATIONS, UNKNOWN = (1, 1), (1, 2), (1, 3)
 
 # Limit on the number of pairs of links from rules of an SRDF or links without shapes: far more than any robot has.
@@ -234,7 +234,9 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     root = read_xml(path, "a URDF", text)
     name, version = root.get("name"), _version(root)
     if version >= UNKNOWN:
-        warn(f"{root.path}: expected URDF up to version 1.2, found {version[0]}.{version[1]}; what it added is not known")
+        warn(
+            f"{root.path}: expected URDF up to version 1.2, found {version[0]}.{version[1]}; what it added is not known"
+        )
     links = by_name(root.all("link"))
     if not links:
         root.fault("at least one <link>", "none")
@@ -255,7 +257,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
             link.disown("origin")  # a link has none, but its shapes; the identity does no harm
     _doubt_angles(root)
     _doubt_limits(root.path, joints)
-    _tell_extensions(root, joints)
+    _warn_of_extensions(root, joints)
     settle(root, "URDF", HARMLESS)
     return Description(
         name=root.path.stem if name is None else name,
@@ -337,7 +339,7 @@ def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -
                 f"a link of this robot as {end} of joint {name!r}", f"{link!r}; {known(links)}", UnknownNameError
             )
         ends.append(link)
-    if kind == "fixed":  # a reduced model may keep what its joints had when they moved
+    if kind == "fixed":  # a reduced model may keep these of joints that moved before
         element.drop("axis", "limit", "mimic", "safety_controller")
     limits = _limits(element, kind, version)
     return Joint(
@@ -386,8 +388,8 @@ def _limits(joint: Element, kind: str, version: tuple[int, int]) -> _Limits:
     if element is None and kind != "continuous":
         joint.fault(f"a <limit> of the {kind} joint {joint.text('name')!r}", "none (a joint without is continuous)")
     lower, upper = (-math.inf, math.inf) if element is None else _range(joint, element, kind)
-    rates = [math.nan] * 3 if element is None else _rates(element, version)
-    return _Limits(lower, upper, *rates, soft=_soft(joint, kind, lower, upper))
+    rates = (math.nan, math.nan, math.nan) if element is None else _rates(element, version)
+    return _Limits(lower, upper, *rates, _soft(joint, kind, lower, upper))
 
 
 def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
@@ -498,7 +500,7 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
 
 
 def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
-    """Narrow the ranges of joints to values at which those that mimic them are within their limits."""
+    """Narrow the ranges of joints to values at which the joints that mimic them are within their limits."""
     ranges = {name: joint.range for name, joint in joints.items() if joint.mimic is None}
     faults = []
     for joint in joints.values():
@@ -523,7 +525,7 @@ def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
     return {name: replace(joint, soft=ranges.get(name, joint.soft)) for name, joint in joints.items()}
 
 
-def _tell_extensions(root: Element, joints: dict[str, Joint]) -> None:
+def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:
     """Warn, once, of limits and mimics that only extensions of other programs have."""
     told = [*_controlled(root, joints), *_simulated(root, joints)]
     if told:
@@ -532,7 +534,7 @@ def _tell_extensions(root: Element, joints: dict[str, Joint]) -> None:
 
 
 def _controlled(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
-    """List limits in <ros2_control> that are narrower than those of joints, and mimics that joints do not have."""
+    """List limits in <ros2_control> that are narrower than the joints' own, and mimics that joints do not have."""
     listed = (child for control in root.children if control.tag == "ros2_control" for child in control.children)
     for element in listed:
         joint = joints.get(element.attributes.get("name", ""))

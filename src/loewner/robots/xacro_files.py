@@ -79,9 +79,10 @@ def _finding(substitution: Any, file: Path, folders: Sequence[str | os.PathLike[
     def find(package: str) -> str:
         return str(package_folder(package, file, folders))
 
-    before = substitution._eval_find
-    substitution._eval_find = substitution._eval_dict["find"] = find
+    names = vars(substitution)
+    before = names["_eval_find"]
+    names["_eval_find"] = names["_eval_dict"]["find"] = find
     try:
         yield
     finally:
-        substitution._eval_find = substitution._eval_dict["find"] = before
+        names["_eval_find"] = names["_eval_dict"]["find"] = before

@@ -53,7 +53,7 @@ class Element(_xml.Element):
         self.path = path
 
     def has(self, tag: str) -> bool:
-        """Return whether there is a child with this tag, which does not count as asking for it."""
+        """Return whether there is a child with this tag, without marking it as read."""
         return any(child.tag == tag for child in self.children)
 
     def drop(self, *tags: str) -> None:
@@ -117,7 +117,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
 
 
 def settle(root: Element, what: str, harmless: Mapping[str, AbstractSet[str]]) -> None:
-    """Warn, once, of all parts of a file that its reader has neither asked for nor knows to be harmless.
+    """Warn, once, of all parts of a file that its reader has not read, unless they are harmless.
 
     Parameters
     ----------
