@@ -92,7 +92,7 @@ class Element:
         self._asked.add(name)
 
     def disown(self, *names: str) -> None:
-        """Let what has been asked for count as unread: tags, and names of attributes after "@"."""
+        """Mark parts as unread again: tags, and names of attributes after "@"."""
         if self._asked is not None:
             self._asked.difference_update(names)
 
