@@ -15,7 +15,7 @@ from gantry import gantry
 
 OPTIONAL = (
     "trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "ompl", "viser", "jax",
-    "torch", "dask", "distributed",
+    "torch", "dask", "distributed", "xacro",
 )  # fmt: skip
 
 

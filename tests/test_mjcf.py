@@ -340,7 +340,7 @@ def model_file(folder, body, name="model.xml"):
         ),
         ("<worldbody>" + '<replicate count="1000"><geom size="1"/></replicate>' * 5 + "</worldbody>", "4096 copies"),
         ('<asset><hfield name="h" nrow="1000000" ncol="1000000" size="1 1 1 1"/></asset>', "height field of 10{12}"),
-        ('<worldbody><geom size="1"></worldbody>', "expected XML, found a fault in it"),
+        ('<worldbody><geom size="1"></worldbody>', "expected an MJCF file, found broken XML"),
     ],
 )
 def test_models_that_take_for_ever_are_refused_before_they_are_compiled(tmp_path, body, message):

@@ -96,7 +96,7 @@ def mixed_robot(rng, folder, links=6):
         joints.append((
             kind, rng.integers(max(0, k - 3), k),
             f'<origin xyz="{x[0]} {x[1]} {x[2]}" rpy="{turn[0]} {turn[1]} {turn[2]}"/>'
-            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{"" if kind in ("planar", "floating") else LIMIT}{mimic}',
+            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{LIMIT if kind in ("revolute", "prismatic") else ""}{mimic}',
         ))  # fmt: skip
     bodies = various_bodies(rng)
     return robot_of(folder, joints, {f"l{k}": bodies[rng.integers(len(bodies))] for k in range(1, links)})

@@ -305,8 +305,10 @@ def limited(velocity, kind="prismatic"):
 def test_velocities_of_a_urdf(tmp_path):
     """`Robot.velocity` is the URDF's limit, NaN where there is none above 0, and not to be changed."""
     assert written(tmp_path, limited('velocity="0.25"')).velocity.tolist() == [0.25]
-    for none in ("", 'velocity="0"', 'velocity="-1"', 'velocity="inf"'):
+    for none in ("", 'velocity="0"', 'velocity="inf"'):
         assert np.isnan(written(tmp_path, limited(none)).velocity).all(), none
+    with pytest.warns(UserWarning, match=r"ignored, .*: <limit velocity> \(line 1\)"):
+        assert np.isnan(written(tmp_path, limited('velocity="-1"')).velocity).all()
     with pytest.warns(UserWarning, match="planar"):
         assert np.isnan(written(tmp_path, limited('velocity="1"', "planar")).velocity).all()
     with pytest.raises(InputError, match="velocity"):

@@ -7,6 +7,7 @@ effect.
 from __future__ import annotations
 
 import math
+import re
 import sys
 import threading
 import warnings
@@ -28,6 +29,13 @@ FARTHEST_LIMIT = 1e6
 
 # Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
+
+# A comment about units other than metres. The word "in" alone is an inch only where nothing follows.
+_UNIT = re.compile(
+    r"(?<![a-z])units?[\s:=\"'(]+(?:(?:is|are|in|of|length)[\s:=\"'(]+)*"
+    r"(?:[mck]m|um|mils?|thou|ft|yd|(?:milli|centi|micro|kilo)met\w*|inch\w*|foot|feet|in(?=[\"')]?\s*$))(?![a-z])",
+    re.IGNORECASE | re.MULTILINE,
+)
 
 
 class _Listener(threading.local):
@@ -70,6 +78,12 @@ def doubt_about_size(radius: float, distance: float) -> str:
     if distance > LARGEST_DISTANCE:
         return f"lengths in metres, found a place {distance:.4g} m away; is it in millimetres?"
     return ""
+
+
+def doubt_about_unit(comments: str) -> str:
+    """Why lengths may be in another unit, by a file's comments, which no format defines; empty if plausible."""
+    found = _UNIT.search(comments)
+    return f"lengths in metres, found {found[0]!r} in a comment, which is not read; give a scale" if found else ""
 
 
 def doubt_about_rpy(rpy: Sequence[float]) -> str:

@@ -94,7 +94,8 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     Returns
     -------
     vertices : ndarray, shape (v, 3)
-        In metres, as stored; equal vertices are not merged.
+        In metres, as stored; equal vertices are not merged. Vertices that are not finite, and of no triangle, are left
+        out.
     triangles : ndarray of int, shape (t, 3)
 
     Raises
@@ -104,7 +105,7 @@ def load(source: Source) -> tuple[Floats, Triangles]:
         contents do not match its declarations; the message names the line or element. (An OBJ file does not declare its
         length, so a file that was cut off between two lines cannot be distinguished from a whole file.)
     GeometryError
-        If a vertex is not finite, or there is no triangle.
+        If a vertex of a triangle is not finite, or there is no triangle.
 
     Examples
     --------
@@ -131,8 +132,18 @@ def load(source: Source) -> tuple[Floats, Triangles]:
             f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, "
             f"found indices {triangles.min()}..{triangles.max()}"
         )
-    _expect_finite(vertices, name)
-    return vertices, triangles
+    return _used_and_finite(vertices, triangles, name)
+
+
+def _used_and_finite(vertices: Floats, triangles: Triangles, name: str) -> tuple[Floats, Triangles]:
+    """Leave out vertices without triangles that are not finite, as scanners write them where they saw nothing."""
+    finite = np.logical_and.reduce(np.isfinite(vertices), axis=1)
+    if finite.all():
+        return vertices, triangles
+    if not finite[triangles].all():
+        bad = int(triangles[~finite[triangles]].min())
+        raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
+    return vertices[finite], (np.cumsum(finite) - 1)[triangles]
 
 
 def _in_memory(source: Any) -> tuple[Floats, Triangles]:
@@ -169,12 +180,6 @@ def _ask_about_units(vertices: Floats, name: str) -> None:
             f"{name}: {size:.3g} m across, all lengths being metres. Is it {unit}? Then give scale={factor} "
             f"(--scale {factor})"
         )
-
-
-def _expect_finite(vertices: Floats, name: str) -> None:
-    if not np.isfinite(vertices).all():
-        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
 
 
 def convex_pieces(
@@ -283,7 +288,7 @@ def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
     name = name_of(source)
     with np.errstate(over="ignore"):
         vertices = vertices * factors
-    _expect_finite(vertices, name)
+    vertices, triangles = _used_and_finite(vertices, triangles, name)
     _ask_about_units(vertices[triangles].reshape(-1, 3), name)
     return vertices, triangles
 

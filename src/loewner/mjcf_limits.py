@@ -6,15 +6,18 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.parsers import expat
 
 from loewner import _validate
 from loewner._files import read_regular, shown
+from loewner._xml import Element, XmlError, parse
 from loewner.errors import FileError
 
-# Limits on a model: bytes of each file, included files, and copies made by replicas. The time to compile grows with the
-# square of the copies: this many take a few seconds, and have more pairs than a checker accepts.
+# Limits on a model: bytes, elements and their nesting in each file, included files, and copies made by replicas. The
+# time to compile grows with the square of the copies: this many take a few seconds, and have more pairs than a checker
+# accepts.
 MOST_BYTES = 2**26
+MOST_ELEMENTS = 2_000_000
+DEEPEST = 1000
 MOST_INCLUDES = 100
 MOST_COPIES = 4096
 
@@ -71,44 +74,39 @@ def check_limits(file: Path) -> None:
 def _look(file: Path, model: _Model, copies: int) -> None:
     """Read one file, which is included at a place that is copied the given number of times."""
     data = read_regular(file, "an MJCF file", MOST_BYTES)
-    parser = expat.ParserCreate()
-    within = [copies]
-
-    def fault(wanted: str, found: str) -> FileError:
-        return FileError(f"{shown(file)}, line {parser.CurrentLineNumber}: expected {wanted}, found {found}")
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        count = _product(attributes.get("count", "")) if tag in ("replicate", "composite", "flexcomp") else 1
-        within.append(within[-1] * count)
+    try:
+        root = parse(data, "an MJCF file", Element, deepest=DEEPEST, most=MOST_ELEMENTS)
+    except XmlError as error:
+        raise FileError(f"{shown(file)}, line {error.line}: {error}") from None
+    waiting = [(root, copies)]
+    while waiting:
+        element, around = waiting.pop()
+        attributes, repeats = element.attributes, element.tag in ("replicate", "composite", "flexcomp")
+        count = _product(attributes.get("count", "")) if repeats else 1
+        within = around * count
+        waiting += [(child, within) for child in reversed(element.children)]
+        where = f"{shown(file)}, line {element.line}: expected at most"
         if count > 1:
-            model.copies += within[-1]
+            model.copies += within
         if model.copies > MOST_COPIES:
-            raise fault(f"at most {MOST_COPIES} copies in all of <replicate> and its like", f"{model.copies} or more")
-        if tag == "hfield":
+            found = f"found {model.copies} or more"
+            raise FileError(f"{where} {MOST_COPIES} copies in all of <replicate> and its like, {found}")
+        if element.tag == "hfield":
             samples = _product(attributes.get("nrow", "")) * _product(attributes.get("ncol", ""))
             _validate.fits_memory(BYTES_A_SAMPLE * samples, f"{shown(file)}: a height field of {samples} samples")
-        if tag == "compiler":
+        if element.tag == "compiler":
             model.folders.update(attributes[name] for name in FOLDERS if name in attributes)
         name = attributes.get("file", "")
-        if tag in FILE_ELEMENTS and name:
+        if element.tag in FILE_ELEMENTS and name:
             model.files.append((file, name))
-        if tag in ("include", "model") and name:
+        if element.tag in ("include", "model") and name:
             model.included += 1
             if model.included > MOST_INCLUDES:
-                raise fault(f"at most {MOST_INCLUDES} included files", "more")
+                raise FileError(f"{where} {MOST_INCLUDES} included files, found more")
             for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches beside the main file
                 if os.path.lexists(folder / name):
-                    _look(folder / name, model, within[-1])
+                    _look(folder / name, model, within)
                     break
-
-    def end(_: str) -> None:
-        within.pop()
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        raise FileError(f"{shown(file)}, line {error.lineno}: expected XML, found a fault in it ({error})") from None
 
 
 def _product(text: str) -> int:

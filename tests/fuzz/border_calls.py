@@ -960,6 +960,7 @@ CALLS: dict[str, Call] = {
         {
             "path": arg("gantry.urdf"),
             "text": arg(None, NONE),
+            "xacro_args": arg(None, NONE),
             "srdf": arg("gantry.srdf", NONE),
             "package_dirs": arg(list, NOTHING, "folder"),
             "meshes": choice("hull"),

@@ -1,7 +1,7 @@
 """Slow readers of mesh files, from the formats' descriptions: nothing of loewner, no NumPy, one triangle at a time.
 
-Each takes the bytes of a file and returns its triangles, three points of three coordinates in metres each, in the order
-of the file; or raises Refused, if the bytes are not one whole mesh.
+Each takes the bytes of a file and returns its triangles and polygons, points of three coordinates in metres each, in
+the order of the file; or raises Refused, if the bytes are not one whole mesh.
 """
 
 import base64
@@ -54,6 +54,11 @@ def fan(polygon):
     return [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
 
 
+def whole_polygon(polygon):
+    need(len(polygon) >= 3, "a polygon of fewer than three corners")
+    return [tuple(polygon)]
+
+
 def pick(points, index):
     need(0 <= index < len(points), f"no vertex {index}")
     return points[index]
@@ -92,7 +97,7 @@ def _stl(data):
         else:
             words = shape[k].split()
             need([w.lower() for w in line[: len(words)]] == words, f"{line} where {words} belongs")
-            values = [number(w) for w in line[len(words) :]]
+            values = [0.0 if k == 0 else number(w) for w in line[len(words) :]]  # any words for a normal
             need(len(values) == (3 if k in (0, 2, 3, 4) else 0), f"{line}: another count of numbers")
             if words == ["vertex"]:
                 corners.append(tuple(values))
@@ -135,7 +140,7 @@ def _obj(data):
             faces.append(face)
         else:
             need(words[0] in _OBJ_OTHER.split(), f"an unknown line {words[0]!r}")
-    return [tuple(tuple(p[:3]) for p in t) for face in faces for t in fan([pick(points, i) for i in face])]
+    return [tuple(tuple(p[:3]) for p in t) for face in faces for t in whole_polygon([pick(points, i) for i in face])]
 
 
 def _off(data):
@@ -155,7 +160,7 @@ def _off(data):
         size = whole(line[0])
         need(3 <= size <= len(line) - 1 and len(line) - 1 - size in (0, 1, 3, 4), "a face of another length")
         [number(w) for w in line[1 + size :]]
-        found += fan([tuple(pick(points, whole(w))[:3]) for w in line[1 : 1 + size]])
+        found += whole_polygon([tuple(pick(points, whole(w))[:3]) for w in line[1 : 1 + size]])
     return found
 
 
@@ -209,7 +214,7 @@ def _ply(data):
     found = []
     for row in rows[names.index("face")] if "face" in names else []:
         (indices,) = (row[k] for k in ("vertex_indices", "vertex_index") if k in row)
-        found += fan([pick(points, i) for i in indices])
+        found += whole_polygon([pick(points, i) for i in indices])
     return found
 
 
@@ -490,9 +495,12 @@ def _dae(data):
         need(array.get("id") is None or accessor.get("source") == "#" + array.get("id"), "another array")
         values = floats(array, count_of(array, "count"))
         stride, offset = count_of(accessor, "stride", "1"), count_of(accessor, "offset", "0")
-        need(len(accessor.findall("param")) == 3 <= stride, "no three params")
+        names = [param.get("name", "").upper() for param in accessor.findall("param")]
+        need(sorted(names) in (["X", "Y", "Z"], [""] * 3) and stride >= 3, "no three params")
+        order = [names.index(axis) for axis in "XYZ"] if any(names) else [0, 1, 2]
         need(offset + count_of(accessor, "count") * stride <= len(values), "an accessor beyond its array")
-        return [tuple(values[offset + k * stride :][:3]) for k in range(count_of(accessor, "count"))]
+        rows = range(offset, offset + count_of(accessor, "count") * stride, stride)
+        return [tuple(values[row + k] for k in order) for row in rows]
 
     def triangles_of(element):
         inputs = element.findall("input")
@@ -524,11 +532,11 @@ def _dae(data):
             need(len(sizes) == count and sum(sizes) == len(corners) and all(s >= 3 for s in sizes), "another count")
             found = []
             for size in sizes:
-                found += fan(corners[:size])
+                found += whole_polygon(corners[:size])
                 corners = corners[size:]
             return found
         need(len(runs) == count, "another count of lists")
-        make = strip if element.tag == "tristrips" else fan
+        make = {"tristrips": strip, "trifans": fan, "polygons": whole_polygon}[element.tag]
         return [t for run in runs for t in make(run)]
 
     def transform(element):

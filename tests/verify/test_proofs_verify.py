@@ -108,6 +108,7 @@ def verified(checker, plan):
     return plan.proof.size
 
 
+@pytest.mark.filterwarnings("ignore:.*states that place the base")
 @pytest.mark.parametrize("name", ["ur5", "talos", "panda on a base"])
 def test_plans_of_robots(name):
     """Proofs of a hundred plans of an arm, a humanoid, and an arm on a mobile base with sliding joints are verified."""

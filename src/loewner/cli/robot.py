@@ -75,9 +75,12 @@ def _info(options: argparse.Namespace) -> int:
     links = new_table("link", "pieces", "vertices", "gap", "mesh", title=f"{robot.name}: {len(robot.link_names)} links")
     for name in robot.link_names:
         links.add_row(name, *(_link_row(robot.bodies[name]) if name in robot.bodies else ("-",) * 4))
-    columns = new_table("column", "lower", "upper", title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
-    for name, lower, upper in zip(robot.configuration_names, robot.lower, robot.upper, strict=True):
-        columns.add_row(name, f"{lower:.6g}", f"{upper:.6g}")
+    limits, heads = [robot.lower, robot.upper], ["lower", "upper"]
+    if (robot.lower != robot.hard_lower).any() or (robot.upper != robot.hard_upper).any():
+        limits, heads = [*limits, robot.hard_lower, robot.hard_upper], [*heads, "hard lower", "hard upper"]
+    columns = new_table("column", *heads, title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
+    for name, *ends in zip(robot.configuration_names, *limits, strict=True):
+        columns.add_row(name, *(f"{end:.6g}" for end in ends))
     print_table(links)
     print_table(columns)
     count = len(robot.bodies)
@@ -155,7 +158,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
             hits += checker.collide_by_pair(part[found]).sum(axis=0)
             colliding += (found + first).tolist()
             progress.advance(task, len(part))
-    outside = (robot.lower > Q) | (robot.upper < Q)
+    outside = (robot.hard_lower > Q) | (robot.hard_upper < Q)
     often = np.argsort(-hits, kind="stable")
     return {
         "robot": robot.name,

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from loewner._files import read_regular, shown
+from loewner._plausible import warn
 from loewner._validate import Floats
 from loewner.errors import FileError
-from loewner.mesh_files.parts import Refusal, Triangles
+from loewner.mesh_files.parts import Refusal, Tell, Triangles
 
 # Limit on the bytes of a mesh file, and of all files that a glTF file names. A binary STL of this size has 43 million
 # triangles, whose fit takes more memory than most machines have.
@@ -27,7 +28,8 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     """Read the vertices in metres, shape (v, 3), and the triangles, shape (t, 3), of a file.
 
     A file that states its unit of length is converted to metres; all other files are assumed to be in metres. Vertices
-    may be infinite or NaN if the file contains such values; all indices belong to existing vertices.
+    may be infinite or NaN if the file contains such values; all indices belong to existing vertices. Each kind of doubt
+    about what was read causes one warning, which names its first place.
 
     Raises
     ------
@@ -40,9 +42,10 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     data = read_regular(path, "a mesh file", LIMIT)
     if not data:
         raise FileError(f"{name}: expected a mesh file, found an empty one")
+    told: dict[str, list[str]] = {}
     try:
         with np.errstate(all="ignore"):  # non-finite results are noticed later
-            return _reader(suffix, path.parent)(data)
+            found = _reader(suffix, path.parent)(data, lambda text, place: told.setdefault(text, []).append(place))
     except Refusal as refusal:
         where = f", line {refusal.line}" if refusal.line else ""
         raise FileError(f"{name}{where}: {refusal}") from None
@@ -51,19 +54,23 @@ def read(path: Path) -> tuple[Floats, Triangles]:
             f"{name}: expected a mesh that fits into memory, found one of {len(data)} bytes in its file, of which "
             "reading takes about ten times as much"
         ) from None
+    for text, places in told.items():
+        where = ", ".join(filter(None, [name, places[0]]))
+        warn(f"{where}: {text}" + (f" ({len(places) - 1} more of this kind)" if len(places) > 1 else ""))
+    return found
 
 
-def _reader(suffix: str, folder: Path) -> Callable[[bytes], tuple[Floats, Triangles]]:
+def _reader(suffix: str, folder: Path) -> Callable[[bytes, Tell], tuple[Floats, Triangles]]:
     """Return the reader of a format; readers are imported only when a mesh file is read."""
     from loewner.mesh_files import dae, gltf, obj, off, ply, stl
 
-    readers: dict[str, Callable[[bytes], tuple[Floats, Triangles]]] = {
+    readers: dict[str, Callable[[bytes, Tell], tuple[Floats, Triangles]]] = {
         ".stl": stl.read,
         ".obj": obj.read,
         ".ply": ply.read,
         ".off": off.read,
-        ".glb": lambda data: gltf.read(data, folder, True, LIMIT),
-        ".gltf": lambda data: gltf.read(data, folder, False, LIMIT),
+        ".glb": lambda data, tell: gltf.read(data, folder, True, LIMIT, tell),
+        ".gltf": lambda data, tell: gltf.read(data, folder, False, LIMIT, tell),
         ".dae": dae.read,
     }
     return readers[suffix]

@@ -2,17 +2,19 @@
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
-from xml.parsers import expat
+from typing import Any, NoReturn
 
 import numpy as np
 
 from loewner._matrices import product
 from loewner._validate import Floats, Ints
+from loewner._xml import Element, XmlError, parse
 from loewner.mesh_files.parts import (
     Refusal,
+    Tell,
     Triangles,
     check_range,
+    cut,
     expect,
     fans,
     floats,
@@ -29,33 +31,42 @@ MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 1
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
+# Children of <asset>, of <node> and of <visual_scene> by the standard; another one may be a misspelt unit or transform.
+_CHILDREN = {
+    tag: frozenset(names.split())
+    for tag, names in {
+        # The last five belong to a contributor, which old exporters leave out.
+        "asset": "contributor coverage created extra keywords modified revision subject title unit up_axis "
+        "author authoring_tool comments copyright source_data",
+        "node": "asset extra instance_camera instance_controller instance_geometry instance_light instance_node lookat "
+        "matrix node rotate scale skew translate",
+        "visual_scene": "asset evaluate_scene extra node",
+        "unit": "extra",
+    }.items()
+}
 
-class _Element:
+
+# Cuts polygons, given as for `fans`.
+_Cut = Callable[[Ints, Ints], Triangles]
+
+
+class _Element(Element):
     """An XML element without its namespace."""
 
-    __slots__ = ("attributes", "children", "line", "tag", "texts")
+    __slots__ = ()
 
-    def __init__(self, tag: str, attributes: dict[str, str], line: int) -> None:
-        self.tag, self.attributes, self.line = tag, attributes, line
-        self.children: list[_Element] = []
-        self.texts: list[str] = []
+    def fault(self, expected: str, found: str) -> NoReturn:
+        raise Refusal(f"expected {expected}, found {found}", self.line)
 
-    def all(self, tag: str) -> list["_Element"]:
-        return [child for child in self.children if child.tag == tag]
-
-    def one(self, tag: str) -> "_Element":
-        found = self.all(tag)
-        expect(len(found) == 1, f"<{self.tag}>: expected one <{tag}>, found {len(found)}", self.line)
-        return found[0]
-
-    def get(self, name: str) -> str:
-        value = self.attributes.get(name)
+    def text(self, name: str) -> str:
+        """Return an attribute, which must exist."""
+        value = self.get(name)
         if value is None:
-            raise Refusal(f"<{self.tag}>: expected an attribute {name}, found none", self.line)
+            self.fault(f"an attribute {name} of <{self.tag}>", "none")
         return value
 
     def number(self, name: str, default: int | None = None) -> int:
-        text = self.attributes.get(name) if default is not None else self.get(name)
+        text = self.get(name) if default is not None else self.text(name)
         if text is None:
             return default or 0
         right = text.strip().isascii() and text.strip().isdigit() and len(text) < 16
@@ -64,7 +75,7 @@ class _Element:
 
     def reference(self, name: str) -> str:
         """Return the name of the object in the same file to which an attribute refers."""
-        value = self.get(name)
+        value = self.text(name)
         expect(value[:1] == "#", f"<{self.tag}>: expected {name} in this file, found {quoted(value)}", self.line)
         return value[1:]
 
@@ -87,74 +98,53 @@ class _Element:
         return numbers
 
 
-def read(data: bytes) -> tuple[Floats, Triangles]:
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read vertices in metres and triangles of the file's scene; the file's up axis is not applied."""
     root = _parsed(data)
     expect(root.tag == "COLLADA", f"expected <COLLADA>, found <{quoted(root.tag)}>", root.line)
-    vertices, triangles = joined(_Scene(root).meshes())
-    return vertices * _metres(root), triangles
+    asset = root.one("asset")
+    unit, up = (asset.one("unit"), asset.one("up_axis")) if asset else (None, None)
+    axis = "Z_UP" if up is None else "".join(up.texts).strip()
+    if up is not None and axis != "Z_UP":
+        tell(f"expected <up_axis> Z_UP, found {quoted(axis)}, which is not applied: z stays up", f"line {up.line}")
+    metres = 1.0 if unit is None else _metres(unit)
+    vertices, triangles = joined(_Scene(root, metres, tell).meshes())
+    return vertices * metres, triangles
 
 
 def _parsed(data: bytes) -> _Element:
     """Parse the tree of elements; entities and other declarations are refused."""
-    parser = expat.ParserCreate(namespace_separator="}")
-    parser.buffer_text = True
-    parser.buffer_size = 1 << 20
-    top = _Element("", {}, 0)
-    path = [top]
-    total = 0
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal total
-        total += 1
-        line = parser.CurrentLineNumber
-        expect(len(path) <= MOST_DEPTH, f"expected elements at most {MOST_DEPTH} deep, found more", line)
-        expect(total <= MOST_ELEMENTS, f"expected at most {MOST_ELEMENTS} elements, found more", line)
-        element = _Element(name.rpartition("}")[2], attributes, line)
-        path[-1].children.append(element)
-        path.append(element)
-
-    def end(_: str) -> None:
-        path.pop()
-
-    def text(words: str) -> None:
-        path[-1].texts.append(words)
-
-    def doctype(*_: Any) -> None:
-        raise Refusal("expected no document type or entities, found some", parser.CurrentLineNumber)
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, doctype
     try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        raise Refusal(
-            f"expected XML, found {expat.ErrorString(error.code) or 'something else'}", error.lineno
-        ) from None
-    except (LookupError, ValueError) as error:
-        raise Refusal(f"expected XML, found what cannot be read ({type(error).__name__})") from None
-    return top.children[0]
+        return parse(
+            *(data, "a Collada file", _Element),
+            deepest=MOST_DEPTH,
+            most=MOST_ELEMENTS,
+            texts=True,
+            doctype=False,
+            strip=True,
+        )
+    except XmlError as error:
+        raise Refusal(str(error), error.line) from None
 
 
-def _metres(root: _Element) -> float:
-    """Read the metres per unit of length."""
-    for asset in root.all("asset"):
-        for unit in asset.all("unit"):
-            text = unit.attributes.get("meter", "1").strip()
-            try:
-                metres = float(floats([text.encode()])[0])
-            except Refusal:
-                metres = math.nan
-            expect(0 < metres < math.inf, f"<unit>: expected metres > 0, found {quoted(text)}", unit.line)
-            return metres
-    return 1.0
+def _metres(unit: _Element) -> float:
+    """Read the metres of a <unit>."""
+    for name in unit.attributes:
+        expect(name in ("meter", "name"), f"<unit>: expected meter and name, found {quoted(name)}", unit.line)
+    text = unit.attributes.get("meter", "1").strip()
+    try:
+        metres = float(floats([text.encode()])[0])
+    except Refusal:
+        metres = math.nan
+    expect(0 < metres < math.inf, f"<unit>: expected metres > 0, found {quoted(text)}", unit.line)
+    return metres
 
 
 class _Scene:
     """The objects of a file by identifier; geometries are made when a node first uses them."""
 
-    def __init__(self, root: _Element) -> None:
-        self.root = root
+    def __init__(self, root: _Element, metres: float, tell: Tell) -> None:
+        self.root, self.tell = root, tell
         self.named: dict[tuple[str, str], list[_Element]] = {}
         waiting = [root]
         while waiting:
@@ -162,7 +152,10 @@ class _Scene:
             name = element.attributes.get("id")
             if name is not None:
                 self.named.setdefault((element.tag, name), []).append(element)
-            waiting += element.children
+            if element.tag in _CHILDREN:
+                _check_children(element, metres)
+            if element.tag != "extra":  # another program's, by the standard
+                waiting += element.children
         self.made: dict[str, tuple[Floats, Triangles]] = {}
         self.points: dict[str, Floats] = {}
 
@@ -173,7 +166,7 @@ class _Scene:
 
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
         """Return the geometries of the scene, each at its place, in the order of the file."""
-        shown = self.root.one("scene").one("instance_visual_scene")
+        shown = self.root.the("scene").the("instance_visual_scene")
         scene = self.find("visual_scene", shown.reference("url"), shown.line)
         waiting: list[tuple[_Element, Floats, int]] = [(node, np.eye(4), 0) for node in scene.all("node")[::-1]]
         visits = 0
@@ -204,7 +197,7 @@ class _Scene:
 
     def geometry(self, name: str, line: int) -> tuple[Floats, Triangles]:
         if name not in self.made:
-            mesh = self.find("geometry", name, line).one("mesh")
+            mesh = self.find("geometry", name, line).the("mesh")
             parts = []
             for child in mesh.children:
                 if child.tag in _PRIMITIVES:
@@ -216,9 +209,9 @@ class _Scene:
         return self.made[name]
 
     def primitive(
-        self, element: _Element, assemble: Callable[[_Element, list[Ints]], Triangles]
+        self, element: _Element, assemble: Callable[[_Element, list[Ints], _Cut], Triangles]
     ) -> tuple[Floats, Triangles]:
-        inputs = [(i.get("semantic"), i.number("offset"), i) for i in element.all("input")]
+        inputs = [(i.text("semantic"), i.number("offset"), i) for i in element.all("input")]
         at = [(offset, i) for semantic, offset, i in inputs if semantic == "VERTEX"]
         if not at and not element.number("count", 0):
             return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
@@ -228,7 +221,7 @@ class _Scene:
         expect(step <= 1000, f"<{element.tag}>: expected small offsets, found {step - 1}", element.line)
         holder = self.find("vertices", link.reference("source"), link.line)
         expect(len(holder.children) <= MOST_INPUTS, f"<vertices>: expected at most {MOST_INPUTS} inputs", holder.line)
-        positions = [i for i in holder.all("input") if i.get("semantic") == "POSITION"]
+        positions = [i for i in holder.all("input") if i.text("semantic") == "POSITION"]
         expect(len(positions) == 1, f"<vertices>: expected one input POSITION, found {len(positions)}", holder.line)
         points = self.source(positions[0].reference("source"), positions[0].line)
         runs = []
@@ -240,25 +233,48 @@ class _Scene:
             runs.append(numbers[offset::step])
             check_range(runs[-1], len(points), "<p>", p.line)
         expect(not element.all("ph"), f"<{element.tag}>: expected polygons without holes, found <ph>", element.line)
-        return points, assemble(element, runs)
+        place = f"line {element.line}"
+        return points, assemble(element, runs, lambda c, sizes: cut(points, c, sizes, self.tell, lambda _: place))
 
     def source(self, name: str, line: int) -> Floats:
         """Return the points of a source, shape (n, 3); each call returns the same array."""
         if name in self.points:
             return self.points[name]
         source = self.find("source", name, line)
-        accessor = source.one("technique_common").one("accessor")
-        array = source.one("float_array")
+        accessor = source.the("technique_common").the("accessor")
+        array = source.the("float_array")
         if "id" in array.attributes:
-            expect(accessor.reference("source") == array.get("id"), "<accessor>: expected this source's", accessor.line)
+            expect(
+                accessor.reference("source") == array.text("id"), "<accessor>: expected this source's", accessor.line
+            )
         numbers = array.floats(array.number("count"))
         count, stride = accessor.number("count"), accessor.number("stride", 1)
         offset = accessor.number("offset", 0)
-        expect(len(accessor.all("param")) == 3 <= stride, "<accessor>: expected three params and stride", accessor.line)
+        params = accessor.all("param")
+        expect(len(params) == 3 <= stride, "<accessor>: expected three params and stride", accessor.line)
         needed = offset + count * stride
         expect(needed <= len(numbers), f"<accessor>: expected {needed} numbers, found {len(numbers)}", accessor.line)
-        self.points[name] = numbers[offset:needed].reshape(count, stride)[:, :3]
+        self.points[name] = numbers[offset:needed].reshape(count, stride)[:, _axes(params)]
         return self.points[name]
+
+
+def _check_children(element: _Element, metres: float) -> None:
+    """Refuse children that Collada does not have, and a unit, wherever it is, that is not the file's."""
+    for child in element.children:
+        known = child.tag in _CHILDREN[element.tag]
+        expect(known, f"<{element.tag}>: expected elements of Collada, found <{quoted(child.tag)}>", child.line)
+    if element.tag == "unit":
+        found = _metres(element)
+        expect(found == metres, f"<unit>: expected the file's unit, {metres:g} m, found {found:g} m", element.line)
+
+
+def _axes(params: list[_Element]) -> list[int]:
+    """Return the columns of x, y and z, which parameters without names have in this order."""
+    names = [(param.get("name") or "").upper() for param in params]
+    if not any(names):
+        return [0, 1, 2]
+    expect(sorted(names) == ["X", "Y", "Z"], f"<param>: expected X, Y and Z, found {names}", params[0].line)
+    return [names.index(axis) for axis in "XYZ"]
 
 
 # -- primitives ---------------------------------------------------------------------------------
@@ -271,20 +287,20 @@ def _one_run(element: _Element, runs: list[Ints]) -> Ints:
     return runs[0]
 
 
-def _triangles(element: _Element, runs: list[Ints]) -> Triangles:
+def _triangles(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
     expect(len(corners) == 3 * count, f"<triangles>: expected {3 * count} corners, found {len(corners)}", element.line)
     return corners.reshape(-1, 3)
 
 
-def _polylist(element: _Element, runs: list[Ints]) -> Triangles:
+def _polylist(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
-    sizes = element.one("vcount").integers() if count or element.all("vcount") else np.empty(0, dtype=np.int64)
+    sizes = element.the("vcount").integers() if count or element.all("vcount") else np.empty(0, dtype=np.int64)
     right = len(sizes) == count and (sizes >= 3).all() and (sizes <= len(corners)).all() and sizes.sum() == len(corners)
     expect(
         right, f"<polylist>: expected {count} polygons in all corners as its vcount says, found others", element.line
     )
-    return fans(corners, sizes)
+    return cut_all(corners, sizes)
 
 
 def _runs(element: _Element, runs: list[Ints]) -> list[Ints]:
@@ -295,22 +311,26 @@ def _runs(element: _Element, runs: list[Ints]) -> list[Ints]:
     return runs
 
 
-def _polygons(element: _Element, runs: list[Ints]) -> Triangles:
+def _polygons(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
     runs = _runs(element, runs)
-    return fans(
+    return cut_all(
         np.concatenate([np.empty(0, dtype=np.int64), *runs]), np.array([len(run) for run in runs], dtype=np.int64)
     )
 
 
-def _strips(element: _Element, runs: list[Ints]) -> Triangles:
+def _trifans(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
+    return _polygons(element, runs, fans)
+
+
+def _strips(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
     return np.concatenate([np.empty((0, 3), dtype=np.int64), *(strip(run) for run in _runs(element, runs))])
 
 
-_PRIMITIVES: dict[str, Callable[[_Element, list[Ints]], Triangles]] = {
+_PRIMITIVES: dict[str, Callable[[_Element, list[Ints], _Cut], Triangles]] = {
     "triangles": _triangles,
     "polylist": _polylist,
     "polygons": _polygons,
-    "trifans": _polygons,
+    "trifans": _trifans,
     "tristrips": _strips,
 }
 

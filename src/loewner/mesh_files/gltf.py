@@ -17,25 +17,78 @@ from loewner._files import read_regular
 from loewner._matrices import lengths, product
 from loewner._validate import Floats, Ints
 from loewner.errors import FileError
-from loewner.mesh_files.parts import MOST, Refusal, Triangles, check_range, expect, joined, placed, quoted, strip
+from loewner.mesh_files.parts import MOST, Refusal, Tell, Triangles, check_range, expect, joined, placed, quoted, strip
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _INDICES = (5121, 5123, 5125)
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
-# Extensions that do not affect the shape; a file that requires another one is refused.
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp")
+# Beginnings of the names of extensions that do not affect the shape; a file that has another one on the way from the
+# scene to a buffer, or requires one, is refused.
+_HARMLESS = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_",
+    "EXT_lights_",
+    "KHR_audio",
+    "KHR_animation_",  # a file is read as it is without animations
+    "KHR_mesh_quantization",  # of numbers that are read
+    "KHR_xmp",  # authors and licences
+    "EXT_mesh_features",  # properties of parts
+    "EXT_structural_metadata",
+    "FB_geometry_metadata",  # counts of vertices, and a box
+    "CESIUM_primitive_outline",  # edges that a program draws
+)
+
+# Keys of objects on the way, beside those of all objects: those that are read; in the second text, the harmless ones.
+_EVERYWHERE = frozenset(["extensions", "extras", "name"])
+_KEYS = {
+    kind: _EVERYWHERE.union(read.split(), harmless.split())
+    for kind, read, harmless in (
+        (
+            "the file",
+            "asset extensionsRequired scene scenes nodes meshes accessors bufferViews buffers",
+            # Skins belong to nodes, which are refused.
+            "extensionsUsed animations cameras images materials samplers skins textures",
+        ),
+        ("asset", "version minVersion", "copyright generator"),
+        ("scenes", "nodes", ""),
+        ("nodes", "children matrix mesh rotation scale skin translation weights", "camera"),
+        ("meshes", "primitives weights", ""),
+        # Without weights, which are refused, the targets of a morph have no effect.
+        ("primitives", "attributes indices mode", "material targets"),
+        # Bounds may be wider than the numbers.
+        ("accessors", "bufferView byteOffset componentType count normalized sparse type", "max min"),
+        ("sparse", "count indices values", ""),
+        ("sparse indices", "bufferView byteOffset componentType", ""),
+        ("sparse values", "bufferView byteOffset", ""),
+        # The target tells a graphics card whether a view has vertices or indices.
+        ("bufferViews", "buffer byteLength byteOffset byteStride", "target"),
+        ("buffers", "byteLength uri", ""),
+    )
+}
+_UNKNOWN = "expected keys of glTF 2.0, found others, which are not read"
+
+# Names of keys that a warning lists.
+_LISTED = 10
 
 # Allowed deviation of a rotation's quaternion from length 1.
 _UNIT = 1e-2
 
 
-def read(data: bytes, folder: Path, binary: bool, limit: int) -> tuple[Floats, Triangles]:
+def read(data: bytes, folder: Path, binary: bool, limit: int, tell: Tell) -> tuple[Floats, Triangles]:
     """Read the vertices, in metres, and the triangles of the file's scene."""
     text, body = _chunks(data) if binary else (data, None)
-    tree = _parsed(text)
-    return joined(_Reader(tree, body, folder, limit).meshes())
+    reader = _Reader(_parsed(text), body, folder, limit)
+    found = joined(reader.meshes())
+    if reader.unknown:
+        names = ", ".join(f"{quoted(key)} in {where}" for key, where in list(reader.unknown.items())[:_LISTED])
+        more = f" and {len(reader.unknown) - _LISTED} more" if len(reader.unknown) > _LISTED else ""
+        tell(f"{_UNKNOWN}: {names}{more}", "")
+    return found
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -84,8 +137,18 @@ class _Reader:
         self.files: dict[str, bytes] = {}
         self.points: dict[int, Floats] = {}
         self.made: dict[int, tuple[Floats, Triangles]] = {}
-        version = tree.get("asset", {}).get("version") if isinstance(tree.get("asset"), dict) else None
+        self.unknown: dict[str, str] = {}  # keys, and the first object that has each
+        self.check(tree, "the file", "the file")
+        asset = tree.get("asset")
+        if not isinstance(asset, dict):
+            raise Refusal("expected an asset of version 2")
+        self.check(asset, "asset", "asset")
+        version, least = asset.get("version"), asset.get("minVersion", "2.0")
         expect(isinstance(version, str) and version.startswith("2."), "expected an asset of version 2")
+        expect(
+            least in ("1.0", "1.1", "2.0"),
+            f"expected a file for readers of version 2.0, found minVersion {quoted(str(least))}",
+        )
         for name in self.items(tree, "the file", "extensionsRequired", str):
             expect(name.startswith(_HARMLESS), f"expected no extension that changes the shape, found {quoted(name)}")
 
@@ -98,7 +161,20 @@ class _Reader:
         expect(index < len(found), f"expected one of {len(found)} {kind}, found number {index}")
         where = f"{kind}[{index}]"
         expect(isinstance(found[index], dict), f"{where}: expected an object, found {type(found[index]).__name__}")
+        self.check(found[index], where, kind)
         return found[index], where
+
+    def check(self, holder: dict[str, Any], where: str, kind: str) -> None:
+        """Refuse extensions of an object that may change the shape, and note keys that objects of this kind lack.
+
+        A minor version of glTF may add keys, so they are no error.
+        """
+        for key in holder.keys() - _KEYS[kind]:
+            self.unknown.setdefault(key, where)
+        extensions = holder.get("extensions", {})
+        expect(isinstance(extensions, dict), f"{where}: expected extensions, an object")
+        found = ", ".join(quoted(name) for name in extensions if not name.startswith(_HARMLESS))
+        expect(not found, f"{where}: expected no extension that changes the shape, found {found}")
 
     @staticmethod
     def integer(holder: dict[str, Any], where: str, key: str, default: int | None = None, least: int = 0) -> int:
@@ -126,6 +202,9 @@ class _Reader:
 
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
         """Return the meshes of the scene, each at its place."""
+        scenes = self.tree.get("scenes")
+        if isinstance(scenes, list) and len(scenes) > 1 and "scene" not in self.tree:
+            raise Refusal(f"expected scene, the number of the one of {len(scenes)} scenes to show, found none")
         scene, where = self.item("scenes", self.integer(self.tree, "the file", "scene", 0))
         waiting = [(index, np.eye(4)) for index in self.items(scene, where, "nodes", int)[::-1]]
         seen: set[int] = set()
@@ -172,12 +251,6 @@ class _Reader:
         expect("skin" not in holder, f"{where}: expected a rigid mesh, found one with a skin")
         weights = holder.get("weights", [])
         expect(isinstance(weights, list) and not any(weights), f"{where}: expected no morph, found weights of one")
-        extensions = holder.get("extensions", {})
-        expect(isinstance(extensions, dict), f"{where}: expected extensions, an object")
-        found = [name for name in extensions if not name.startswith(_HARMLESS)]
-        expect(
-            not found, f"{where}: expected no extension that changes the shape, found {', '.join(map(quoted, found))}"
-        )
 
     def primitives(self, index: int) -> Iterator[tuple[Floats, Triangles]]:
         mesh, where = self.item("meshes", index)
@@ -191,7 +264,7 @@ class _Reader:
 
     def primitive(self, primitive: dict[str, Any], where: str) -> tuple[Floats, Triangles] | None:
         """Return the vertices and triangles of a primitive; None for points and lines."""
-        self.expect_rigid(primitive, where)
+        self.check(primitive, where, "primitives")
         mode = self.integer(primitive, where, "mode", _TRIANGLES)
         expect(mode <= _FAN, f"{where}: expected a mode of 0 to 6, found {mode}")
         if mode < _TRIANGLES:
@@ -224,7 +297,6 @@ class _Reader:
         found = accessor.get("type")
         expect(found == shape, f"{where}: expected type {shape}, found {quoted(repr(found))}")
         expect("bufferView" in accessor or "sparse" in accessor, f"{where}: expected a bufferView, found none")
-        expect(not accessor.get("extensions"), f"{where}: expected no extension that changes the shape, found one")
         if "bufferView" in accessor:
             values = self.view(accessor, where, count, kind, _SHAPES[shape])
         else:
@@ -241,7 +313,6 @@ class _Reader:
     def view(self, holder: dict[str, Any], where: str, count: int, kind: int, width: int) -> NDArray[Any]:
         """Return rows of numbers from a buffer view, at the offset that `holder` gives."""
         view, name = self.item("bufferViews", self.integer(holder, where, "bufferView"))
-        expect(not view.get("extensions"), f"{name}: expected no compression, found an extension")
         data = self.buffer(self.integer(view, name, "buffer"))
         start, length = self.integer(view, name, "byteOffset", 0), self.integer(view, name, "byteLength", least=1)
         expect(start + length <= len(data), f"{name}: expected bytes {start} to {start + length}, found {len(data)}")
@@ -256,12 +327,16 @@ class _Reader:
 
     def replaced(self, sparse: Any, where: str, values: NDArray[Any], kind: int) -> NDArray[Any]:
         """Apply the replacements of a sparse accessor to `values`."""
-        expect(isinstance(sparse, dict), f"{where}: expected an object")
+        if not isinstance(sparse, dict):
+            raise Refusal(f"{where}: expected an object")
+        self.check(sparse, where, "sparse")
         count = self.integer(sparse, where, "count", least=1)
         expect(count <= len(values), f"{where}: expected a count of at most {len(values)}, found {count}")
         rows, new = sparse.get("indices"), sparse.get("values")
         if not isinstance(rows, dict) or not isinstance(new, dict):
             raise Refusal(f"{where}: expected indices and values, objects")
+        self.check(rows, f"{where}.indices", "sparse indices")
+        self.check(new, f"{where}.values", "sparse values")
         row_kind = self.integer(rows, where, "componentType")
         expect(row_kind in _INDICES, f"{where}: expected indices of unsigned whole numbers, found type {row_kind}")
         places = self.view(rows, where, count, row_kind, 1).reshape(-1).astype(np.int64)
@@ -275,7 +350,6 @@ class _Reader:
         if index not in self.buffers:
             buffer, where = self.item("buffers", index)
             length = self.integer(buffer, where, "byteLength", least=1)
-            expect(not buffer.get("extensions"), f"{where}: expected no compression, found an extension")
             if "uri" in buffer:
                 data = self.linked(buffer["uri"], where)
             else:

@@ -6,7 +6,20 @@ from collections.abc import Iterator
 import numpy as np
 
 from loewner._validate import Floats, Ints
-from loewner.mesh_files.parts import Refusal, Triangles, expect, fans, floats, in_line, integers, is_integer, quoted
+from loewner.mesh_files.parts import (
+    Refusal,
+    Tell,
+    Triangles,
+    cut,
+    expect,
+    floats,
+    in_line,
+    integers,
+    is_integer,
+    quoted,
+    remarks,
+    tell_unit,
+)
 
 # Bytes whose words are split at a time; they take about twenty times as much memory.
 BLOCK = 1 << 23
@@ -16,14 +29,18 @@ BLOCK = 1 << 23
 _PASSED_OVER = frozenset(
     b"vt vn vp g o s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj".split()
 )
+# Kinds of lines that may continue in the next line. If others did, the next line would be passed over with them: a
+# comment or a name that ends in a backslash, as names of folders do, would swallow a face.
+_CONTINUED = (b"v", b"f")
 _CORNER = re.compile(rb"[+-]?[0-9]+(?:/[+-]?[0-9]*){0,2}")
 
 # x y z; with a weight; with a colour; with both.
 _WIDTHS = (3, 4, 6, 7)
 
 
-def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Read vertices as stored, and polygons as fans of triangles."""
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
+    """Read vertices as stored, and polygons as triangles."""
+    tell_unit(remarks(data), tell)
     points: list[Floats] = []
     corners: list[Ints] = []
     sizes: list[Ints] = []
@@ -72,7 +89,8 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
         k = int(np.flatnonzero(all_corners >= total)[0])
         where = int(np.repeat(np.concatenate(lines), all_sizes)[k])
         raise Refusal(f"expected a face of vertices 1..{total}, found {all_corners[k] + 1}", where)
-    return vertices, fans(all_corners, all_sizes)
+    places = np.concatenate(lines)
+    return vertices, cut(vertices, all_corners, all_sizes, tell, lambda k: f"line {places[k]}")
 
 
 def _plain(data: bytes) -> bytes:
@@ -88,7 +106,13 @@ def _plain(data: bytes) -> bytes:
 
 def _continued(match: re.Match[bytes]) -> bytes:
     text = match.group()
-    return text.replace(b"\\\n", b" ") + b"\n" * text.count(b"\\\n")
+    line = text.replace(b"\\\n", b" ")
+    head = line.split(None, 1)[:1]
+    if not head or head[0] not in _CONTINUED or b"#" in text[: text.rindex(b"\\\n")]:
+        found = f"one that begins with {quoted(b''.join(head))}" if b"#" not in text else "a comment"
+        number = match.string.count(b"\n", 0, match.start()) + 1
+        raise Refusal(f"expected a vertex or a face where a backslash continues a line, found {found}", number)
+    return line + b"\n" * text.count(b"\\\n")
 
 
 def _blocks(data: bytes) -> Iterator[tuple[int, list[bytes]]]:

@@ -5,15 +5,18 @@ import numpy as np
 from loewner._validate import Floats, Ints
 from loewner.mesh_files.parts import (
     Refusal,
+    Tell,
     Triangles,
     check_range,
+    cut,
     data_lines,
     expect,
-    fans,
     floats,
     in_line,
     integers,
     quoted,
+    remarks,
+    tell_unit,
 )
 
 # Numbers in the line of a vertex: x y z, a normal, a colour of three or four numbers.
@@ -23,8 +26,9 @@ _WIDTHS = {b"OFF": (3,), b"NOFF": (6,), b"COFF": (6, 7), b"CNOFF": (9, 10)}
 _COLOURS = (0, 1, 3, 4)
 
 
-def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Read vertices as stored, and polygons as fans of triangles."""
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
+    """Read vertices as stored, and polygons as triangles."""
+    tell_unit(remarks(data), tell)
     lines, numbers = data_lines(data, b"#")
     word = lines[0][0] if lines else b""
     expect(word in _WIDTHS, f"expected an OFF file, found one that begins with {quoted(word)}")
@@ -42,17 +46,22 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
     points = np.empty((v, 3))
     if v:
         points = _vertices(lines[1 : 1 + v], numbers[1 : 1 + v], _WIDTHS[word])
-    faces, numbers = lines[1 + v :], numbers[1 + v :]
+    corners, sizes = _faces(lines[1 + v :], numbers[1 + v :], v)
+    return points, cut(points, corners, sizes, tell, lambda k: f"line {numbers[1 + v + k]}")
+
+
+def _faces(faces: list[list[bytes]], numbers: list[int], count: int) -> tuple[Ints, Ints]:
+    """Read the corners of all faces, concatenated, and the number of corners of each face."""
     try:
         sizes = integers([line[0] for line in faces])
         if all(len(line) == size + 1 >= 4 for line, size in zip(faces, sizes.tolist(), strict=True)):
             corners = integers([word for line in faces for word in line[1:]])
-            check_range(corners, v, "a face")
-            return points, fans(corners, sizes)
+            check_range(corners, count, "a face")
+            return corners, sizes
     except Refusal:
         pass  # which is reported below, with its line
-    parts = [_face(line, number, v) for line, number in zip(faces, numbers, strict=True)]
-    return points, fans(np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64))
+    parts = [_face(line, number, count) for line, number in zip(faces, numbers, strict=True)]
+    return np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64)
 
 
 def _face(line: list[bytes], number: int, count: int) -> Ints:

@@ -1,5 +1,7 @@
 """Code shared by the readers of all formats: refuse files, read numbers from text, cut polygons into triangles."""
 
+import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
@@ -7,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._matrices import image
+from loewner._plausible import doubt_about_unit
 from loewner._validate import Floats, Ints
 
 Triangles = Ints
@@ -15,6 +18,30 @@ T = TypeVar("T", np.float64, np.int64)
 # Limit on the vertices, and on the triangles, of a mesh: a file of 2 GiB holds about this many. A short file can use
 # the same ones a million times.
 MOST = 50_000_000
+
+
+# Limit on the corners of a polygon that has to be cut by ears, which takes the square of their number.
+MOST_CORNERS = 10_000
+
+# Polygons that are looked at together are this many corners; more take more memory and no less time.
+_TOGETHER = 1 << 17
+
+# Fans about this many corners are tried before ears.
+_TRIES = 8
+
+# Twice the area of a triangle that rounding may turn over, in a polygon of extent 1.
+_ROUNDING = 1e-12
+
+# Distance of a corner from a line that it may lie on, relative to its coordinates: files have seven digits, or fewer.
+_NOISE = 1e-6
+
+# Calls of readers to report what is read although it is doubtful: a text, and the place.
+Tell = Callable[[str, str], None]
+
+_NO_PLANE = (
+    "expected flat polygons that do not cross themselves, found one that has no triangulation; it is read as the "
+    "triangles about its first corner, which contain it and may contain more"
+)
 
 
 class Refusal(Exception):
@@ -83,6 +110,18 @@ def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], token
         raise Refusal(str(refusal), number) from None
 
 
+def tell_unit(comments: bytes, tell: Tell) -> None:
+    """Report a unit that comments name."""
+    doubt = doubt_about_unit(comments.decode("latin-1"))
+    if doubt:
+        tell(f"expected {doubt}", "")
+
+
+def remarks(data: bytes) -> bytes:
+    """Return the comments of a text from # to the ends of their lines."""
+    return b"\n".join(re.findall(rb"#[^\r\n]*", data))
+
+
 def fans(corners: Ints, sizes: Ints) -> Triangles:
     """Cut polygons into fans of triangles about their first corners; `corners` has the corners of all, concatenated."""
     count = sizes - 2
@@ -90,6 +129,166 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
     first = np.repeat(np.cumsum(sizes) - sizes, count)
     step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
+
+
+def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callable[[int], str]) -> Triangles:
+    """Cut polygons into triangles, in their order: fans about their first corners, unless a polygon's fan leaves it.
+
+    Triangles of a polygon have its boundary, and all face to the same side. They then are the polygon, each point once,
+    however they were found. A polygon for which none are found keeps its fan, whose triangles contain it.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (v, 3)
+    corners, sizes : ndarray of int
+        The corners of all polygons, concatenated, and the number of corners of each.
+    tell : callable
+    place : callable
+        Returns the place of a polygon in the file from its number.
+    """
+    triangles = fans(corners, sizes)
+    if sizes.max(initial=3) == 3:
+        return triangles
+    starts = np.cumsum(sizes) - sizes
+    x, y, z = vertices.T.copy()
+    for n in np.unique(sizes[sizes > 3]).tolist():
+        same = np.flatnonzero(sizes == n)
+        step = max(_TOGETHER // n, 1)
+        for some in (same[k : k + step] for k in range(0, len(same), step)):
+            rings = corners[starts[some] + np.arange(n)[:, None]]
+            doubtful = np.flatnonzero(_may_leave(x[rings], y[rings], z[rings]))
+            found, uncut = _cut_rings(vertices[rings[:, doubtful].T])
+            which = some[doubtful]  # a polygon of n corners has two triangles fewer
+            triangles[(starts - 2 * np.arange(len(sizes)))[which, None] + np.arange(n - 2)] = rings[
+                found, doubtful[:, None, None]
+            ]
+            for k in uncut:
+                tell(_NO_PLANE, place(int(which[k])))
+    return triangles
+
+
+def _may_leave(x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
+    """Return whether a polygon's fan may face to both sides; the coordinates have the shape (n, polygons)."""
+    x, y, z = x[1:] - x[0], y[1:] - y[0], z[1:] - z[0]
+    a, b, c = y[:-1] * z[1:] - z[:-1] * y[1:], z[:-1] * x[1:] - x[:-1] * z[1:], x[:-1] * y[1:] - y[:-1] * x[1:]
+    facing = a * a.sum(axis=0) + b * b.sum(axis=0) + c * c.sum(axis=0)
+    leaves: NDArray[np.bool_] = ~(facing.min(axis=0) > 0)
+    return leaves
+
+
+def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
+    """Cut polygons, shape (polygons, n, 3).
+
+    Returns
+    -------
+    found : ndarray of int, shape (polygons, n - 2, 3)
+        Triangles, as numbers of corners.
+    uncut : list of int
+        The polygons for which none were found but the fan about the first corner.
+    """
+    n = P.shape[1]
+    fan = fans(np.arange(n), np.array([n]))
+    found, uncut = np.tile(fan, (len(P), 1, 1)), []
+    waiting = np.flatnonzero(np.isfinite(P).all(axis=(1, 2)))  # others are refused later
+    size, flat = abs(P[waiting]).max(axis=(1, 2)), _in_plane(P[waiting] - P[waiting, :1])
+    extent = abs(flat).max(axis=(1, 2))
+    extent[extent == 0] = 1
+    flat /= extent[:, None, None]
+    left = np.arange(len(waiting))
+    for k in range(min(n, _TRIES)):
+        turned = (np.arange(n) + k) % n
+        x, y = np.moveaxis(flat[left][:, turned] - flat[left, k : k + 1], 2, 0)
+        within = (x[:, 1:-1] * y[:, 2:] - y[:, 1:-1] * x[:, 2:] >= -_ROUNDING).all(axis=1)
+        found[waiting[left[within]]] = turned[fan]
+        left = left[~within]
+    expect(n <= MOST_CORNERS or not len(left), f"expected polygons with notches of {MOST_CORNERS} corners, found {n}")
+    for i in left:
+        ears = _ears(flat[i, :, 0], flat[i, :, 1], _NOISE * size[i] / extent[i])
+        if ears is None:
+            uncut.append(int(waiting[i]))
+        else:
+            found[waiting[i]] = ears
+    return found, uncut
+
+
+def _in_plane(P: Floats) -> Floats:
+    """Drop a coordinate of polygons that begin at the origin; what remains, shape (polygons, n, 2), turns to the left.
+
+    Straight edges stay exactly straight, unlike in a projection along the normal.
+    """
+    unit = abs(P).max(axis=(1, 2))
+    unit[unit == 0] = 1
+    normals = np.cross(P[:, 1:-1] / unit[:, None, None], P[:, 2:] / unit[:, None, None])
+    axis = abs(normals).sum(axis=1).argmax(axis=1)
+    every = np.arange(len(P))
+    turns_right = normals.sum(axis=1)[every, axis] < 0
+    one, two = (axis + 1) % 3, (axis + 2) % 3
+    one, two = np.where(turns_right, two, one), np.where(turns_right, one, two)
+    return np.stack([P[every, :, one], P[every, :, two]], axis=2)
+
+
+def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
+    """Cut ears off a polygon that turns to the left until none is left; None if at some time it has no ear.
+
+    A corner that lies on a line with its neighbours, to within the noise, is cut off if nothing else can be.
+    """
+    X, Y, n = x.tolist(), y.tolist(), len(x)
+    after, before = [*range(1, n), 0], [n - 1, *range(n - 1)]
+
+    def area(a: int, b: int, c: int) -> float:
+        """Return twice the area of a triangle, negative if it turns right."""
+        twice: float = (X[b] - X[a]) * (Y[c] - Y[a]) - (Y[b] - Y[a]) * (X[c] - X[a])
+        return twice
+
+    def height(b: int) -> float:
+        """Return the least height of the triangle of a corner and its neighbours, at most 0 if it turns right."""
+        a, c = before[b], after[b]
+        A, B, C = (X[a], Y[a]), (X[b], Y[b]), (X[c], Y[c])
+        longest = max(math.dist(A, B), math.dist(B, C), math.dist(C, A))
+        return area(a, b, c) / longest if longest else 0.0
+
+    def obstacle(a: int, b: int, c: int) -> int | None:
+        """Return a corner in a triangle; one in the place of a, b or c counts if an edge leads inside from there."""
+        near = inward
+        if len(near) > 50:  # else a look at each takes less time than a look at all of them
+            px, py, xs, ys = x[inward], y[inward], (X[a], X[b], X[c]), (Y[a], Y[b], Y[c])
+            near = inward[(min(xs) <= px) & (px <= max(xs)) & (min(ys) <= py) & (py <= max(ys))]
+        for v in near.tolist():
+            if v in (a, b, c) or area(a, b, v) < 0 or area(b, c, v) < 0 or area(c, a, v) < 0:
+                continue
+            for here, one, two in ((a, b, c), (b, c, a), (c, a, b)):
+                if (X[v], Y[v]) == (X[here], Y[here]):
+                    if any(area(here, one, w) > 0 and area(here, w, two) > 0 for w in (before[v], after[v])):
+                        return int(v)
+                    break
+            else:
+                return int(v)
+        return None
+
+    inward = np.array([b for b in range(n) if area(before[b], b, after[b]) <= 0], dtype=np.int64)
+    known: dict[tuple[int, int, int], int] = {}  # obstacles
+    gone = [False] * n
+    triangles: list[tuple[int, int, int]] = []
+    b = misses = 0
+    while len(triangles) < n - 3:
+        ear = before[b], b, after[b]
+        found = area(*ear) > 0 and (ear not in known or gone[known[ear]])
+        if found and (v := obstacle(*ear)) is not None:
+            found, known[ear] = False, v
+        if not found and misses == n - len(triangles):
+            b = min((k for k in range(n) if not gone[k]), key=lambda k: abs(height(k)))
+            if abs(height(b)) > noise:
+                return None
+            ear, found, inward = (before[b], b, after[b]), True, inward[inward != b]
+        if found:
+            a, _, c = ear
+            triangles.append(ear)
+            after[a], before[c], gone[b] = c, a, True
+            misses, b = 0, after[c]
+        else:
+            misses, b = misses + 1, after[b]
+    triangles.append((before[b], b, after[b]))
+    return np.array(triangles) if height(b) >= -noise else None
 
 
 def strip(corners: Ints) -> Triangles:

@@ -9,15 +9,17 @@ import numpy as np
 from loewner._validate import Floats, Ints
 from loewner.mesh_files.parts import (
     Refusal,
+    Tell,
     Triangles,
     check_range,
+    cut,
     data_lines,
     expect,
-    fans,
     floats,
     in_line,
     integers,
     quoted,
+    tell_unit,
 )
 
 _TYPES = {
@@ -39,7 +41,11 @@ _TYPES = {
     "float64": "f8",
 }
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_COMMENTS = (b"comment", b"obj_info")
 _CORNERS = ("vertex_indices", "vertex_index")
+
+# Elements other than vertex and face whose lists are no polygons; the lists of all others, such as tristrips, may be.
+_HARMLESS = ("multi_texture_face",)  # corners in a texture
 
 # Limits on the length of a header's line [bytes] and on the properties of an element. Scanners write about twenty.
 HEADER_LINE, MOST_PROPERTIES = 1 << 16, 1000
@@ -72,15 +78,18 @@ class _Content:
     sizes: Ints
 
 
-def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Read vertices as stored, and polygons as fans of triangles."""
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
+    """Read vertices as stored, and polygons as triangles."""
     order, elements, start = _header(data)
+    tell_unit(b"\n".join(line for line in data[:start].split(b"\n") if line.startswith(_COMMENTS)), tell)
     vertex = [e for e in elements if e.name == "vertex"]
     face = [e for e in elements if e.name == "face"]
     expect(len(vertex) == 1 and vertex[0].has("x", "y", "z"), "expected one element vertex with x, y and z")
     expect(len(face) <= 1, f"expected one element face, found {len(face)}")
-    for strips in (e for e in elements if e.name in ("tristrips", "tristrip") and e.count):
-        raise Refusal("expected faces, found strips of triangles, which are not read", strips.line)
+    for other in elements:
+        lists = any(p.length is not None for p in other.properties)
+        polygons = lists and other.count and other.name not in ("vertex", "face", *_HARMLESS)
+        expect(not polygons, f"expected faces, found lists in {quoted(other.name)}, which are not read", other.line)
     contents = _text(data, start, elements) if not order else _binary(data, start, elements, order)
     xyz = contents[elements.index(vertex[0])].scalars
     points = np.stack([np.asarray(xyz[k], dtype=np.float64) for k in "xyz"], axis=1)
@@ -91,7 +100,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
         k = int(np.flatnonzero(sizes < 3)[0])
         raise Refusal(f"face {k}: expected at least 3 corners, found {sizes[k]}")
     check_range(corners, vertex[0].count, "a face")
-    return points, fans(corners, sizes)
+    return points, cut(points, corners, sizes, tell, lambda k: f"face {k}")
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
@@ -106,7 +115,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
         position, number = end + 1, number + 1
         if number == 1:
             expect(words == ["ply"], f"expected ply, found {quoted(' '.join(words))}", 1)
-        elif not words or words[0] in ("comment", "obj_info"):
+        elif not words or words[0].encode() in _COMMENTS:
             continue
         elif words[0] == "format" and order is None and len(words) == 3:
             expect(

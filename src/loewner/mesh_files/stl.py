@@ -5,29 +5,44 @@ import struct
 import numpy as np
 
 from loewner._validate import Floats
-from loewner.mesh_files.parts import Refusal, Triangles, data_lines, expect, floats, plain_lines, quoted
+from loewner.mesh_files.parts import (
+    Refusal,
+    Tell,
+    Triangles,
+    data_lines,
+    expect,
+    floats,
+    in_line,
+    plain_lines,
+    quoted,
+    tell_unit,
+)
 
 HEADER, FACET = 84, 50  # bytes
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
-# Lines of a facet in text: the beginning of each, and the number of numbers that follow.
+# Lines of a facet in text: the beginning of each, and the number of words that follow. Those of a normal may be any:
+# for a triangle without area, C libraries write NaN in many ways.
+_VERTEX = (b"vertex",)
 _LINES = (
     ((b"facet", b"normal"), 3),
     ((b"outer", b"loop"), 0),
-    ((b"vertex",), 3),
-    ((b"vertex",), 3),
-    ((b"vertex",), 3),
+    (_VERTEX, 3),
+    (_VERTEX, 3),
+    (_VERTEX, 3),
     ((b"endloop",), 0),
     ((b"endfacet",), 0),
 )
 
 
-def read(data: bytes) -> tuple[Floats, Triangles]:
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read three vertices per triangle, in the file's order; the file's normals are ignored."""
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET * count:
+        tell_unit(data[:80], tell)
         corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+        tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # behind the name of the first solid
         corners = _text(data)
     else:  # a binary file's header may begin with "solid" too
         found = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
@@ -53,12 +68,11 @@ def _text(data: bytes) -> Floats:
         # The keywords are not numbers: if the lines differ in length, they end up in columns of numbers.
         if len(flat) != size * len(mine) or any(set(flat[j::size]) - {word} for j, word in enumerate(words)):
             _refuse_first(data, begins, ends)
-        try:
-            columns = [floats(flat[j::size]) for j in range(len(words), size)]
-        except Refusal:
-            _refuse_first(data, begins, ends)
-        if words == (b"vertex",):
-            corners.append(np.stack(columns, axis=1))
+        if words == _VERTEX:
+            try:
+                corners.append(np.stack([floats(flat[j::size]) for j in range(1, size)], axis=1))
+            except Refusal:
+                _refuse_first(data, begins, ends)
     return np.stack(corners, axis=1)
 
 
@@ -71,9 +85,7 @@ def _refuse_first(data: bytes, begins: list[int], ends: list[int]) -> None:
             line, asked = lines[i], b" ".join(words).decode() + (f" and {count} numbers" if count else "")
             right = len(line) == len(words) + count and all(a.lower() == b for a, b in zip(line, words, strict=False))
             expect(right, f"expected {asked}, found {quoted(b' '.join(line))}", numbers[i])
-            try:
-                floats(line[len(words) :])
-            except Refusal as refusal:
-                raise Refusal(str(refusal), numbers[i]) from None
+            if words == _VERTEX:
+                in_line(numbers[i], floats, line[1:])
         expect((last - first - 1) % len(_LINES) == 0, "expected a whole facet, found endsolid", numbers[last])
     raise Refusal("expected a text STL, found something else")

@@ -179,7 +179,7 @@ def plan_in_time(
             f"start_time: expected a robot whose values run straight, found a floating or ball joint in {robot.name!r}"
         )
     q, goals, names = checked_ends(still, start, goal, joints)
-    space, judge_of_still = Space.of(still, joints, q, goals), Judge.of(still, 0.0, joint_error)
+    space, judge_of_still = Space.of_start(still, joints, q, goals), Judge.of(still, 0.0, joint_error)
     judge = _judge(checker, space, times, joint_error)
     first = np.append(q, 0.0)
     goals = space.unwound(q, space.checked_goals(q, goals, judge_of_still, names))

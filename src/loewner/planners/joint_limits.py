@@ -152,7 +152,7 @@ def limits_of(
         found = f"those of {', '.join(given.names)}" if isinstance(given, JointLimits) else type(given).__name__
         raise InputError(f"limits: expected planners.JointLimits of {robot.name!r}, found {found}")
     if given is not None:
-        _expect_within(rows, given)
+        _expect_within(robot, rows, given)
     moves = (rows != rows[0]).any(axis=0)
     known = robot.velocity if given is None else given.velocity
     fastest = known if velocity is None else _per_joint(robot, velocity, "velocity")
@@ -166,21 +166,31 @@ def limits_of(
             f"velocity: expected a limit of each joint that moves, found none {where} for {names}; "
             f"give velocity=, one number or {robot.dof}"
         )
-    strongest = fastest / UP_IN if acceleration is None else _per_joint(robot, acceleration, "acceleration")
+    strongest = np.where(np.isfinite(robot.acceleration), robot.acceleration, fastest / UP_IN)
+    if acceleration is not None:
+        strongest = _per_joint(robot, acceleration, "acceleration")
     if given is not None and acceleration is None:
         strongest = np.where(np.isfinite(given.acceleration), given.acceleration, strongest)
     most = None if jerk is None else np.where(moves, _per_joint(robot, jerk, "jerk"), np.inf)
-    if given is not None and jerk is None and np.isfinite(given.jerk[moves]).any():
-        most = np.where(moves, given.jerk, np.inf)
+    known = np.where(np.isnan(robot.jerk), np.inf, robot.jerk)
+    if given is not None:
+        known = np.where(np.isfinite(given.jerk), given.jerk, known)
+    if jerk is None and np.isfinite(known[moves]).any():
+        most = np.where(moves, known, np.inf)
     return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf), most
 
 
-def _expect_within(rows: Floats, given: JointLimits) -> None:
-    """Raise an InputError for a position outside the limits; blends and profiles stay within the hull of the rows."""
-    for row, k in np.argwhere((rows < given.lower - ON_LIMIT) | (rows > given.upper + ON_LIMIT))[:1]:
+def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
+    """Raise an InputError for a position outside the limits; blends and profiles stay within the hull of the rows.
+
+    Where the file does not change a limit, the hard limit of the joint counts: a plan may start outside the soft ones.
+    """
+    lower = np.where(given.lower == robot.lower, robot.hard_lower, given.lower)
+    upper = np.where(given.upper == robot.upper, robot.hard_upper, given.upper)
+    for row, k in np.argwhere((rows < lower - ON_LIMIT) | (rows > upper + ON_LIMIT))[:1]:
         raise InputError(
             f"path: expected positions within limits=, found {given.names[k]} = {rows[row, k]:.9g} outside "
-            f"{given.lower[k]:.9g} .. {given.upper[k]:.9g}"
+            f"{lower[k]:.9g} .. {upper[k]:.9g}"
         )
 
 

@@ -17,6 +17,7 @@ from loewner.errors import InputError, LoewnerError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.kept_axes import KeptAxis
+from loewner.planners.space import with_start
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
@@ -107,7 +108,7 @@ def straight(
     target = targets_of(_validate.pose(T, "T")[None])[0]
     chain = chain_to(robot, link, joints)
     refuse_far(chain, target, q)
-    _refuse_start(robot, chain, q, link)
+    chain = _from_start(robot, chain, q, link)
     judge = Judge.of(checker, 0.0)
     wanted = np.array([position, 2 * np.sqrt(2) * np.sin(rotation / 2), -np.inf, *np.zeros(6)])
     if kept is not None:
@@ -137,15 +138,18 @@ def _kept(keep: Any) -> KeptAxis:
     return KeptAxis.of(*listed)
 
 
-def _refuse_start(robot: Robot, chain: Chain, q: Floats, link: str) -> None:
-    """Raise an error for joints that do not move along straight lines, and for a start outside the limits."""
+def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
+    """Refuse joints that do not move along straight lines, and a start outside the limits; see `with_start`."""
     refuse_unsteady(chain, link)
-    values = q[chain.columns]
-    outside = (values < chain.ranges[columns.LEAST] - ON_LIMIT) | (values > chain.ranges[columns.MOST] + ON_LIMIT)
+    ranges, values = chain.ranges.copy(), q[chain.columns]
+    ends = [columns.LEAST, columns.MOST]
+    ranges[ends] = with_start(robot, chain.columns, q, *ranges[ends])
+    outside = (values < ranges[columns.LEAST] - ON_LIMIT) | (values > ranges[columns.MOST] + ON_LIMIT)
     if outside.any():
         raise PlanningError(
             f"start: expected a configuration within the limits, found {_named(robot, chain, outside, q)} outside"
         )
+    return chain._replace(ranges=ranges)
 
 
 def _unfollowed(

@@ -262,7 +262,7 @@ def plan(
         )  # fmt: skip
     q, goals, names = checked_ends(checker, start, goal, joints)
     kept = None if keep is None else _kept(keep, robot, joints, make is None)
-    space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step, joint_error, kept)
+    space, judge = Space.of_start(checker, joints, q, goals), Judge.of(checker, step, joint_error, kept)
     model = model_of(judge.ready) if proof else None
     ends = Departures.of(space, judge, q, goals)
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)

@@ -327,7 +327,7 @@ class Roadmap(KeepsReadOnly):
         simplify = _validate.flag(simplify, "simplify")
         q, goals, names = checked_ends(self.checker, start, goal, self.joint_names)
         # Where a joint has no limits, they follow from start and goals.
-        space = Space.of(self.checker, self.joint_names, q, goals)
+        space = Space.of_start(self.checker, self.joint_names, q, goals)
         if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
         judge = Judge.of(self.checker, 0.0, joint_error)

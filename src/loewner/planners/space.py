@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
+from loewner._plausible import warn
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT
@@ -67,6 +68,13 @@ class Space:
         if len(moving) == 0:
             raise InputError("joints: expected one or more that can move, found none")
         return cls(checker, moving, q, lower[moving], upper[moving], turning[moving])
+
+    @classmethod
+    def of_start(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
+        """Make the space of a plan, whose start may be between the soft and the hard limits; see `with_start`."""
+        space = cls.of(checker, joints, q, goals)
+        lower, upper = with_start(checker.robot, space.columns, q, space.lower, space.upper)
+        return replace(space, lower=lower, upper=upper)
 
     def configurations(self, values: ArrayLike) -> Floats:
         """Make whole configurations, shape (..., dof), from values of the moving joints, shape (..., columns)."""
@@ -224,6 +232,23 @@ def checked_ends(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
         )
     return q, goals, names or [f"goal[{k}]" for k in range(len(goals))]
+
+
+def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Widen ranges of columns to the start of a motion, with a warning, if it is within the hard limits."""
+    values = q[columns]
+    outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
+    hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)
+    at = np.flatnonzero(outside & hard)
+    if len(at) == 0:
+        return lower, upper
+    named = ", ".join(
+        f"{robot.configuration_names[columns[k]]} = {values[k]:g} outside {lower[k]:g} .. {upper[k]:g}" for k in at
+    )
+    warn(f"start: expected a configuration within the soft limits, found {named}; it is within the hard limits")
+    lower, upper = lower.copy(), upper.copy()
+    lower[at], upper[at] = np.minimum(lower[at], values[at]), np.maximum(upper[at], values[at])
+    return lower, upper
 
 
 def _by_a_hair(excess: float) -> str:

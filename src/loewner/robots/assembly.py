@@ -25,6 +25,9 @@ from loewner.robots.watch import Watch
 # A robot; its class is above this module.
 R = TypeVar("R")
 
+# Attributes of robots with one number for each value of a configuration.
+LIMITS = ("lower", "upper", "hard_lower", "hard_upper", "velocity", "acceleration", "jerk")
+
 # Kinds of joints that need limits.
 LIMITED = ("revolute", "prismatic")
 
@@ -202,7 +205,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     base = _chain(self, f"{name}/world", joints)
     lower, upper = base.lower.copy(), base.upper.copy()
     lower[:axes], upper[:axes] = limits.T
-    base = replace(base, lower=lower, upper=upper)
+    base = replace(base, lower=lower, upper=upper, hard_lower=lower, hard_upper=upper)
     robot: Any = self
     return cast(R, _combined([_Piece("", base), _Piece("", robot, base.link_names[-1])], robot.name))
 
@@ -285,7 +288,8 @@ def with_body(
         low, high = _validate.finite_array(limits, "limits", (2,)).tolist()
         if low > high:
             raise InputError(f"limits: expected a lower and an upper one, found {limits}")
-        made = replace(made, lower=np.array([low]), upper=np.array([high]))
+        ends = np.array([low]), np.array([high])
+        made = replace(made, lower=ends[0], upper=ends[1], hard_lower=ends[0], hard_upper=ends[1])
     made = replace(made, bodies={name: body}).placed(T)
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
     robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
@@ -368,11 +372,9 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
         if taken is not None:
             raise InputError(f"expected names of links and joints that differ, found {taken!r} twice")
     first = np.cumsum([0, *(robot.dof for robot in robots)]).tolist()
-    lower, upper, velocity = (
-        np.concatenate([getattr(r, key) for r in robots]) for key in ("lower", "upper", "velocity")
-    )
-    for limits in (lower, upper, velocity):
-        limits.setflags(write=False)
+    limits = {key: np.concatenate([getattr(robot, key) for robot in robots]) for key in LIMITS}
+    for array in limits.values():
+        array.setflags(write=False)
     configuration_names = tuple(n for piece in pieces for n in _prefixed(piece.prefix, piece.robot.configuration_names))
     turns = [turns for robot in robots for turns in robot._watch.turns]
     free = [free for robot in robots for free in robot._watch.free]
@@ -390,9 +392,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
         link_names=tuple(links),
         joint_names=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot.joint_names)),
         configuration_names=configuration_names,
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
+        **limits,
         bodies=named("link with a body", lambda p: p.robot.bodies),
         groups=named("group", lambda p: {g: _prefixed(p.prefix, joints) for g, joints in p.robot.groups.items()}),
         states=named("state", _states),
@@ -408,7 +408,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
             for p, shift in zip(pieces, first, strict=False) for joint, at in p.robot._columns.items()
         },
         _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
-        _watch=Watch(name, configuration_names, lower, upper, turns, free),
+        _watch=Watch(name, configuration_names, limits["hard_lower"], limits["hard_upper"], turns, free),
         _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
         _in_world=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._in_world)),
         _parts={

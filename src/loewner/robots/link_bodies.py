@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -230,9 +231,11 @@ def _union(parts: list[Body]) -> Body:
 
 def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
     """Find a file that a URDF names."""
-    looked = list(dict.fromkeys(_candidates(shape.file_name, urdf, folders)))
+    homes = _homes(urdf)
+    looked = list(dict.fromkeys(_candidates(shape.file_name, homes, folders)))
     for path in looked:
         if os.path.isfile(path):  # Path.is_file raises if a name is too long or invalid
+            _expect_one(shape, link, urdf, [_candidates(shape.file_name, [home], folders) for home in homes])
             return path
     irregular = next((path for path in looked if os.path.exists(path)), None)
     if irregular is not None:
@@ -247,19 +250,47 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
     )
 
 
-def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
+def package_folder(package: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
+    """Find the folder of a package that a robot's description names."""
+    looked = list(dict.fromkeys(_candidates(f"package://{package}/", _homes(urdf), folders)))
+    for path in looked:
+        if os.path.isdir(path):
+            return path
+    raise FileError(
+        f"{urdf}: expected the package {package!r}, but there is no such folder; looked at "
+        f"{', '.join(map(str, looked))}. Other folders of packages can be given (package_dirs, --package-dir)"
+    )
+
+
+def _homes(urdf: Path) -> list[Path]:
+    """Return the folder of a URDF; if the file is a symbolic link, the folders of the link and of its target."""
+    target = Path(os.path.realpath(urdf)).parent
+    return [urdf.absolute().parent, target] if os.path.islink(urdf) else [target]
+
+
+def _expect_one(shape: Shape, link: str, urdf: Path, places: Iterable[Iterable[Path]]) -> None:
+    """Refuse a name that means one file beside a symbolic link to a URDF, and another one beside the target."""
+    paths = [path for path in (next(filter(os.path.isfile, listed), None) for listed in places) if path is not None]
+    if len(paths) == 2 and not filecmp.cmp(paths[0], paths[1], shallow=False):
+        raise FileError(
+            f"{urdf}, line {shape.line}: expected one mesh {shape.file_name!r} of link {link!r}, found two that "
+            f"differ: {paths[0]} beside the symbolic link, and {paths[1]} beside its target"
+        )
+
+
+def _candidates(name: str, homes: Sequence[Path], folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
     """List the places where a mesh may be: the given packages, ROS's packages, then the URDF's parent folders."""
     scheme, separator, rest = name.rpartition("://")
-    home = Path(os.path.realpath(urdf)).parent
     given = [Path(folder) for folder in folders]
     if separator and scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
-        for folder in (*given, *_ros_folders(), home, *home.parents):
+        above = (folder for home in homes for folder in (home, *home.parents))
+        for folder in (*given, *_ros_folders(), *above):
             yield folder / package / inside
             if folder.name == package:
                 yield folder / inside
     elif not separator or scheme == "file":
-        for folder in (home, *given):
+        for folder in (*homes, *given):
             yield folder / rest  # an absolute path is kept
 
 

@@ -161,7 +161,7 @@ def model_of(ready: Problem) -> Model:
     turn = np.concatenate([turns[moving], standing[:, :3, :3]])
     shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
     placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed))
-    limits = list(zip(robot.configuration_names, robot.lower, robot.upper, strict=True))
+    limits = list(zip(robot.configuration_names, robot.hard_lower, robot.hard_upper, strict=True))
     known = _known[ready] = _model(
         links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins
     )  # fmt: skip

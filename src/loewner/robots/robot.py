@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -34,8 +34,9 @@ from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
-from loewner.robots.urdf import VALUES, Description, read_urdf
+from loewner.robots.urdf import VALUES, Description, Joint, read_urdf
 from loewner.robots.watch import LARGEST_VALUE, Watch
+from loewner.robots.xacro_files import SUFFIX, expanded
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
@@ -50,18 +51,26 @@ MANY_LINKS = 30
 LEAST_SHARE = 1024
 
 
-def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
-    """Return the contents of a URDF given as a path or as a string."""
+def _text_of(
+    path: str | os.PathLike[str] | None, text: str | None, xacro_args: Mapping[str, object] | None, places: list[Path]
+) -> str | None:
+    """Return the text of a URDF that is given as a string or as a xacro file; None for other files."""
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
         raise InputError("text: expected a path to a URDF or its text, found both")
-    if text is None:
-        assert path is not None
-        return read_urdf(path)
-    if not isinstance(text, str):
+    if text is not None and not isinstance(text, str):
         raise InputError(f"text: expected the text of a URDF, found {_validate.short(text)}")
-    return read_urdf("URDF text", text)
+    if xacro_args is not None and not isinstance(xacro_args, Mapping):
+        raise InputError(f"xacro_args: expected a mapping from names to values, found {_validate.short(xacro_args)}")
+    if path is None:
+        if xacro_args is not None:
+            raise InputError("xacro_args: expected a path to a xacro file with them, found text=")
+        return text
+    named = isinstance(path, (str, os.PathLike)) and os.fspath(path)
+    if xacro_args is None and not (isinstance(named, str) and named.lower().endswith(SUFFIX)):
+        return None
+    return expanded(path, xacro_args or {}, places)
 
 
 def _model(meshes: str, decompose: bool) -> str:
@@ -91,12 +100,17 @@ class Robot(KeepsReadOnly):
         j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
         "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
     lower, upper : ndarray, shape (dof,)
-        Limits, in radians for joints that turn and metres for joints that slide; infinite for values without limits.
+        Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
+        infinite for values without limits. They are within the limits of the file, and within its soft limits
+        (``<safety_controller>``); and joints that mimic the joint are within their own limits.
         All functions accept configurations outside the limits; a configuration far outside causes a single warning (see
         `checked`).
-    velocity : ndarray, shape (dof,)
-        The largest rate of each value [rad/s or m/s]: the URDF's limit, or less if a mimic joint would otherwise exceed
-        its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
+    hard_lower, hard_upper : ndarray, shape (dof,)
+        Limits of the joints as in the file. A plan may start between these and the narrower ones.
+    velocity, acceleration, jerk : ndarray, shape (dof,)
+        The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or less if a mimic joint would
+        otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
+        Only URDF 1.2 has limits of accelerations and jerk.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next two
         attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
@@ -138,7 +152,11 @@ class Robot(KeepsReadOnly):
     configuration_names: tuple[str, ...]
     lower: Floats
     upper: Floats
+    hard_lower: Floats
+    hard_upper: Floats
     velocity: Floats
+    acceleration: Floats
+    jerk: Floats
     bodies: dict[str, Body]
     groups: dict[str, tuple[str, ...]]
     states: dict[str, State]
@@ -167,6 +185,7 @@ class Robot(KeepsReadOnly):
         path: str | os.PathLike[str] | None = None,
         *,
         text: str | None = None,
+        xacro_args: Mapping[str, str | float | bool] | None = None,
         srdf: str | os.PathLike[str] | None = None,
         package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
         meshes: Literal["hull", "pieces", "surface"] = "hull",
@@ -180,10 +199,15 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path, optional
-            A URDF file; xacro must be expanded.
+            A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
+            "loewner[xacro]"``), which evaluates expressions of Python in the file: read only files that you trust.
+            Messages then have the lines of the expanded text.
         text : str, optional
             The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
             meshes in it are resolved from the working directory.
+        xacro_args : mapping of str to str, number or bool, optional
+            Values of a xacro file's arguments; a file of any name is then expanded. ``$(find package)`` is the folder
+            of a package, see `package_dirs`.
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
@@ -218,14 +242,16 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If a joint refers to a name that does not exist, or the SRDF belongs to a different robot.
         MissingExtraError
-            If a mesh is to be decomposed and CoACD is not installed.
+            If a mesh is to be decomposed and CoACD is not installed, or a xacro file is to be expanded without xacro.
 
         Warns
         -----
         UserWarning
-            If the SRDF names links or joints that the robot does not have, or none that it has; if it names a different
-            robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or the angles of
-            an origin or the limits of revolute joints are probably not in radians.
+            If the URDF or the SRDF has parts that its format does not define (docs/robots.md); if limits of a joint
+            that mimics another would leave that one hardly any range. If the SRDF names links or joints that the robot
+            does not have, or none that it has; if it names a different robot, or has passive joints, or a base that
+            moves. If a body is probably not in metres, or the angles of an origin or the limits of revolute joints are
+            probably not in radians.
 
         Examples
         --------
@@ -234,11 +260,12 @@ class Robot(KeepsReadOnly):
         """
         tol, cache, model = checked_tolerance(tol), _validate.flag(cache, "cache"), _model(meshes, decompose)
         _validate.callback(progress, "progress")
-        robot = _described(path, text)
-        semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
+        text = _text_of(path, text, xacro_args, places)
+        robot = read_urdf("URDF text" if path is None else path, text)
+        semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
         return cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
 
@@ -256,14 +283,11 @@ class Robot(KeepsReadOnly):
         """Build the robot from the parsed files."""
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
-        lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
-        for name, column in columns.items():
-            lower[column], upper[column] = robot.joints[name].lower, robot.joints[name].upper
-            if kinds[name] in WITH_QUATERNION:
-                lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
-        velocity = _velocities(robot, columns, dof)
-        for limits in (lower, upper, velocity):
-            limits.setflags(write=False)
+        lower, upper = _ends(robot, columns, dof, lambda joint: joint.range)
+        hard_lower, hard_upper = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
+        rates = {kind: _rates(robot, columns, dof, kind) for kind in ("velocity", "acceleration", "jerk")}
+        for array in (lower, upper, hard_lower, hard_upper, *rates.values()):
+            array.setflags(write=False)
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
@@ -278,7 +302,9 @@ class Robot(KeepsReadOnly):
             configuration_names=names,
             lower=lower,
             upper=upper,
-            velocity=velocity,
+            hard_lower=hard_lower,
+            hard_upper=hard_upper,
+            **rates,
             bodies=Named("link with a body", bodies),
             groups=Named("group", semantics.groups),
             states=Named("state", semantics.states),
@@ -290,7 +316,7 @@ class Robot(KeepsReadOnly):
             package_dirs=package_dirs,
             _columns=columns,
             _only_visual=robot.only_visual,
-            _watch=Watch(robot.name, names, lower, upper, turns, free),
+            _watch=Watch(robot.name, names, hard_lower, hard_upper, turns, free),
             _rooted=tree,
             _sources=(Source("", format, path, text, package_dirs),),
             _parts={},
@@ -1047,15 +1073,27 @@ def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
     return below, above, turning & below & above
 
 
-def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:
-    """Compute the largest rates of configuration values; NaN if a rate is unlimited or not given."""
-    velocity = np.full(dof, np.nan)
+def _ends(
+    robot: Description, columns: Mapping[str, slice], dof: int, of: Callable[[Joint], tuple[float, float]]
+) -> tuple[Floats, Floats]:
+    """Return the least and the largest configuration values, of ranges of joints."""
+    lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
+    for name, column in columns.items():
+        lower[column], upper[column] = of(robot.joints[name])
+        if robot.joints[name].kind in WITH_QUATERNION:
+            lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
+    return lower, upper
+
+
+def _rates(robot: Description, columns: Mapping[str, slice], dof: int, kind: str) -> Floats:
+    """Compute the largest rates of one kind of configuration values; NaN if a rate is unlimited or not given."""
+    rates = np.full(dof, np.nan)
     for joint in robot.joints.values():
         moved, multiplier = (joint.name, 1.0) if joint.mimic is None else (joint.mimic.joint, joint.mimic.multiplier)
         if moved in columns and multiplier != 0:
             at = columns[moved]
-            velocity[at] = np.fmin(velocity[at], joint.velocity / abs(multiplier))
-    return velocity
+            rates[at] = np.fmin(rates[at], getattr(joint, kind) / abs(multiplier))
+    return rates
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,17 +11,23 @@ from loewner._plausible import warn
 from loewner._validate import Pair
 from loewner.errors import UnknownNameError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description
-from loewner.robots.xml_elements import LISTED, Element, by_name, known, read_xml, some
+from loewner.robots.xml_elements import LISTED, UNREAD, Element, by_name, cut, known, read_xml, settle, some
 
 # pinocchio's name for the free base that it adds to a robot; its SRDF files use it without declaring it.
 UNDECLARED_BASE = "root_joint"
 
-# Known elements of SRDF files, including other programs' additions; any other is most likely a mistake.
-SRDF_TAGS = frozenset((
-    "group", "group_state", "disable_collisions", "enable_collisions", "disable_default_collisions", "virtual_joint",
-    "end_effector", "passive_joint", "joint_property", "link_sphere_approximation",
-    "gripper", "handle", "contact", "position", "rotor_params", "specificities",
-))  # fmt: skip
+# Parts of SRDF files that do not change groups, states or pairs, by the element that contains them.
+HARMLESS = {
+    "robot": frozenset((
+        "@version",
+        "contact", "gripper", "handle", "position", "rotor_params", "specificities",  # additions of other programs
+        "end_effector",  # which group is a hand: for markers to drag
+        "link_sphere_approximation",  # the shapes of the URDF count
+    )),
+    "disable_collisions": frozenset(("@reason",)),
+    "enable_collisions": frozenset(("@reason",)),
+    "virtual_joint": frozenset(("@parent_frame", "@type")),  # the base has no values: see `Robot.placed`, `add_base`
+}  # fmt: skip
 
 # Limit on the number of joints of all groups together: far more than any robot has.
 MOST_MEMBERS = 2**22
@@ -121,7 +127,8 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     UserWarning
         If some of the links and joints do not belong to this robot (an SRDF is often shared with a larger variant), or
         the SRDF names a group that it does not contain; if it names no link or joint of this robot, is for a robot of a
-        different name, or has elements that are not defined in SRDF.
+        different name, or has parts that are not defined in SRDF. If joints are passive; if the base moves, or a state
+        places it; or a state has a value of a joint outside its group.
     """
     root = read_xml(path, "an SRDF")
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
@@ -130,24 +137,54 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     names = _Names(robot, {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))})
     disabled = _disabled_pairs(root, names)
     groups = _groups(root, names)
-    states = _states(root, names, groups)
+    states, doubts = _states(root, names, groups)
+    passive = _passive(root, names)
     names.settle(root.path)
-    for fault in _oddities(root, names):
+    for fault in (*_oddities(root, names), *_of_bases(root, robot), *_of_passive(passive), *doubts):
         warn(f"{root.path}: {fault}")
+    settle(root, "SRDF", HARMLESS)
+    groups = {name: tuple(joint for joint in joints if joint not in passive) for name, joints in groups.items()}
     return Semantics(groups, states, disabled)
 
 
 def _oddities(root: Element, names: _Names) -> Iterator[str]:
     """Collect warnings about contents of an SRDF that are allowed but probably a mistake."""
-    robot, name = names.robot, root.attributes.get("name", "")
+    robot, name = names.robot, root.get("name") or ""
     if name and name != robot.name:
         yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
-    odd = [e for e in root.children if e.tag not in SRDF_TAGS]
-    if odd:
-        found = some(f"<{e.tag}>" for e in odd)
-        yield f"left out elements that an SRDF does not have: {found}, first in line {odd[0].line}"
     if not names.known:
         yield f"expected groups, states or pairs of {robot.name!r}, found none of its links and joints named"
+
+
+def _of_bases(root: Element, robot: Description) -> Iterator[str]:
+    """Collect warnings about bases that do not move, or move otherwise, here."""
+    top = next(iter(robot.shapes))
+    for element in root.all("virtual_joint"):
+        link = element.get("child_link")
+        if link not in (None, top):
+            name = element.text("name")
+            yield f"line {element.line}: expected {top!r}, the root, below the virtual joint {name!r}, found {link!r}"
+    for element in root.all("joint_property"):
+        joint, of, value = (element.text(name) for name in ("joint_name", "property_name", "value"))
+        if of == "motion_model" and value != "holonomic":
+            yield (
+                f"line {element.line}: the motion model {cut(value)} of {joint!r} is not used: motions are straight "
+                "lines here, sideways as well"
+            )
+
+
+def _passive(root: Element, names: _Names) -> dict[str, Element]:
+    """Return the passive joints that have values."""
+    named = ((names.joint(element), element) for element in root.all("passive_joint"))
+    driven = set(names.robot.driven)
+    return {joint: element for joint, element in named if joint is not None and joint in driven}
+
+
+def _of_passive(passive: Mapping[str, Element]) -> Iterator[str]:
+    """List the passive joints in a warning."""
+    if passive:
+        named = some((f"{joint!r} (line {element.line})" for joint, element in passive.items()), UNREAD)
+        yield f"passive joints are left out of groups, but plans that name no joints move them: {named}"
 
 
 def _disabled_pairs(root: Element, names: _Names) -> frozenset[Pair]:
@@ -193,7 +230,7 @@ def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
 
     for name, element in elements.items():
         listed: list[str] = []
-        for e in element.children:
+        for e in (e for tag in ("joint", "link", "chain") for e in element.all(tag)):
             found = _named_joints(e, names, depth)
             count(len(found), e)
             listed += found
@@ -215,9 +252,7 @@ def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> lis
     if element.tag == "link":
         above = names.robot.joint_above.get(names.link(element, "name") or "")
         return [] if above is None else [above.name]
-    if element.tag == "chain":
-        return _chain(names.robot, depth, names.link(element, "base_link"), names.link(element, "tip_link"))
-    return []
+    return _chain(names.robot, depth, names.link(element, "base_link"), names.link(element, "tip_link"))
 
 
 def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) -> list[str]:
@@ -257,18 +292,30 @@ def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str
     return found
 
 
-def _states(root: Element, names: _Names, groups: Collection[str]) -> dict[str, State]:
+def _states(
+    root: Element, names: _Names, groups: Mapping[str, tuple[str, ...]]
+) -> tuple[dict[str, State], Iterator[str]]:
+    """Read the states, and collect warnings about values that have no effect, or reach beyond a group."""
     states: dict[str, State] = {}
     driven = set(names.robot.driven)
+    first: dict[tuple[str, str], Element] = {}
+    bases, outside = [], []
     for element in root.all("group_state"):
         # Some programs write a state outside all groups for the whole robot.
         name = element.text("name")
         group = (names.group(element, "group", groups) or "") if "group" in element.attributes else ""
+        before = first.setdefault((element.get("group") or "", name), element)
+        if before is not element:
+            element.fault("each state of a group once", f"{name!r} again, first in line {before.line}")
         values: dict[str, float | tuple[float, ...]] = {}
-        for e in element.all("joint"):
-            joint = names.joint(e)
+        for e in by_name(element.all("joint")).values():
+            joint, text = names.joint(e), e.get("value")
+            if e.text("name") in names.without_values and _is_away(text or ""):
+                bases.append(f"{name!r} (line {e.line})")
             if joint not in driven:  # unknown, or without a value of its own: fixed, mimicking, virtual
                 continue
+            if group and groups[group] and joint not in groups[group]:
+                outside.append(f"{joint!r} in {name!r} (line {e.line})")
             kind = names.robot.joints[joint].kind
             numbers = e.finite("value", len(VALUES[kind]))
             if kind == "floating":  # x, y, z, then the quaternion as x, y, z, w
@@ -276,4 +323,20 @@ def _states(root: Element, names: _Names, groups: Collection[str]) -> dict[str, 
             values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
         # The name of a state is unique only within its group.
         states[f"{group}/{name}" if name in states else name] = (group, values)
-    return states
+    return states, _of_states(bases, outside)
+
+
+def _of_states(bases: list[str], outside: list[str]) -> Iterator[str]:
+    if bases:
+        yield f"states that place the base leave it where it is (Robot.placed, add_base): {some(bases, UNREAD)}"
+    if outside:
+        yield f"expected values of the joints of a state's group, found others, which are used: {some(outside, UNREAD)}"
+
+
+def _is_away(text: str) -> bool:
+    """Return whether the value of a base is another pose than the identity, in the order x, y, z, qx, qy, qz, qw."""
+    words = text.split()
+    try:
+        return any(float(word) != 0 for word in words[:6])
+    except ValueError:
+        return True

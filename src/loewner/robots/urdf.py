@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from loewner._matrices import lengths
 from loewner._plausible import FARTHEST_LIMIT, doubt_about_limits, doubt_about_rpy, warn
-from loewner._rotations import from_rpy
+from loewner._rotations import QUATERNION_TOLERANCE, from_quaternion, from_rpy
 from loewner._validate import Floats
 from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
-from loewner.robots.xml_elements import LARGEST, LISTED, Element, by_name, known, read_xml, some
+from loewner.robots.xml_elements import LARGEST, LISTED, UNREAD, Element, by_name, cut, known, read_xml, settle, some
 
 # Names of the values of a joint, by kind; a single value has the name of its joint. No URDF has a ball joint.
 VALUES: dict[str, tuple[str, ...]] = {
@@ -43,6 +45,54 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
 # An axis should be a unit vector. The direction of a far shorter one is due to rounding or damage, and squares of
 # lengths below 1e-154 vanish, so readers do not agree on it.
 SHORTEST_AXIS = 1e-9
+
+# Parts of URDF files that change neither shapes nor motions nor checks, by the element that contains them. A part whose
+# tag ends in "*" causes a warning if it contains links, joints or collision shapes, as a model of SDF does.
+HARMLESS = {
+    "robot": frozenset((
+        "gazebo*",  # plugins, friction and sensors of a simulator
+        "material",  # colours
+        "ros2_control",  # hardware; `_warn_of_extensions` reports its limits and mimics
+        "self_collision_checking", "drake:collision_filter_group",  # exempt pairs: without them, more is checked
+        "sensor*",  # where cameras look
+        "transmission",  # gears, which name joints
+    )),
+    "link": frozenset((
+        "@type",  # has no meaning in any reader
+        "collision_checking", "self_filter",  # shapes for other programs' purposes
+        "contact", "gravity", "inertial*", "kinematic", "surface",  # dynamics
+        "visual*",  # looks; read by `read_visuals`
+    )),
+    "collision": frozenset((
+        "@concave", "@enabled", "@group",  # exempt shapes, or make them larger: without them, more is checked
+        "@name",
+        "drake:proximity_properties",  # friction and stiffness
+        "material", "verbose",  # looks, and output of a simulator
+    )),
+    "geometry": frozenset(("@name",)),
+    "mesh": frozenset(("@name", "drake:declare_convex")),  # every mesh may be made convex
+    "box": frozenset(("@name",)), "sphere": frozenset(("@name",)),
+    "cylinder": frozenset(("@name",)), "capsule": frozenset(("@name",)),
+    "joint": frozenset((
+        "@dont_collapse",  # whether a simulator merges links
+        "calibration", "dynamics",  # where encoders switch; friction
+    )),
+    "limit": frozenset(("@command_effort", "@current", "@effort", "@gear_velocity")),  # motors
+    "safety_controller": frozenset(("@k_position", "@k_velocity")),  # gains
+}  # fmt: skip
+
+# The least share of the range of a joint that the limits of joints that mimic it may leave: less is a slip, or means
+# that the mimicking joints' limits were never used, as in the grippers of the PR2.
+LEAST_LEFT = 0.1
+
+# Limits of mimicking joints are rounded: they leave out no less than this [rad or m].
+LEAST_CUT = 1e-9
+
+# Limits in extensions are often the joints' own with fewer digits; the share of the range by which they may differ.
+ROUNDED = 0.01
+
+# The versions of URDF that define quaternions, and accelerations and jerk, and the first version that is not known.
+WITH_QUATERNIONS, WITH_ACCELERATIONS, UNKNOWN = (1, 1), (1, 2), (1, 3)
 
 # Limit on the number of pairs of links from rules of an SRDF or links without shapes: far more than any robot has.
 MOST_PAIRS = 2**22
@@ -90,8 +140,9 @@ class Mimic:
 class Joint:
     """A joint: `kind` is URDF's type, and the unit vector `axis` and the pose `origin` are in URDF's frames.
 
-    `velocity` is the largest rate of the joint's value [rad/s or m/s], or NaN if the URDF gives no positive one. The
-    child is at `origin` when the value is `reference`.
+    `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
+    if the URDF gives no positive ones. The child is at `origin` when the value is `reference`. `lower` and `upper` are
+    the limits as in the file; `soft` are narrower ones of its controller, and of the joints that mimic it.
     """
 
     name: str
@@ -106,6 +157,25 @@ class Joint:
     mimic: Mimic | None
     line: int
     reference: float = 0.0
+    acceleration: float = math.nan
+    jerk: float = math.nan
+    soft: tuple[float, float] = (-math.inf, math.inf)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Limits for planning and sampling."""
+        return max(self.lower, self.soft[0]), min(self.upper, self.soft[1])
+
+
+class _Limits(NamedTuple):
+    """The limits of a joint, see `Joint`."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.nan
+    acceleration: float = math.nan
+    jerk: float = math.nan
+    soft: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +227,21 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     Warns
     -----
     UserWarning
-        If a joint mimics a joint that does not exist, or the angles of an origin are probably in degrees.
+        If the file has parts that URDF does not define, or its version is newer than 1.2; if a joint mimics a joint
+        that does not exist, or limits of a mimicking joint would leave another one hardly any range; if the angles of
+        an origin, or limits, are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
+    name, version = root.get("name"), _version(root)
+    if version >= UNKNOWN:
+        warn(
+            f"{root.path}: expected URDF up to version 1.2, found {version[0]}.{version[1]}; what it added is not known"
+        )
     links = by_name(root.all("link"))
     if not links:
         root.fault("at least one <link>", "none")
-    joints = {name: _joint(e, links) for name, e in by_name(root.all("joint")).items()}
-    joints = _without_chains(_with_known_mimics(joints, root.path), root.path)
+    joints = {name: _joint(e, links, version) for name, e in by_name(root.all("joint")).items()}
+    joints = _narrowed(_without_chains(_with_known_mimics(joints, root.path), root.path), root.path)
     joint_above: dict[str, Joint] = {}
     for joint in joints.values():
         before = joint_above.setdefault(joint.child, joint)
@@ -174,15 +251,21 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
                 f"{before.name!r} and {joint.name!r}"
             )
     order = _parents_first(root, list(links), joint_above)
+    shapes = {link: tuple(_shape(e, version) for e in links[link].all("collision")) for link in order}
+    for link in links.values():
+        if not np.array_equal(_origin(link, version), np.eye(4)):
+            link.disown("origin")  # a link has none, but its shapes; the identity does no harm
     _doubt_angles(root)
     _doubt_limits(root.path, joints)
+    _warn_of_extensions(root, joints)
+    settle(root, "URDF", HARMLESS)
     return Description(
-        name=root.attributes.get("name", root.path.stem),
+        name=root.path.stem if name is None else name,
         path=root.path,
-        shapes={name: tuple(_shape(e) for e in links[name].all("collision")) for name in order},
+        shapes=shapes,
         joints=joints,
         joint_above=joint_above,
-        only_visual=tuple(name for name in order if links[name].first("visual") and not links[name].first("collision")),
+        only_visual=tuple(link for link in order if links[link].has("visual") and not shapes[link]),
     )
 
 
@@ -203,10 +286,12 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
     """
     shapes: dict[str, list[Shape]] = {}
     faults = []
-    for name, link in by_name(read_xml(path, "a URDF", text).all("link")).items():
+    root = read_xml(path, "a URDF", text)
+    version = _version(root)
+    for name, link in by_name(root.all("link")).items():
         for element in link.all("visual"):
             try:
-                shapes.setdefault(name, []).append(_shape(element))
+                shapes.setdefault(name, []).append(_shape(element, version))
             except LoewnerError as error:
                 faults.append(str(error))
     return shapes, faults
@@ -233,7 +318,16 @@ def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint
     return order
 
 
-def _joint(element: Element, links: Collection[str]) -> Joint:
+def _version(root: Element) -> tuple[int, int]:
+    """Read the version of URDF; a file without one is of the first."""
+    text = root.get("version")
+    found = re.fullmatch(r"(\d{1,3})(?:\.(\d{1,3}))?", "1.0" if text is None else text.strip())
+    if found is None or int(found[1]) != 1:
+        root.fault("URDF of version 1.0, 1.1 or 1.2", f"version {cut(text or '')}")
+    return 1, int(found[2] or 0)
+
+
+def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -> Joint:
     name, kind = element.text("name"), element.text("type")
     if kind not in URDF_KINDS:
         element.fault(f"a joint type among {', '.join(URDF_KINDS)}", f"{kind!r} of joint {name!r}")
@@ -245,19 +339,19 @@ def _joint(element: Element, links: Collection[str]) -> Joint:
                 f"a link of this robot as {end} of joint {name!r}", f"{link!r}; {known(links)}", UnknownNameError
             )
         ends.append(link)
-    lower, upper = _limits(element, kind)
+    if kind == "fixed":  # a reduced model may keep these of joints that moved before
+        element.drop("axis", "limit", "mimic", "safety_controller")
+    limits = _limits(element, kind, version)
     return Joint(
         name=name,
         kind=kind,
         parent=ends[0],
         child=ends[1],
-        origin=_origin(element),
+        origin=_origin(element, version),
         axis=_axis(element, kind),
-        lower=lower,
-        upper=upper,
-        velocity=_velocity(element, kind),
         mimic=_mimic(element, kind),
         line=element.line,
+        **limits._asdict(),
     )
 
 
@@ -266,12 +360,12 @@ def _axis(joint: Element, kind: str) -> Floats:
 
     The default is x, but z for a planar joint, as in MoveIt and pinocchio.
     """
-    element = joint.first("axis")
-    if kind in ("fixed", "floating"):
-        return np.array([1.0, 0.0, 0.0])
+    element = joint.one("axis")
     if element is None:
         return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
     axis = np.array(element.finite("xyz", 3))
+    if kind == "floating":
+        return np.array([1.0, 0.0, 0.0])
     length = float(lengths(axis))
     if length < SHORTEST_AXIS:
         expected = f"an axis of length 1, and no less than {SHORTEST_AXIS:g}, for joint {joint.text('name')!r}"
@@ -279,40 +373,71 @@ def _axis(joint: Element, kind: str) -> Floats:
     return np.asarray(axis / length)
 
 
-def _limits(joint: Element, kind: str) -> tuple[float, float]:
-    """Read the limits of a joint's values [rad or m]."""
-    element = joint.first("limit")
-    if kind not in ("revolute", "prismatic"):
-        dropped = {"lower", "upper", "velocity"} & (set() if element is None else element.attributes.keys())
-        if kind in ("planar", "floating") and element is not None and dropped:
+def _limits(joint: Element, kind: str, version: tuple[int, int]) -> _Limits:
+    """Read the limits of a joint [rad or m], and of its rates."""
+    element, values = joint.one("limit"), VALUES[kind]
+    if len(values) > 1 and element is not None:
+        if not HARMLESS["limit"].issuperset("@" + name for name in element.attributes):
             warn(
                 f"{joint.path}, line {element.line}: a <limit> of the {kind} joint {joint.text('name')!r} is ignored, "
                 "since URDF does not define to which of its values it applies; Robot.add_base adds a base with bounds"
             )
-        return -math.inf, math.inf
-    if element is None:
+        joint.drop("limit")
+    if len(values) != 1:
+        return _Limits()
+    if element is None and kind != "continuous":
         joint.fault(f"a <limit> of the {kind} joint {joint.text('name')!r}", "none (a joint without is continuous)")
-    (lower,), (upper,) = element.numbers("lower", 1, "0"), element.numbers("upper", 1, "0")
+    lower, upper = (-math.inf, math.inf) if element is None else _range(joint, element, kind)
+    rates = (math.nan, math.nan, math.nan) if element is None else _rates(element, version)
+    return _Limits(lower, upper, *rates, _soft(joint, kind, lower, upper))
+
+
+def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
+    """Read the least and the largest value of a joint."""
+    (lower,), (upper,) = limit.numbers("lower", 1, "0"), limit.numbers("upper", 1, "0")
+    if kind == "continuous":
+        if -FARTHEST_LIMIT < lower < upper < FARTHEST_LIMIT:
+            limit.disown("@lower", "@upper")  # 0 .. 0 is how programs write that there is no range
+        return -math.inf, math.inf
     if lower > upper:
-        element.fault(f"lower <= upper for joint {joint.text('name')!r}", f"{lower:g} > {upper:g}")
+        limit.fault(f"lower <= upper for joint {joint.text('name')!r}", f"{lower:g} > {upper:g}")
     if lower > FARTHEST_LIMIT or upper < -FARTHEST_LIMIT:
         expected = f"limits that leave joint {joint.text('name')!r} values within ±{FARTHEST_LIMIT:g}"
-        element.fault(expected, f"{lower:g} .. {upper:g}")
+        limit.fault(expected, f"{lower:g} .. {upper:g}")
     return lower, upper
 
 
-def _velocity(joint: Element, kind: str) -> float:
-    """Read the velocity limit of a joint with one value; many files write 0 for "no limit"."""
-    element = joint.first("limit")
-    if element is None or VALUES[kind] != ("",):
-        return math.nan
-    (velocity,) = element.numbers("velocity", 1, "0")
-    return velocity if 0 < velocity < math.inf else math.nan
+def _rates(limit: Element, version: tuple[int, int]) -> tuple[float, float, float]:
+    """Read the largest velocity, acceleration and jerk of a joint with one value; NaN if there is none."""
+    found = []
+    kinds = ("velocity",), ("acceleration", "deceleration"), ("jerk",)
+    for names in kinds if version >= WITH_ACCELERATIONS else kinds[:1]:
+        rates = {name: limit.numbers(name, 1, "0")[0] for name in names}
+        # Many files write 0 for "no limit"; a rate below 0 is no limit, and no value either.
+        limit.disown(*("@" + name for name, rate in rates.items() if rate < 0))
+        found.append(min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan))
+    velocity, acceleration, jerk = [*found, math.nan, math.nan][:3]
+    return velocity, acceleration, jerk
+
+
+def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float, float]:
+    """Read the limits at which the controller of a joint begins to slow it down; infinite without one."""
+    none = -math.inf, math.inf
+    element = joint.one("safety_controller")
+    if element is None:
+        return none
+    (low,) = element.numbers("soft_lower_limit", 1, "-inf")
+    (high,) = element.numbers("soft_upper_limit", 1, "inf")
+    if kind != "continuous" and max(lower, low) < min(upper, high):
+        return low, high
+    if (low, high) not in (none, (0.0, 0.0)):  # 0 .. 0 is how programs write that there is no range
+        element.disown("@soft_lower_limit", "@soft_upper_limit")
+    return none
 
 
 def _mimic(joint: Element, kind: str) -> Mimic | None:
-    element = joint.first("mimic")
-    if element is None or kind == "fixed":  # a gripper that is fixed in a reduced model may keep its <mimic>
+    element = joint.one("mimic")
+    if element is None:
         return None
     if VALUES[kind] != ("",):
         element.fault("a <mimic> in a joint of one value only", f"one in the {kind} joint {joint.text('name')!r}")
@@ -374,10 +499,88 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
     return replace(joint, mimic=mimic)
 
 
+def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+    """Narrow the ranges of joints to values at which the joints that mimic them are within their limits."""
+    ranges = {name: joint.range for name, joint in joints.items() if joint.mimic is None}
+    faults = []
+    for joint in joints.values():
+        mimic = joint.mimic
+        if mimic is None or mimic.multiplier == 0:
+            continue
+        low, high = ranges[mimic.joint]
+        least, most = sorted((end - mimic.offset) / mimic.multiplier for end in joint.range)
+        new = least if least > low + LEAST_CUT else low, most if most < high - LEAST_CUT else high
+        if new == (low, high):
+            continue
+        if new[0] >= new[1] or new[1] - new[0] < LEAST_LEFT * (high - low) < math.inf:
+            faults.append(
+                f"line {joint.line}: expected limits of {joint.name!r} that leave {mimic.joint!r}, which it mimics, a "
+                f"range, found that {least:zg} .. {most:zg} is left of {low:zg} .. {high:zg}"
+            )
+            continue
+        ranges[mimic.joint] = new
+    if faults:
+        more = f" ({len(faults) - 1} more like it)" if len(faults) > 1 else ""
+        warn(f"{path}, {faults[0]}; its limits are not used{more}")
+    return {name: replace(joint, soft=ranges.get(name, joint.soft)) for name, joint in joints.items()}
+
+
+def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:
+    """Warn, once, of limits and mimics that only extensions of other programs have."""
+    told = [*_controlled(root, joints), *_simulated(root, joints)]
+    if told:
+        why = "limits and mimics in extensions are ignored, unless the <joint> has them"
+        warn(f"{root.path}: {why}: {some(told, UNREAD)}")
+
+
+def _controlled(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
+    """List limits in <ros2_control> that are narrower than the joints' own, and mimics that joints do not have."""
+    listed = (child for control in root.children if control.tag == "ros2_control" for child in control.children)
+    for element in listed:
+        joint = joints.get(element.attributes.get("name", ""))
+        if element.tag != "joint" or joint is None or VALUES[joint.kind] != ("",):
+            continue
+        if "mimic" in _params(element) and joint.mimic is None:
+            yield f"mimic of {joint.name!r} in <ros2_control> (line {element.line})"
+        fastest = math.inf if math.isnan(joint.velocity) else joint.velocity
+        limits = {"position": joint.range, "velocity": (-fastest, fastest)}
+        for interface in (child for child in element.children if child.tag == "command_interface"):
+            kind, params = interface.attributes.get("name", ""), _params(interface)
+            if kind in limits and _is_narrower(params.get("min"), params.get("max"), *limits[kind]):
+                yield f"{kind} of {joint.name!r} in <ros2_control> (line {interface.line})"
+
+
+def _simulated(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
+    """List mimics of Gazebo's plugins that joints do not have."""
+    waiting = [child for child in root.children if child.tag == "gazebo"]
+    while waiting:
+        element = waiting.pop()
+        joint = joints.get("".join(element.texts).strip()) if element.tag == "mimicJoint" else None
+        if joint is not None and joint.mimic is None and VALUES[joint.kind] == ("",):
+            yield f"mimic of {joint.name!r} in <gazebo> (line {element.line})"
+        waiting.extend(element.children)
+
+
+def _params(element: Element) -> dict[str, str]:
+    """Return the texts of <param> elements by their names."""
+    params = (child for child in element.children if child.tag == "param")
+    return {param.attributes.get("name", ""): "".join(param.texts).strip() for param in params}
+
+
+def _is_narrower(least: str | None, most: str | None, lower: float, upper: float) -> bool:
+    """Return whether limits in a text leave less than other limits, and not by rounding."""
+    try:
+        low, high = float(least or "-inf"), float(most or "inf")
+    except ValueError:
+        return False
+    slack = ROUNDED * (upper - lower) if math.isfinite(upper - lower) else 0.0
+    return low > lower + slack or high < upper - slack
+
+
 def _doubt_angles(root: Element) -> None:
     """Warn, once for all origins, if their angles seem to be in degrees."""
     for owner in (*root.all("joint"), *(e for link in root.all("link") for e in link.all("collision"))):
-        origin = owner.first("origin")
+        origin = owner.one("origin")
         doubt = "" if origin is None else doubt_about_rpy(origin.finite("rpy", 3, "0 0 0"))
         if origin is not None and doubt:
             warn(f"{root.path}, line {origin.line}: expected {doubt}")
@@ -393,31 +596,42 @@ def _doubt_limits(path: Path, joints: dict[str, Joint]) -> None:
         warn(f"{path}, line {joint.line}: joint {joint.name!r}: expected {doubts[joint]}{more}")
 
 
-def _origin(element: Element) -> Floats:
-    """Read the pose of an <origin>: fixed-axis roll, pitch, yaw [rad], then translation [m]."""
+def _origin(element: Element, version: tuple[int, int]) -> Floats:
+    """Read the pose of an <origin>: fixed-axis roll, pitch, yaw [rad], or a quaternion, then translation [m]."""
     T = np.eye(4)
-    origin = element.first("origin")
+    origin = element.one("origin")
     if origin is None:
         return T
-    unknown = next((name for name in origin.attributes if name not in ("xyz", "rpy")), None)
+    known = ("xyz", "rpy") if version < WITH_QUATERNIONS else ("xyz", "rpy", "quat_xyzw")
+    unknown = next((name for name in origin.attributes if name not in known), None)
     if unknown is not None:
-        origin.fault("only xyz and rpy as attributes of <origin>", f"{unknown!r}; write a rotation as rpy")
+        advice = "write a rotation as rpy" + (', or version="1.1" in <robot>' if unknown == "quat_xyzw" else "")
+        expected = f"only {', '.join(known[:-1])} and {known[-1]} as attributes of <origin>"
+        origin.fault(expected, f"{unknown!r}; {advice}")
     T[:3, 3] = origin.finite("xyz", 3, "0 0 0")
     T[:3, :3] = from_rpy(*origin.finite("rpy", 3, "0 0 0"))
+    if "quat_xyzw" in origin.attributes:
+        if "rpy" in origin.attributes:
+            origin.fault("one rotation of an <origin>", "two, rpy and quat_xyzw")
+        x, y, z, w = origin.finite("quat_xyzw", 4)
+        length = math.hypot(x, y, z, w)
+        if abs(length - 1) > QUATERNION_TOLERANCE:
+            origin.fault("a unit quaternion as 'quat_xyzw' of <origin>", f"one of length {length:.4g}")
+        T[:3, :3] = from_quaternion((w, x, y, z), "quat_xyzw")
     return T
 
 
-def _shape(owner: Element) -> Shape:
+def _shape(owner: Element, version: tuple[int, int]) -> Shape:
     """Read the shape of a <collision> or <visual> element."""
     geometry = owner.the("geometry")
-    known = [c for c in geometry.children if c.tag == "mesh" or c.tag in SIZES]
-    if len(known) != 1 or len(geometry.children) != 1:
-        found = ", ".join(f"<{c.tag}>" for c in geometry.children) or "none"
-        geometry.fault(f"one shape among mesh, {', '.join(SIZES)} in <geometry>", found)
-    element = known[0]
-    origin = _origin(owner)
+    kinds = ("mesh", *SIZES)
+    found = [child for kind in kinds for child in geometry.all(kind)]
+    if len(found) != 1 or len(geometry.children) != 1:
+        tags = ", ".join(f"<{c.tag}>" for c in geometry.children) or "none"
+        geometry.fault(f"one shape among {', '.join(kinds)} in <geometry>", tags)
+    element, origin = found[0], _origin(owner, version)
     if element.tag == "mesh":
-        text = element.attributes.get("scale", "1 1 1")
+        text = element.get("scale") or "1 1 1"
         count = 1 if len(text.split()) == 1 else 3
         scale = np.broadcast_to(element.finite("scale", count, text), 3)
         if not scale.all():

@@ -1,21 +1,17 @@
-"""Read the XML elements of robot descriptions, with line numbers for error messages.
-
-The standard library's reader is used, since it records the line of every element. Elements that are not needed
-(materials, sensors and transmissions) are ignored, even if they are broken.
-"""
+"""Read the XML elements of robot descriptions, with line numbers for error messages."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import NoReturn
-from xml.parsers import expat
 
-from loewner import _validate
+from loewner import _validate, _xml
 from loewner._files import read_regular
+from loewner._plausible import warn
 from loewner.errors import FileError, InputError
 
 # Limits on a description, a hundred times the largest known robots: bytes of a file, number of elements, and depth of
@@ -31,8 +27,9 @@ LARGEST = 1e12
 # Advice for a text that is passed as a path.
 ITS_TEXT = {"a URDF": "; give it by text="}
 
-# Largest number of names that a message lists.
+# Largest number of names that a message lists, and of parts that are not read.
 LISTED = 30
+UNREAD = 8
 
 # Namespaces whose elements another program has to replace before a description is complete, and their usual prefixes,
 # which some files use without declaring them. The address of xacro's namespace has had several forms.
@@ -42,42 +39,38 @@ UNDECLARED = {"xacro": "xacro", "xi": "www.w3.org/2001/xinclude"}
 # Elements of xacro from the time before it had a prefix; as children of <robot>, they have no other meaning.
 WITHOUT_PREFIX = ("include", "macro", "property")
 
+# Elements that describe a robot, also where another program's extension has them.
+DESCRIBING = frozenset(("link", "joint", "collision", "mimic"))
 
-@dataclass(eq=False)
-class Element:
-    """An element, its contents, and its position."""
 
-    tag: str
-    attributes: dict[str, str]
-    line: int
-    path: Path
-    children: list[Element] = field(default_factory=list)
+class Element(_xml.Element):
+    """An element of a file at a path, with errors that name the file and the line."""
 
-    def all(self, tag: str) -> Iterator[Element]:
-        """Return the children with this tag."""
-        return (c for c in self.children if c.tag == tag)
+    __slots__ = ("path",)
 
-    def first(self, tag: str) -> Element | None:
-        """Return the first child with this tag, or None."""
-        return next(self.all(tag), None)
+    def __init__(self, path: Path, tag: str, attributes: dict[str, str], line: int, namespace: str) -> None:
+        super().__init__(tag, attributes, line, namespace)
+        self.path = path
 
-    def the(self, tag: str) -> Element:
-        """Return the first child with this tag, which must exist."""
-        found = self.first(tag)
-        if found is None:
-            self.fault(f"a <{tag}> in <{self.tag}>", "none")
-        return found
+    def has(self, tag: str) -> bool:
+        """Return whether there is a child with this tag, without marking it as read."""
+        return any(child.tag == tag for child in self.children)
+
+    def drop(self, *tags: str) -> None:
+        """Remove children that have no meaning in this place."""
+        self.children = [child for child in self.children if child.tag not in tags]
 
     def text(self, attribute: str) -> str:
         """Return an attribute, which must exist and not be empty."""
-        found = self.attributes.get(attribute, "").strip()
+        found = (self.get(attribute) or "").strip()
         if not found:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
         return found
 
     def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
         """Read an attribute that must contain a given count of numbers; infinity is allowed, NaN is not."""
-        text = self.attributes.get(attribute, default)
+        given = self.get(attribute)
+        text = default if given is None else given
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
         try:  # Python would accept "1_0" as ten, and digits of other scripts
@@ -108,78 +101,69 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text{ITS_TEXT.get(what, '; write it to a file first')}")
     path = _validate.path(path, "path", wanted=f"a path to {what}")
-    data = read_regular(path, what, MOST_BYTES) if text is None else _bytes_of(text, what)
-    # A text has already been decoded, whatever encoding its first line declares.
-    parser = expat.ParserCreate(None if text is None else "utf-8")
-    document = Element("", {}, 1, path)
-    open_elements = [document]
-    namespaces = [UNDECLARED]
-    macros: list[Element] = []
-    count = 0
+    data = read_regular(path, what, MOST_BYTES) if text is None else _checked_text(text, what)
 
-    def refuse(found: str) -> NoReturn:
-        raise FileError(f"{path}, line {parser.CurrentLineNumber}: expected {what}, found {found}")
+    def make(tag: str, attributes: dict[str, str], line: int, namespace: str) -> Element:
+        return Element(path, tag, attributes, line, namespace)
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal count
-        count += 1
-        if count > MOST_ELEMENTS or len(open_elements) > DEEPEST:
-            most = f"{MOST_ELEMENTS} elements" if count > MOST_ELEMENTS else f"{DEEPEST} elements inside each other"
-            refuse(f"more than {most}")
-        element = Element(tag, attributes, parser.CurrentLineNumber, path)
-        namespaces.append(_with_declared(namespaces[-1], attributes))
-        old = len(open_elements) == 2 and tag in WITHOUT_PREFIX
-        if old or _is_macro(tag, namespaces[-1]):
-            macros.append(element)
-        open_elements[-1].children.append(element)
-        open_elements.append(element)
-
-    def end(tag: str) -> None:
-        open_elements.pop()
-        namespaces.pop()
-
-    # Entities can expand to more text than memory holds, or to other files; no description needs to define any.
-    parser.EntityDeclHandler = lambda name, *rest: refuse(f"the declaration of an entity, {cut(name)}")
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
     try:
-        parser.Parse(data, True)
-    except FileError:
-        raise
-    except (expat.ExpatError, ValueError, LookupError, MemoryError) as error:  # an unknown or large encoding
-        line = getattr(error, "lineno", 1)
-        raise FileError(f"{path}, line {line}: expected {what}, found broken XML ({error})") from None
-    root = document.children[0]
+        root = _xml.parse(data, what, make, deepest=DEEPEST, most=MOST_ELEMENTS, texts=True)
+    except _xml.XmlError as error:
+        raise FileError(f"{path}, line {error.line}: {error}") from None
     if root.tag != "robot":
         root.fault(f"{what} with the root element <robot>", f"<{root.tag}>", FileError)
-    if macros:
-        macros[0].fault(f"{what}", f"the macro <{macros[0].tag}>; run xacro on the file first", FileError)
+    _refuse_macros(root, what)
     return root
 
 
-def _with_declared(namespaces: dict[str, str], attributes: dict[str, str]) -> dict[str, str]:
-    """Add the namespaces that an element declares to a dict by prefix; the default namespace has the prefix ""."""
-    if not any(name.startswith("xmlns") for name in attributes):
-        return namespaces
-    declared = {name[6:]: value for name, value in attributes.items() if name == "xmlns" or name.startswith("xmlns:")}
-    return namespaces | declared
+def settle(root: Element, what: str, harmless: Mapping[str, AbstractSet[str]]) -> None:
+    """Warn, once, of all parts of a file that its reader has not read, unless they are harmless.
+
+    Parameters
+    ----------
+    root : Element
+    what : str
+        The format, for the message.
+    harmless : mapping of str to set of str
+        See `_xml.Element.unread`.
+    """
+    lines: dict[str, list[int]] = {}
+    for element, name in root.unread(harmless, DESCRIBING):
+        lines.setdefault(name, []).append(element.line)
+    if lines:
+        places = ("" if len(at) == 1 else f", and {len(at) - 1} more times" for at in lines.values())
+        named = (f"{name} (line {at[0]}{more})" for (name, at), more in zip(lines.items(), places, strict=True))
+        why = f"since {what} does not define them, or gives them no meaning there"
+        warn(f"{root.path}: some parts are ignored, {why}: {some(named, UNREAD)}")
 
 
-def _is_macro(tag: str, namespaces: dict[str, str]) -> bool:
+def _refuse_macros(root: Element, what: str) -> None:
+    """Raise a FileError for the first element that another program has to replace."""
+    old = {id(child) for child in root.children if child.tag in WITHOUT_PREFIX}
+    waiting = [root]
+    while waiting:
+        element = waiting.pop()
+        if id(element) in old or _is_macro(element):
+            element.fault(f"{what}", f"the macro <{element.tag}>; run xacro on the file first", FileError)
+        waiting.extend(reversed(element.children))
+
+
+def _is_macro(element: Element) -> bool:
     """Return whether xacro or XInclude would replace an element; the prefix xacro always means xacro."""
-    prefix = tag.rpartition(":")[0]
-    return prefix == "xacro" or any(part in namespaces.get(prefix, "").lower() for part in TO_EXPAND)
+    prefix = element.tag.rpartition(":")[0]
+    namespace = element.namespace or UNDECLARED.get(prefix, "")
+    return prefix == "xacro" or any(part in namespace.lower() for part in TO_EXPAND)
 
 
-def _bytes_of(text: str, what: str) -> bytes:
-    """Encode a string as it would be in a file."""
+def _checked_text(text: str, what: str) -> str:
+    """Refuse a string that could not be in a file."""
     try:
-        data = text.encode()
+        size = len(text.encode())
     except UnicodeEncodeError:
         raise InputError(f"text: expected the text of {what}, found a character that no file can have") from None
-    if len(data) > MOST_BYTES:
-        raise InputError(f"text: expected {what} of at most {MOST_BYTES} bytes, found {len(data)}")
-    return data
+    if size > MOST_BYTES:
+        raise InputError(f"text: expected {what} of at most {MOST_BYTES} bytes, found {size}")
+    return text
 
 
 def by_name(elements: Iterable[Element]) -> dict[str, Element]:
@@ -199,11 +183,11 @@ def known(names: Iterable[str]) -> str:
     return f"known are {listed}" if listed else "there are none"
 
 
-def some(names: Iterable[str]) -> str:
+def some(names: Iterable[str], most: int = LISTED) -> str:
     """Format names for messages, without repeats and limited to a readable number."""
     once = list(dict.fromkeys(names))
-    more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
-    return ", ".join(once[:LISTED]) + more
+    more = f", and {len(once) - most} more" if len(once) > most else ""
+    return ", ".join(once[:most]) + more
 
 
 def cut(text: str) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from loewner import _archives, _tables, _validate
 from loewner._files import read_regular
 from loewner._nodes import Node
+from loewner._plausible import doubt_about_unit, warn
 from loewner.bodies import Body
 from loewner.errors import FileError
 
@@ -101,4 +103,18 @@ def read_array(path: Path) -> Any:
     data = read_regular(path, "numbers in .npy, .xyz, .txt or .csv", MOST_BYTES)
     if suffix == ".npy":
         return _archives.numbers(data, str(path), "an array of numbers")
-    return _tables.table(data, str(path), commas=suffix == ".csv")
+    found = _tables.table(data, str(path), commas=suffix == ".csv")
+    for doubt in _doubts("\n".join(_tables.COMMENT.findall(data.decode("ascii")))):
+        warn(f"{path}: expected {doubt}")
+    return found
+
+
+def _doubts(comments: str) -> Iterator[str]:
+    """Yield why numbers may be in another unit or order, by the comments of their file, which are not read."""
+    if doubt := doubt_about_unit(comments):
+        yield doubt
+    for line in comments.splitlines():
+        names = re.split(r"[\s,;]+", line.strip("# \t").lower())[:3]
+        if sorted(names) == ["x", "y", "z"] != names:
+            yield f"columns x, y and z, found {line!r} in a comment, which is not read"
+            return

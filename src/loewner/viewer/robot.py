@@ -695,8 +695,8 @@ def _identity_or(T: Floats | None) -> Floats:
 def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
     """Return the ends of the sliders: the limits of the joints, or a default range for joints without limits."""
     far = np.array([TRAVEL if name.endswith(("/x", "/y", "/z")) else TURN for name in robot.configuration_names])
-    low = np.where(np.isfinite(robot.lower), robot.lower, -far)
-    high = np.where(np.isfinite(robot.upper), robot.upper, far)
+    low = np.where(np.isfinite(robot.hard_lower), robot.hard_lower, -far)
+    high = np.where(np.isfinite(robot.hard_upper), robot.hard_upper, far)
     # viser refuses a slider without length: a joint whose limits are equal.
     return low.tolist(), np.maximum(high, low + 1e-6).tolist()
 
