@@ -6,7 +6,9 @@ parts where that is right are listed.
 """
 
 import copy
+import json
 import re
+import shutil
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
@@ -16,7 +18,7 @@ from typing import NamedTuple
 
 import pytest
 
-from loewner import LoewnerError
+from loewner import LoewnerError, Robot, load_scene, planners, read_motion_bench_maker
 from loewner.robots.srdf import read_srdf
 from loewner.robots.urdf import read_urdf as description
 
@@ -35,13 +37,16 @@ class Format(NamedTuple):
         Parts whose contents may change without a word: paths, each of which stands for all that begin with it.
     repeated : tuple of str
         Parts that may occur several times.
+    named : tuple of str
+        Parts whose names are the user's.
     """
 
     sample: str
     read: Callable[[Path], object]
     mutants: Callable[[str], Iterator[tuple[str, str, str]]]
     harmless: tuple[str, ...]
-    repeated: tuple[str, ...]
+    repeated: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
 
 
 def without_a_word(form: Format, path: Path) -> set[tuple[str, str]]:
@@ -116,6 +121,49 @@ def _double(above: ElementTree.Element, element: ElementTree.Element) -> None:
     above.insert(list(above).index(element) + 1, twin)
 
 
+# -- JSON, and YAML, which contains it ----------------------------------------------------------------
+
+
+class Pairs(list):
+    """A mapping as a list of keys and values, in which a key may occur twice."""
+
+
+def json_mutants(sample: str) -> Iterator[tuple[str, str, str]]:
+    """Rename each key, double it with another value, and add a key that no format has to each mapping."""
+    places = [part for part, _, _ in _entries(json.loads(sample, object_pairs_hook=Pairs))]
+    for number, part in enumerate(places):
+        for what in ("renamed", "doubled", "joined"):
+            root = json.loads(sample, object_pairs_hook=Pairs)
+            _, holder, at = _entries(root)[number]
+            key, value = holder[at]
+            if what == "renamed":
+                holder[at] = (key + "x", value)
+            elif what == "doubled":
+                holder.insert(at, (key, 7))
+            else:
+                holder.append(("stranger", 7))
+            yield what, f"{part.rpartition('/')[0]}/stranger".lstrip("/") if what == "joined" else part, _text(root)
+
+
+def _entries(tree: object, path: str = "") -> list[tuple[str, Pairs, int]]:
+    """Each key of a tree: its path, without places in lists, the mapping, and the place in the mapping."""
+    found = []
+    if isinstance(tree, Pairs):
+        for at, (key, value) in enumerate(tree):
+            part = f"{path}/{key}".lstrip("/")
+            found += [(part, tree, at), *_entries(value, part)]
+    elif isinstance(tree, list):
+        for value in tree:
+            found += _entries(value, path)
+    return found
+
+
+def _text(tree: object) -> str:
+    if isinstance(tree, Pairs):
+        return "{" + ", ".join(f"{json.dumps(key)}: {_text(value)}" for key, value in tree) + "}"
+    return "[" + ", ".join(map(_text, tree)) + "]" if isinstance(tree, list) else json.dumps(tree)
+
+
 # -- robots ---------------------------------------------------------------------------------------
 
 URDF = """<robot name="r" version="1.2">
@@ -150,7 +198,185 @@ SRDF = """<robot name="r"><group name="arm"><joint name="j"/></group><group name
 
 ROBOT = description("URDF text", URDF)
 
-FORMATS = {
+# -- messages -------------------------------------------------------------------------------------
+
+CART = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
+<joint name="base" type="planar"><parent link="a"/><child link="b"/></joint>
+<joint name="j" type="prismatic"><parent link="b"/><child link="c"/><limit lower="-1" upper="1" velocity="1"/></joint>
+</robot>"""
+STAMP = {"frame_id": "", "stamp": {"sec": 5, "nanosec": 0}}
+UNMOVED = {"translation": {"x": 0.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+TWIST = {"linear": {"x": 0.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+JOINTS = {
+    "header": STAMP,
+    "joint_names": ["j"],
+    "points": [
+        {
+            "positions": [0.5 * t],
+            "velocities": [0.1],
+            "accelerations": [0.2],
+            "effort": [1.0],
+            "time_from_start": {"sec": t, "nanosec": 500},
+        }
+        for t in range(2)
+    ],
+}
+BASE = {
+    "header": STAMP,
+    "joint_names": ["base"],
+    "points": [
+        {
+            "transforms": [UNMOVED],
+            "velocities": [TWIST],
+            "accelerations": [TWIST],
+            "time_from_start": {"sec": t, "nanosec": 500},
+        }
+        for t in range(2)
+    ],
+}
+BOTH = {"joint_trajectory": JOINTS, "multi_dof_joint_trajectory": BASE}
+STATE = {
+    "joint_state": {"header": STAMP, "name": ["j"], "position": [0.0], "velocity": [0.0], "effort": [0.0]},
+    "multi_dof_joint_state": {
+        "header": STAMP,
+        "joint_names": ["base"],
+        "transforms": [UNMOVED],
+        "twist": [TWIST],
+        "wrench": [],
+    },
+    "attached_collision_objects": [],
+    "is_diff": False,
+}
+DISPLAY = {"model_id": "r", "trajectory_start": STATE, "trajectory": [BOTH]}
+GOAL = {
+    "goal_id": {"uuid": [1]},
+    "goal": {
+        "trajectory": JOINTS,
+        "multi_dof_trajectory": BASE,
+        "path_tolerance": [{"name": "j", "position": 0.0, "velocity": 0.0, "acceleration": 0.0}],
+        "component_path_tolerance": [],
+        "goal_tolerance": [],
+        "component_goal_tolerance": [],
+        "goal_time_tolerance": {"sec": 1, "nanosec": 0},
+    },
+}
+SCENE_STATE = {
+    "name": "s",
+    "robot_state": STATE,
+    "robot_model_name": "r",
+    "fixed_frame_transforms": [],
+    "allowed_collision_matrix": {"entry_names": []},
+    "link_padding": [],
+    "link_scale": [],
+    "object_colors": [],
+    "world": {"collision_objects": [], "octomap": {"octomap": {"resolution": 0.0, "data": []}}},
+    "is_diff": False,
+}
+SOLUTION = {
+    "task_id": "t",
+    "start_scene": SCENE_STATE,
+    "sub_solution": [{"info": {"id": 1}}],
+    "sub_trajectory": [{"info": {"id": 1}, "execution_info": {}, "trajectory": BOTH, "scene_diff": SCENE_STATE}],
+}
+LIMITS = {
+    "default_velocity_scaling_factor": 0.5,
+    "default_acceleration_scaling_factor": 0.5,
+    "joint_limits": {
+        "j": {
+            **{f"has_{kind}_limits": True for kind in ("velocity", "acceleration", "deceleration", "jerk", "position")},
+            **{f"max_{kind}": 1.0 for kind in ("velocity", "acceleration", "deceleration", "jerk", "position")},
+            "min_position": -0.5,
+            "has_soft_limits": True,
+            "soft_lower_limit": -0.2,
+            "soft_upper_limit": 0.2,
+            "has_effort_limits": True,
+            "max_effort": 3.0,
+            "k_position": 1.0,
+            "k_velocity": 1.0,
+            "angle_wraparound": False,
+        }
+    },
+}
+PLACE = {
+    "name": "b",
+    "position": [0.0, 0.0, 0.0],
+    "orientation_quat_xyzw": [0.0, 0.0, 0.6, 0.8],
+    "orientation_euler_xyz": [0.0, 0.0, 1.287],
+}
+PROBLEMS = {
+    "robot": "r",
+    "joints": ["j"],
+    "problems": {
+        "g": [
+            {
+                "index": 1,
+                "problem": "g",
+                "start": [0.0],
+                "goals": [[1.0]],
+                "valid": True,
+                "box": [{**PLACE, "half_extents": [1.0, 1.0, 1.0]}],
+                "sphere": [{**PLACE, "name": "s", "radius": 1.0}],
+                "cylinder": [{**PLACE, "name": "c", "radius": 1.0, "length": 1.0}],
+            }
+        ]
+    },
+}
+SCENE = {
+    "margin": 0.01,
+    "bodies": {
+        "t": {"box": [1.0, 1.0, 1.0], "position": [1.0, 0.0, 0.0], "rpy": [0.0, 0.0, 0.1], "margin": 0.02},
+        "c": {"cylinder": {"radius": 0.1, "length": 0.2}, "quaternion_wxyz": [0.8, 0.0, 0.0, 0.6]},
+        "h": {"sphere": {"radius": 0.1}, "attach": {"link": "l", "touch": ["m"], "leave": ["t"], "reach": ["c"]}},
+        "f": {"sphere": {"radius": 0.1}, "follow": {"poses": [{"time": 0.0}, {"time": 1.0}], "repeat": False}},
+        "u": {"half_space": {"normal": [0.0, 0.0, 1.0], "offset": -9.0, "extent": 5.0}},
+    },
+    "allow": [["t", "c"]],
+    "margins": [["t", "c", 0.05], {"of": ["t"], "margin": 0.1, "against": "links", "lower": True}],
+}
+
+
+def as_named(name: str, read: Callable[[Path], object]) -> Callable[[Path], object]:
+    """Read a copy of a file whose name has another ending."""
+    return lambda path: read(Path(shutil.copy(path, path.with_name(name))))
+
+
+def points(path: Path) -> object:
+    return planners.ControllerPoints.load_all(path, robot=Robot.from_urdf(text=CART))
+
+
+def limits(path: Path) -> object:
+    return planners.JointLimits.load(path, Robot.from_urdf(text=CART))
+
+
+def of_messages(sample: object, *harmless: str) -> dict[str, Format]:
+    """Formats of a message in JSON and in YAML."""
+    return {
+        ending: Format(json.dumps(sample), as_named(f"m.{ending}", points), json_mutants, harmless)
+        for ending in ("json", "yaml")
+    }
+
+
+HEADERS = r"(.*/)?header"
+MESSAGES = {
+    f"{name}, {ending}": form
+    for name, sample, harmless in (
+        ("DisplayTrajectory", DISPLAY, (HEADERS,)),
+        ("a goal", GOAL, (HEADERS, "goal_id", "goal/goal_time_tolerance")),
+        ("Solution", SOLUTION, (HEADERS, "sub_solution", "sub_trajectory/(execution_)?info",
+                                "(start_scene|sub_trajectory/scene_diff)/allowed_collision_matrix")),
+    )
+    for ending, form in of_messages(sample, *harmless).items()
+}  # fmt: skip
+
+FORMATS = MESSAGES | {
+    "joint_limits.yaml": Format(json.dumps(LIMITS), as_named("l.yaml", limits), json_mutants, ()),
+    "MotionBenchMaker": Format(
+        json.dumps(PROBLEMS), read_motion_bench_maker, json_mutants, (), named=("problems/g",)
+    ),
+    "scene": Format(
+        json.dumps(SCENE), as_named("s.yaml", load_scene), json_mutants, (),
+        named=("bodies/h", "bodies/f", "bodies/u"),
+    ),
     "URDF": Format(
         URDF, description, xml_mutants,
         ("material", "transmission", "sensor", "gazebo", "ros2_control", "link/inertial", "link/visual",
@@ -170,8 +396,10 @@ FORMATS = {
 def test_no_part_of_a_file_is_dropped_without_a_word(form, tmp_path):
     """Only what is listed may be renamed, doubled or joined by a stranger: the list is complete, and no longer."""
     quiet = without_a_word(form, tmp_path / "file")
-    harmless = {(what, part) for what, part in quiet if re.match(rf"({'|'.join(form.harmless)})\b", part)}
+    harmless = {(what, part) for what, part in quiet if any(re.match(rf"{name}\b", part) for name in form.harmless)}
     repeated = {(what, part) for what, part in quiet if what == "doubled" and part in form.repeated}
-    assert quiet - harmless - repeated == set()
+    named = {(what, part) for what, part in quiet if what == "renamed" and part in form.named}
+    assert quiet - harmless - repeated - named == set()
     assert {part for _, part in repeated} == set(form.repeated)
-    assert {name for name in form.harmless for _, part in harmless if part.startswith(name)} == set(form.harmless)
+    assert {part for _, part in named} == set(form.named)
+    assert all(any(re.match(rf"{name}\b", part) for _, part in harmless) for name in form.harmless)

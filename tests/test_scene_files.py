@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 import threading
+import warnings
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ import loewner
 from families import translation
 from loewner import Body, FileError, GeometryError, Scene, load_scene, read_motion_bench_maker, save_scene
 from loewner.scene_files import yaml_scenes
+from loewner.scene_files.sensor_shapes import read_array
 
 EVERYTHING = """\
 margin: 0.01
@@ -640,3 +642,24 @@ def test_whole_data_set(tmp_path):
     for problem in found[::100]:
         save_scene(problem.scene, tmp_path / "scene.yaml")
         same_scenes(load_scene(tmp_path / "scene.yaml"), problem.scene)
+
+
+@pytest.mark.parametrize(
+    ("comment", "message"),
+    [
+        ("# units: mm", "lengths in metres, found 'units: mm' in a comment"),
+        ("# z,y,x", "columns x, y and z, found '# z,y,x' in a comment"),
+        ("#Y X Z intensity", "columns x, y and z, found '#Y X Z intensity' in a comment"),
+        ("# x y z", None),
+        ("# units: m, from the scanner", None),
+        ("# x, z", None),
+    ],
+)
+def test_comments_above_a_cloud(comment, message, tmp_path):
+    """Another unit, and columns in another order, are told; the numbers stay what they are."""
+    (tmp_path / "cloud.xyz").write_text(f"{comment}\n1 2 3\n4 5 6\n")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert read_array(tmp_path / "cloud.xyz").tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert len(told) == (message is not None)
+    assert all(message in str(one.message) and "cloud.xyz" in str(one.message) for one in told)

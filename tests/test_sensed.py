@@ -415,6 +415,16 @@ def test_octrees_of_known_cells(tmp_path: Path) -> None:
     np.testing.assert_allclose([piece.vertices.min(axis=0), piece.vertices.max(axis=0)], [[0.1] * 3, [0.2] * 3])
 
 
+@pytest.mark.parametrize(("data", "count"), [(b"\x0a\x00", 3), (b"\x0a\x0a", 5), (b"\x20\x0a", 4), (b"\x09\x0a", 5)])
+def test_octrees_whose_first_bytes_are_white_space(data: bytes, count: int, tmp_path: Path) -> None:
+    """The data begins behind the first line feed, and two bits of a leaf that are 10 make it occupied."""
+    for end in (b"data\n", b"data\r\n", b"data \n"):
+        (tmp_path / "map.bt").write_bytes(OCTREE.replace(b"data\n", end) % count + data)
+        word = int.from_bytes(data, "little")
+        occupied = sum(word >> 2 * child & 3 == 2 for child in range(8))
+        assert len(Body.from_octree(tmp_path / "map.bt").pieces) == occupied
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [

@@ -137,9 +137,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
 
 def _used_and_finite(vertices: Floats, triangles: Triangles, name: str) -> tuple[Floats, Triangles]:
     """Leave out vertices without triangles that are not finite, as scanners write them where they saw nothing."""
-    finite = np.logical_and.reduce(np.isfinite(vertices), axis=1)
-    if finite.all():
+    if np.isfinite(vertices).all():
         return vertices, triangles
+    finite = np.logical_and.reduce(np.isfinite(vertices), axis=1)
     if not finite[triangles].all():
         bad = int(triangles[~finite[triangles]].min())
         raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
