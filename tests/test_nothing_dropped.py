@@ -360,9 +360,9 @@ HEADERS = r"(.*/)?header"
 MESSAGES = {
     f"{name}, {ending}": form
     for name, sample, harmless in (
-        ("DisplayTrajectory", DISPLAY, (HEADERS,)),
+        ("DisplayTrajectory", DISPLAY, (HEADERS, r".*/multi_dof_joint_state/twist")),
         ("a goal", GOAL, (HEADERS, "goal_id", "goal/goal_time_tolerance")),
-        ("Solution", SOLUTION, (HEADERS, "sub_solution", "sub_trajectory/(execution_)?info",
+        ("Solution", SOLUTION, (HEADERS, r".*/multi_dof_joint_state/twist", "sub_solution", "sub_trajectory/(execution_)?info",
                                 "(start_scene|sub_trajectory/scene_diff)/allowed_collision_matrix")),
     )
     for ending, form in of_messages(sample, *harmless).items()
@@ -375,7 +375,7 @@ FORMATS = MESSAGES | {
     ),
     "scene": Format(
         json.dumps(SCENE), as_named("s.yaml", load_scene), json_mutants, (),
-        named=("bodies/h", "bodies/f", "bodies/u"),
+        named=("bodies/t", "bodies/c", "bodies/h", "bodies/f", "bodies/u"),
     ),
     "URDF": Format(
         URDF, description, xml_mutants,

@@ -120,6 +120,7 @@ PLACED_POINT = ("transforms", "velocities", "accelerations", "time_from_start")
 JOINT_STATE = ("header", "name", "position", "velocity", "effort")
 PLACED_STATE = ("header", "joint_names", "transforms", "twist", "wrench")
 CARRIED = ("link_name", "object", "touch_links", "detach_posture", "weight")
+TREE = ("header", "origin", "octomap", "binary", "id", "resolution", "data")
 TOLERANCE = ("name", "component", "position", "velocity", "acceleration")
 
 # Seconds and their fractions in a duration, in ROS 2 and ROS 1. A number that is larger than a day in seconds is
@@ -355,7 +356,7 @@ def _placed_motion(node: Node) -> Motion | None:
     rows = []
     for point in points:
         for kind in ("velocities", "accelerations"):
-            if kind in point and not point[kind].empty and any(map(_moves, point[kind].items())):
+            if kind in point and not point[kind].empty and any([_moves(each) for each in point[kind].items()]):
                 raise point[kind].error(f"expected transforms alone, between which a base moves straight, found {kind}")
         rows.append([x for each in point["transforms"].items(len(names)) for x in _transform(each)])
     transforms = np.array(rows).reshape(len(points), len(names), 7)
@@ -423,8 +424,8 @@ def _around(keys: dict[str, Node]) -> Iterator[str]:
     for entry in _list(keys, "collision_objects"):
         held = entry.mapping(None)
         yield held["id"].text() if "id" in held and not held["id"].empty else "a body without a name"
-    tree = keys["octomap"].mapping(None) if "octomap" in keys and not keys["octomap"].empty else {}
-    inner = tree["octomap"].mapping(None) if "octomap" in tree and not tree["octomap"].empty else tree
+    tree = keys["octomap"].mapping(TREE) if "octomap" in keys and not keys["octomap"].empty else {}
+    inner = tree["octomap"].mapping(TREE) if "octomap" in tree and not tree["octomap"].empty else tree
     if "data" in inner and not inner["data"].empty:
         yield "an octree"
 
@@ -482,10 +483,9 @@ def _transform(node: Node) -> list[float]:
 
 
 def _moves(node: Node) -> bool:
-    """Return whether a twist has a number other than 0."""
-    if node.kind == "scalar":
-        return not node.empty and node.number() != 0
-    return any(map(_moves, node.mapping(None).values() if node.kind == "mapping" else node.items()))
+    """Return whether a geometry_msgs/Twist has a number other than 0."""
+    parts = [part.mapping(("x", "y", "z")) for part in node.mapping(("linear", "angular")).values()]
+    return any([number.number() != 0 for part in parts for number in part.values()])
 
 
 def _list(keys: dict[str, Node], key: str) -> list[Node]:
