@@ -11,7 +11,7 @@ from xml.parsers import expat
 
 E = TypeVar("E", bound="Element")
 
-# Python's expat decodes no encoding that has characters of several bytes, except Unicode's. The names belong to Python's
+# Python's expat decodes no encoding that has characters of several bytes, except Unicode's. These are names of Python's
 # codecs; other codecs can do more than decode, and stay with expat.
 _MULTIBYTE = frozenset(
     ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
@@ -20,7 +20,7 @@ _DECLARED = re.compile(rb"""<\?xml\s[^>]*?\sencoding\s*=\s*["']([A-Za-z][A-Za-z0
 
 
 class XmlError(ValueError):
-    """A file is no XML, or has something that its reader excludes; the message states the expected and the found content.
+    """A file is no XML, or has something that its reader excludes; the message has the expected and found content.
 
     Attributes
     ----------

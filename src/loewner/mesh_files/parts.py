@@ -142,8 +142,8 @@ def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callabl
     vertices : ndarray, shape (v, 3)
     corners, sizes : ndarray of int
         The corners of all polygons, concatenated, and the number of corners of each.
-    tell, place : callable
-        The second one returns the place of a polygon in the file from its number.
+    place : callable
+        Returns the place of a polygon in the file from its number.
     """
     triangles = fans(corners, sizes)
     if sizes.max(initial=3) == 3:
