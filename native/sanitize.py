@@ -92,7 +92,8 @@ def runtime() -> str:
 def environment(to: Path) -> dict[str, str]:
     """Variables for an interpreter that uses the copy, and whose objects the sanitizer sees one by one."""
     # Python and NumPy keep what they hold until the end. Tests ask for more memory than there is.
-    options = f"halt_on_error=1:detect_leaks=0:allocator_may_return_null=1:log_path={to / 'report'}"
+    report = f"'{to / 'report'}'"  # quoted, as blanks divide options
+    options = f"halt_on_error=1:detect_leaks=0:allocator_may_return_null=1:log_path={report}"
     return os.environ | {
         "LD_PRELOAD": runtime(),
         "ASAN_OPTIONS": options,

@@ -839,6 +839,7 @@ def test_missing_packages(monkeypatch, tmp_path):
     """Without CoACD the message names the extra; reading a file, and a convex mesh, needs neither it nor trimesh."""
     for suffix in ("stl", "dae", "glb"):
         trimesh.creation.box((1, 1, 1)).export(tmp_path / f"part.{suffix}")
+    (tmp_path / "part.dae").write_text((tmp_path / "part.dae").read_text().replace("Y_UP", "Z_UP"))
     monkeypatch.setitem(sys.modules, "coacd", None)
     with pytest.raises(MissingExtraError, match=r'coacd.*pip install "loewner\[meshes\]"'):
         meshes.convex_pieces(l_shape())

@@ -1,4 +1,4 @@
-"""XML as a tree of elements that record what their reader asks for, so that a reader can tell what it does not read."""
+"""XML as a tree of elements that record which parts were requested, so that a reader can list the unread parts."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from xml.parsers import expat
 
 E = TypeVar("E", bound="Element")
 
-# Python's expat decodes no encoding that has characters of several bytes, except those of Unicode. The names are those
-# of Python's codecs; other codecs can do more than decode, and stay with expat.
+# Python's expat decodes no encoding that has characters of several bytes, except Unicode's. These are names of Python's
+# codecs; other codecs can do more than decode, and stay with expat.
 _MULTIBYTE = frozenset(
     ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
 )
@@ -20,7 +20,7 @@ _DECLARED = re.compile(rb"""<\?xml\s[^>]*?\sencoding\s*=\s*["']([A-Za-z][A-Za-z0
 
 
 class XmlError(ValueError):
-    """A file is no XML, or has something that its reader excludes; the message states what was expected and found.
+    """A file is no XML, or has something that its reader excludes; the message has the expected and found content.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class XmlError(ValueError):
 
 
 class Element:
-    """An element; its methods record which children and attributes have been asked for.
+    """An element; its methods record which children and attributes were requested.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Element:
     def unread(
         self, harmless: Mapping[str, AbstractSet[str]], telling: AbstractSet[str] = frozenset()
     ) -> Iterator[tuple[Self, str]]:
-        """Yield the elements, and the attributes, in this one that nobody asked for, in the order of the file.
+        """Yield the elements, and the attributes, in this one that were never requested, in the order of the file.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ def parse(
     Parameters
     ----------
     data : bytes or str
-        A string has already been decoded, whatever encoding its first line declares.
+        A string has already been decoded; the encoding that its first line declares has no effect.
     what : str
         The expected kind of file, for messages, with its article.
     make : callable

@@ -29,7 +29,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
 
     A file that states its unit of length is converted to metres; all other files are assumed to be in metres. Vertices
     may be infinite or NaN if the file contains such values; all indices belong to existing vertices. Each kind of doubt
-    about what was read causes one warning, which names its first place.
+    about the content causes one warning, which names its first place.
 
     Raises
     ------

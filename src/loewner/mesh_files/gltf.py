@@ -43,7 +43,7 @@ _HARMLESS = (
     "CESIUM_primitive_outline",  # edges that a program draws
 )
 
-# Keys of objects on the way, beside those of all objects: those that are read; in the second text, the harmless ones.
+# Keys of each kind of object on the way: first the keys that are read, then the harmless ones.
 _EVERYWHERE = frozenset(["extensions", "extras", "name"])
 _KEYS = {
     kind: _EVERYWHERE.union(read.split(), harmless.split())
@@ -65,7 +65,7 @@ _KEYS = {
         ("sparse", "count indices values", ""),
         ("sparse indices", "bufferView byteOffset componentType", ""),
         ("sparse values", "bufferView byteOffset", ""),
-        # The target tells a graphics card whether a view has vertices or indices.
+        # The target is a hint for graphics cards: vertices or indices.
         ("bufferViews", "buffer byteLength byteOffset byteStride", "target"),
         ("buffers", "byteLength uri", ""),
     )

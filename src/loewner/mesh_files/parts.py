@@ -23,7 +23,7 @@ MOST = 50_000_000
 # Limit on the corners of a polygon that has to be cut by ears, which takes the square of their number.
 MOST_CORNERS = 10_000
 
-# Polygons that are looked at together are this many corners; more take more memory and no less time.
+# Corners of the polygons that are examined at a time; more take more memory and no less time.
 _TOGETHER = 1 << 17
 
 # Fans about this many corners are tried before ears.
@@ -35,7 +35,7 @@ _ROUNDING = 1e-12
 # Distance of a corner from a line that it may lie on, relative to its coordinates: files have seven digits, or fewer.
 _NOISE = 1e-6
 
-# Calls of readers to report what is read although it is doubtful: a text, and the place.
+# Readers report doubtful content by such calls, with a text and the place.
 Tell = Callable[[str, str], None]
 
 _NO_PLANE = (
@@ -142,7 +142,6 @@ def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callabl
     vertices : ndarray, shape (v, 3)
     corners, sizes : ndarray of int
         The corners of all polygons, concatenated, and the number of corners of each.
-    tell : callable
     place : callable
         Returns the place of a polygon in the file from its number.
     """
@@ -212,7 +211,7 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
 
 
 def _in_plane(P: Floats) -> Floats:
-    """Drop a coordinate of polygons that begin at the origin; what remains, shape (polygons, n, 2), turns to the left.
+    """Drop a coordinate of polygons that begin at the origin; the result, shape (polygons, n, 2), turns to the left.
 
     Straight edges stay exactly straight, unlike in a projection along the normal.
     """
@@ -250,7 +249,7 @@ def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
     def obstacle(a: int, b: int, c: int) -> int | None:
         """Return a corner in a triangle; one in the place of a, b or c counts if an edge leads inside from there."""
         near = inward
-        if len(near) > 50:  # else a look at each takes less time than a look at all of them
+        if len(near) > 50:  # a test of each takes less time if they are fewer
             px, py, xs, ys = x[inward], y[inward], (X[a], X[b], X[c]), (Y[a], Y[b], Y[c])
             near = inward[(min(xs) <= px) & (px <= max(xs)) & (min(ys) <= py) & (py <= max(ys))]
         for v in near.tolist():

@@ -21,7 +21,7 @@ from loewner.mesh_files.parts import (
 HEADER, FACET = 84, 50  # bytes
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
-# Lines of a facet in text: the beginning of each, and the number of words that follow. Those of a normal may be any:
+# Lines of a facet in text: the beginning of each, and the number of words that follow. A normal may be any three words:
 # for a triangle without area, C libraries write NaN in many ways.
 _VERTEX = (b"vertex",)
 _LINES = (

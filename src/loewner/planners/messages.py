@@ -356,7 +356,7 @@ def _placed_motion(node: Node) -> Motion | None:
     rows = []
     for point in points:
         for kind in ("velocities", "accelerations"):
-            if kind in point and not point[kind].empty and any([_moves(each) for each in point[kind].items()]):
+            if kind in point and not point[kind].empty and True in [_moves(each) for each in point[kind].items()]:
                 raise point[kind].error(f"expected transforms alone, between which a base moves straight, found {kind}")
         rows.append([x for each in point["transforms"].items(len(names)) for x in _transform(each)])
     transforms = np.array(rows).reshape(len(points), len(names), 7)
@@ -485,7 +485,7 @@ def _transform(node: Node) -> list[float]:
 def _moves(node: Node) -> bool:
     """Return whether a geometry_msgs/Twist has a number other than 0."""
     parts = [part.mapping(("x", "y", "z")) for part in node.mapping(("linear", "angular")).values()]
-    return any([number.number() != 0 for part in parts for number in part.values()])
+    return True in [number.number() != 0 for part in parts for number in part.values()]
 
 
 def _list(keys: dict[str, Node], key: str) -> list[Node]:
