@@ -16,7 +16,7 @@ from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
 from loewner.errors import FileError, InputError, LoewnerError
-from loewner.planners.controller_points import TIMES
+from loewner.planners.controller_points import TIMES, executed
 from loewner.robots import curves
 
 # Width of the picture along time, in characters.
@@ -197,7 +197,7 @@ def _carry(
     """Let links carry bodies from the beginning of a part, each from its present pose."""
     if not carrying:
         return
-    touching = part._touching if isinstance(part, planners.ControllerPoints) else {}
+    touching = part.origin.touching if isinstance(part, planners.ControllerPoints) else {}
     links = robot.forward_kinematics(_end(robot, part, 0))
     for body, link in carrying.items():
         if body in scene.attachments or body in scene.following:
@@ -251,12 +251,7 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
     if any(one is None for one in held[:used]):
         wanted = ("velocities", "accelerations")[_derivatives(points)]
         raise InputError(f"--controller {controller}: expected points with {wanted}, found none in the file")
-    kept = [one if k < used else None for k, one in enumerate(held)]
-    made = planners.ControllerPoints(
-        points.times, points.positions, *kept, names=points.names, start_time=points.start_time
-    )
-    made._keep(points)
-    return made
+    return executed(points, used)
 
 
 def _answer(
@@ -319,9 +314,10 @@ def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, A
     """Return the other contents of a message, and the time of its first point."""
     if not isinstance(given, planners.ControllerPoints):
         return {}
-    stated = {"stated": given._stated, "stated_in": given._stated_in} if given._stated else {}
+    origin = given.origin
+    stated = {"stated": origin.stated, "stated_in": origin.stated_in} if origin.stated else {}
     carried = {"carried": given.carried} if given.carried else {}
-    return {"place": given._place, "first_point_due": float(given.times[0]), **stated, **carried}
+    return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **carried}
 
 
 def _nearest_of(

@@ -6,6 +6,7 @@ import csv
 import io
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,31 @@ WITHOUT_BASE = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """Other contents of the message from which points were read.
+
+    Attributes
+    ----------
+    place : str
+        The keys that lead to the points.
+    stated : dict
+        Values, by columns, that come from the message's start state.
+    stated_in : str
+        The keys that lead to this state.
+    touching : dict
+        Links that a carried body may touch, by its name.
+    straight : tuple of str
+        Columns that are interpolated by straight lines, although others have velocities: motions of a base.
+    """
+
+    place: str = ""
+    stated: dict[str, float] = field(default_factory=dict)
+    stated_in: str = ""
+    touching: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    straight: tuple[str, ...] = ()
+
+
 class ControllerPoints:
     """Timed points that a joint trajectory controller, such as ros2_control's, interpolates.
 
@@ -71,6 +97,8 @@ class ControllerPoints:
 
     Attributes
     ----------
+    origin : Origin
+        Other contents of the message from which the points were read.
     carried : dict
         Links by the names of the bodies that the robot carries, according to a message; empty otherwise. Queries refuse
         the points unless the scene has attached these bodies to these links.
@@ -100,12 +128,7 @@ class ControllerPoints:
     ) -> None:
         self.start_time = _validate.real(start_time, "start_time")
         self.carried: dict[str, str] = {}
-        # For points from a message: columns that run straight where others are curved; links that bodies may touch;
-        # values of columns that do not move; their places in the message.
-        self._straight: tuple[str, ...] = ()
-        self._touching: dict[str, tuple[str, ...]] = {}
-        self._stated: dict[str, float] = {}
-        self._place = self._stated_in = ""
+        self.origin = Origin()
         self.times = _validate.finite_array(times, "times", ("n",))
         if len(self.times) < 2 or not (np.diff(self.times) > 0).all():
             raise InputError(
@@ -316,14 +339,9 @@ class ControllerPoints:
         ]
         names = [*self.names, *(robot.configuration_names[k] for k in missing)]
         made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
-        made._keep(self)
-        made._stated = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
+        used = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
+        made.carried, made.origin = self.carried, replace(self.origin, stated=used)
         return made
-
-    def _keep(self, other: ControllerPoints) -> None:
-        """Take over the other contents of a message."""
-        self.carried, self._touching, self._straight = other.carried, other._touching, other._straight
-        self._place, self._stated, self._stated_in = other._place, other._stated, other._stated_in
 
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
@@ -337,6 +355,14 @@ class ControllerPoints:
         curve = _form(self, "points")
         t = np.linspace(curve.times[0], curve.times[-1], POINTS)
         return curves(self.names, t, BPoly(np.moveaxis(curve.courses, 1, 0), curve.times)(t))
+
+
+def executed(points: ControllerPoints, derivatives: int) -> ControllerPoints:
+    """Return points without accelerations or velocities: with 0, 1 or 2 derivatives, which the points must have."""
+    kept = [rate if k < derivatives else None for k, rate in enumerate((points.velocities, points.accelerations))]
+    made = ControllerPoints(points.times, points.positions, *kept, names=points.names, start_time=points.start_time)
+    made.carried, made.origin = points.carried, points.origin
+    return made
 
 
 @form_of.register(ControllerPoints)
@@ -356,7 +382,7 @@ def _form(given: ControllerPoints, name: str) -> Curve:
                 q0, q0 + v0 / 5, q0 + 2 * v0 / 5 + a0 / 20, q1 - 2 * v1 / 5 + a1 / 20, q1 - v1 / 5, q1,
             ]  # fmt: skip
     courses = np.stack(points, axis=1)
-    for k in [given.names.index(name) for name in given._straight] if given.names else []:
+    for k in [given.names.index(name) for name in given.origin.straight] if given.names else []:
         courses[:, :, k] = q0[:, k, None] + (q1 - q0)[:, k, None] * np.linspace(0, 1, courses.shape[1])
         courses[:, -1, k] = q1[:, k]
     return Curve(given.names, given.times, courses, CURVE_ROUNDINGS * size, tuple(given.carried.items()))
@@ -381,9 +407,9 @@ def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floa
         rates = [held.get(kind) for kind in RATES]
         points = ControllerPoints(part.joints.times, held["positions"], *rates, names=part.joints.names)
     points.carried = {body: link for body, (link, _) in part.start.carried.items()}
-    points._touching = {body: touched for body, (_, touched) in part.start.carried.items()}
-    points._place = part.place
-    stated, points._stated_in = _stated(part, points, name, robot, others), part.start.source
+    touching = {body: touched for body, (_, touched) in part.start.carried.items()}
+    points.origin = replace(points.origin, place=part.place, touching=touching, stated_in=part.start.source)
+    stated = _stated(part, points, name, robot, others)
     return points._completed(robot, others, stated)
 
 
@@ -419,7 +445,7 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
     ]
     positions = np.hstack([held.rows["positions"], base])
     made = ControllerPoints(times, positions, *rates, names=[*held.names, *names])
-    made._straight = tuple(names) if curved else ()
+    made.origin = Origin(straight=tuple(names) if curved else ())
     return made
 
 
