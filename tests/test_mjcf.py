@@ -173,6 +173,74 @@ def test_missing_files_are_refused(tmp_path):
         Robot.from_mjcf(3)
 
 
+TWO = """<body name="a" pos="0 0 1"><joint name="j" type="slide" range="-1 1"/><geom name="g" size="0.1" {}/></body>
+<body name="b" pos="1 0 1"><joint name="k" type="slide" range="-1 1"/><geom name="h" size="0.1"/></body>
+<body name="m" mocap="true" pos="5 0 0"><geom size="0.1"/></body>{}"""
+SERVO = '<actuator><position joint="j" ctrlrange="{}" ctrllimited="true"/></actuator>'
+BALL = '<body pos="0 3 1"><joint type="ball" range="0 0.1" limited="true"/><geom size="0.1"/></body>'
+
+
+@pytest.mark.parametrize(
+    ("geom", "body", "more", "told"),
+    [
+        ("", "", '<equality><joint joint1="j" joint2="k"/></equality>', r"1 constraints \(equality\)"),
+        (
+            "",
+            "",
+            '<equality><weld body1="a" body2="b"/><connect body1="a" body2="b" anchor="0 0 0"/></equality>',
+            "2 con",
+        ),
+        (
+            "",
+            "",
+            '<tendon><fixed limited="true" range="-1 1"><joint joint="j" coef="1"/></fixed></tendon>',
+            "of tendons",
+        ),
+        ("", BALL, "", "1 limits of ball joints"),
+        ("", "", SERVO.format("-0.1 0.1"), "1 limits of position actuators"),
+        ('margin="0.5"', "", "", "1 margins of geoms"),
+        ("", "", '<contact><pair geom1="g" geom2="h" margin="0.1"/></contact>', "1 margins of pairs"),
+        ("", "", '<keyframe><key mpos="1 0 0"/></keyframe>', "1 poses of mocap bodies in keyframes"),
+    ],
+)
+def test_what_mujoco_computes_with_and_is_not_read_is_told(geom, body, more, told, tmp_path):
+    path = written(tmp_path, TWO.format(geom, body))
+    path.write_text(path.read_text().replace("</mujoco>", f"{more}</mujoco>"))
+    with pytest.warns(UserWarning, match=f"not read, although MuJoCo computes with it: {told}") as caught:
+        Robot.from_mjcf(path)
+    assert len(caught) == 1
+
+
+def test_what_changes_nothing_is_not_told(tmp_path):
+    """A range of a servo as wide as its joint's, a margin of 0, and a mocap body where the model has it."""
+    path = written(tmp_path, TWO.format('margin="0"', ""))
+    more = SERVO.format("-1 1") + '<keyframe><key mpos="5 0 0"/></keyframe>'
+    path.write_text(path.read_text().replace("</mujoco>", f"{more}</mujoco>"))
+    Robot.from_mjcf(path)
+
+
+def test_unnamed_keyframes_keep_out_of_the_way(tmp_path):
+    """A keyframe without a name gets one that no other has."""
+    path = written(tmp_path, TWO.format("", ""))
+    keys = '<key name="key1" qpos="0.5 0"/><key qpos="0.25 0"/>'
+    path.write_text(path.read_text().replace("</mujoco>", f"<keyframe>{keys}</keyframe></mujoco>"))
+    states = Robot.from_mjcf(path).states
+    assert [states[name][1]["j"] for name in ("key1", "key1_")] == [0.5, 0.25]
+
+
+def test_a_urdf_that_mujoco_reads_is_told(tmp_path):
+    """MuJoCo makes a mimic joint a constraint, which is not read."""
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<collision><geometry><box size="1 1 1"/></geometry></collision></link><joint name="j" type="revolute">'
+        '<parent link="a"/><child link="b"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    with pytest.warns(UserWarning, match="found a URDF, of which MuJoCo reads neither <mimic> nor"):
+        Robot.from_mjcf(path)
+
+
 def test_flexible_bodies_are_told(tmp_path):
     """What bends is left out, with a warning: nobody else says that it is not checked."""
     cloth = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" dim="2" radius="0.01"/>'

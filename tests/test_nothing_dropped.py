@@ -363,7 +363,8 @@ MESSAGES = {
         ("DisplayTrajectory", DISPLAY, (HEADERS, r".*/multi_dof_joint_state/twist")),
         ("a goal", GOAL, (HEADERS, "goal_id", "goal/goal_time_tolerance")),
         ("Solution", SOLUTION, (HEADERS, r".*/multi_dof_joint_state/twist", "sub_solution",
-                                "sub_trajectory/(execution_)?info", "(start_scene|sub_trajectory/scene_diff)/allowed_collision_matrix")),
+                                "sub_trajectory/(execution_)?info",
+                                "(start_scene|sub_trajectory/scene_diff)/allowed_collision_matrix")),
     )
     for ending, form in of_messages(sample, *harmless).items()
 }  # fmt: skip

@@ -53,8 +53,8 @@ class _Model:
     included: int = 0
 
 
-def check_limits(file: Path) -> None:
-    """Refuse a model that MuJoCo would compile forever, or that would block it.
+def check_limits(file: Path) -> str:
+    """Refuse a model that MuJoCo would compile forever, or that would block it; return the tag of its root element.
 
     Raises
     ------
@@ -62,17 +62,18 @@ def check_limits(file: Path) -> None:
         If a file is missing or not a regular file, or includes, replicas or height fields are too large.
     """
     model = _Model(file.parent)
-    _look(file, model, 1)
+    tag = _look(file, model, 1)
     for source, name in model.files:
         for folder in sorted(model.folders):
             for start in (model.folder, source.parent):
                 path = start / folder / name
                 if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
                     raise FileError(f"{shown(source)}: expected regular files, found {shown(path)}, which is none")
+    return tag
 
 
-def _look(file: Path, model: _Model, copies: int) -> None:
-    """Read one file, which is included at a place that is copied the given number of times."""
+def _look(file: Path, model: _Model, copies: int) -> str:
+    """Read one file, which is included at a place that is copied the given number of times; return its root's tag."""
     data = read_regular(file, "an MJCF file", MOST_BYTES)
     try:
         root = parse(data, "an MJCF file", Element, deepest=DEEPEST, most=MOST_ELEMENTS)
@@ -107,6 +108,7 @@ def _look(file: Path, model: _Model, copies: int) -> None:
                 if os.path.lexists(folder / name):
                     _look(folder / name, model, within)
                     break
+    return root.tag
 
 
 def _product(text: str) -> int:

@@ -184,7 +184,11 @@ def _compiled(file: Path) -> tuple[Any, Any]:
         import mujoco
     except ImportError:
         raise MissingExtraError(f"MJCF files need MuJoCo: {installing('mujoco')}") from None
-    check_limits(file)
+    if check_limits(file) == "robot":
+        warn(
+            f"{file}: expected an MJCF file, found a URDF, of which MuJoCo reads neither <mimic> nor velocities; "
+            "Robot.from_urdf reads them"
+        )
     try:
         return mujoco, mujoco.MjModel.from_xml_path(os.fspath(file))
     except Exception as error:  # usually a ValueError, but its own code or a lack of memory may raise any error

@@ -1272,6 +1272,10 @@ CALLS: dict[str, Call] = {
         planners.ControllerPoints.load,
         {"path": arg("moved.json"), "robot": arg(robot, "Robot"), "others": array(Q[0], FINITE, NONE)},
     ),
+    "planners.ControllerPoints.load_all": Call(
+        planners.ControllerPoints.load_all,
+        {"path": arg("moved.json"), "robot": arg(robot, "Robot"), "others": array(Q[0], FINITE, NONE)},
+    ),
     "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),
     "planners.space_information": Call(
         planners.space_information,
