@@ -194,7 +194,7 @@ BALL = '<body pos="0 3 1"><joint type="ball" range="0 0.1" limited="true"/><geom
             "",
             "",
             '<tendon><fixed limited="true" range="-1 1"><joint joint="j" coef="1"/></fixed></tendon>',
-            "of tendons",
+            "1 limits of tendons",
         ),
         ("", BALL, "", "1 limits of ball joints"),
         ("", "", SERVO.format("-0.1 0.1"), "1 limits of position actuators"),
