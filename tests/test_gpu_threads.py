@@ -184,6 +184,7 @@ def _joint(rng: np.random.Generator, length: float = 1.0) -> str:
 # -- robots ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow("each thread of a GPU runs in Python")
 def test_a_panda_collides_as_on_the_cpu():
     """Of 100,000 configurations among ten obstacles every answer is the checker's, and most need no CPU."""
     robot = robot_samples.panda().robot
@@ -232,6 +233,7 @@ def test_any_robot_collides_as_on_the_cpu(seed, tmp_path):
     assert on_gpu.collide(Q[0]) == checker.collide(Q[0])
 
 
+@pytest.mark.slow("each thread of a GPU runs in Python")
 def test_a_list_that_is_too_short_leaves_work_to_the_cpu(monkeypatch, tmp_path):
     """Where more pairs survive than were expected, or intervals stay open, answers stay right."""
     rng = np.random.default_rng(0)

@@ -174,6 +174,7 @@ def test_work_grows_with_what_is_near():
     assert looked_at(translation(30.0, 0, 0)) == 0
 
 
+@pytest.mark.slow("it compiles the walk, which it calls directly")
 def test_walk_in_small_steps_is_the_same_walk():
     """A buffer for one pair at a time and one for all give the same piece pairs in the same order."""
     rng = np.random.default_rng(8)

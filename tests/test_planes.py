@@ -283,6 +283,7 @@ def check_gaps(case, view, times):
 
 @pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 24))])
 @far_outside
+@pytest.mark.slow("its first case compiles the search for planes, which it calls directly")
 def test_gaps(tmp_path, seed):
     """Gaps along random normals are lower bounds of the real ones, and hardly smaller."""
     rng, checker = mixed(tmp_path, seed)
