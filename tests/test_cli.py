@@ -1173,7 +1173,7 @@ def test_audit_of_a_message_with_a_start_state(with_end, capsys):
     audit = ("audit", *ROBOT, "moves.json", "--scene", "end.yaml")
     status, out, _ = run(capsys, *audit)
     assert status == 0
-    assert "x = -0.5, as trajectory_start/joint_state says" in out
+    assert "x = -0.5, from trajectory_start/joint_state;" in out
     assert json.loads(run(capsys, *audit, "--json")[1])["stated"] == {"x": -0.5, "y": 0.7}
     given = [json.loads(run(capsys, *audit, "--others", q, "--json")[1]) for q in ("-0.5,0.7,0", "0,0,0")]
     assert [one["verdict"] for one in given] == ["FREE", "COLLIDING"]

@@ -1,5 +1,6 @@
 """Trajectories with limited jerk: limits hold at every real time, blends are proven, stops are as fast as can be."""
 
+import contextlib
 import json
 import math
 from dataclasses import replace
@@ -608,7 +609,7 @@ BAD = {
     "joint_limits: {x: {max_velocity: 1}, x: {max_velocity: 2}}": ", line 1: joint_limits: .* once .*'x' again",
     "joint_limits:\n  x: {max_velocity: 1}\njoint_limits: {}": ", line 3: expected each key once .*'joint_limits'",
     "limits: {x: {}}": "joint_limits",
-    "[]": "expected a mapping",
+    "[]": "expected the key joint_limits",
     "": "found an empty file",
     "joint_limits: {x: {max_velocity: 010}}": "octal, found 010",
     "joint_limits: {x: {max_velocity: 1_0}}": "expected a finite number, found '1_0'",
@@ -634,6 +635,42 @@ def test_merged_keys_are_not_repeated_ones(robot, tmp_path):
     text = "joint_limits:\n  x: &a {max_velocity: 1, max_jerk: 2}\n  y: {<<: *a, max_jerk: 3}\n"
     found = read_limits(tmp_path, text, robot)
     assert [found.jerk[robot.configuration_names.index(joint)] for joint in "xy"] == [2.0, 3.0]
+
+
+def test_soft_limits_narrow_and_those_of_mimics_do_not_widen(robot, tmp_path):
+    """Soft limits beyond the URDF's change nothing, and a mimic's entry leaves the joint that it follows its own."""
+    text = "joint_limits: {x: {has_soft_limits: true, soft_lower_limit: -1.0e+3, soft_upper_limit: 0.125}}"
+    found = read_limits(tmp_path, text, robot)
+    k = robot.configuration_names.index("x")
+    assert (found.lower[k], found.upper[k]) == (robot.lower[k], 0.125)
+    fingers = replace(written(tmp_path, FINGERS), velocity=np.array([1.0]))
+    ((mimic, _),) = fingers.mimics.items()
+    for entry in ("max_velocity: 10000", "has_velocity_limits: false"):
+        found = read_limits(tmp_path, f"joint_limits: {{{mimic}: {{{entry}}}}}", fingers)
+        assert found.velocity.tolist() == fingers.velocity.tolist()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "w: &a {b: *a, c: 1}",
+        "a: &a {? [1] : 2}\nb: {<<: *a}",
+        "p: {joint_limits: {x: {max_velocity: 1}}}\na0: &a0 {x: 1}\n"
+        + "".join(f"a{k}: &a{k} {{x: *a{k - 1}, y: *a{k - 1}}}\n" for k in range(1, 25)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*not read, since they are no limits")
+def test_aliases_end(robot, tmp_path, text):
+    """An alias within itself, keys that are lists, and aliases of aliases are read or refused, and soon."""
+    with contextlib.suppress(FileError):
+        read_limits(tmp_path, text, robot)
+
+
+def test_merges_of_merges(robot, tmp_path):
+    """A mapping that takes keys from one that takes keys, at two places."""
+    text = "joint_limits:\n  x: &a {max_velocity: 1}\n  y: &b {<<: *a, max_jerk: 2}\n  turn: {<<: *b}\n"
+    found = read_limits(tmp_path, text, robot)
+    assert found.velocity.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_limits_of_unknown_joints(robot, tmp_path):

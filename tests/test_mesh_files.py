@@ -55,6 +55,7 @@ def test_a_backslash_behind_what_is_passed_over(line, at, tmp_path):
 
 
 def test_vertices_and_faces_may_continue(tmp_path):
+    """A line that ends in a backslash goes on in the next one, for vertices and faces."""
     text = "\n".join([OBJ[0].replace(" ", " \\\n"), *OBJ[1:-1], OBJ[-1].replace(" ", "\\\n ") + " # the last"])
     assert load(tmp_path, "part.obj", text) == (WHOLE, [])
 
@@ -72,6 +73,7 @@ def text_stl(normal="0 0 0", name="part"):
 
 @pytest.mark.parametrize("word", ["0", "nan", "-nan", "-nan(ind)", "nan(snan)", "-1.#IND", "1.#QNAN", "none"])
 def test_normals_of_a_text_stl_are_any_three_words(word, tmp_path):
+    """Normals are not read, so words that are no numbers are no fault."""
     assert load(tmp_path, "part.stl", text_stl(f"{word} {word} {word}")) == (WHOLE, [])
     refused(tmp_path, "part.stl", text_stl(f"{word} {word}"), "line 2: expected facet normal and 3 numbers")
     refused(tmp_path, "part.stl", text_stl().replace("vertex 0 0 0", f"vertex 0 0 {word}x", 1), "line 4: .* number")
@@ -170,6 +172,7 @@ def test_units_in_comments_are_told(words, tmp_path):
     ],
 )
 def test_comments_without_another_unit_are_not_told(words, tmp_path):
+    """Only a unit that differs from metres causes a warning."""
     assert load(tmp_path, "part.obj", "\n".join([f"# {words}", *OBJ])) == (WHOLE, [])
     assert load(tmp_path, "part.stl", binary_stl(words.encode())) == (WHOLE, [])
 
@@ -232,6 +235,7 @@ def test_collada_that_states_the_same_elsewhere(tmp_path):
 
 @pytest.mark.parametrize("names", ["XYZ", "xyz", ["", "", ""], "ZYX", "YZX"])
 def test_axes_of_collada_go_by_their_names(names, tmp_path):
+    """Coordinates are in the order of their names, not in that of the file."""
     order = "".join(names).upper() or "XYZ"
     points = " ".join(str(p["XYZ".index(axis)] * (1 + "XYZ".index(axis))) for p in CUBE for axis in order)
     assert load(tmp_path, "part.dae", dae(names=names, points=points)) == ((12, [0, 0, 0], [1, 2, 3]), [])
@@ -239,6 +243,7 @@ def test_axes_of_collada_go_by_their_names(names, tmp_path):
 
 @pytest.mark.parametrize("axis", ["Y_UP", "X_UP", "y_up"])
 def test_up_axes_are_told(axis, tmp_path):
+    """An up axis other than z is not applied, and a warning says so."""
     found, (text,) = load(tmp_path, "part.dae", dae(up=axis))
     assert found == WHOLE
     assert f"part.dae, line 2: expected <up_axis> Z_UP, found '{axis}', which is not applied" in text
@@ -330,9 +335,11 @@ def test_keys_are_one_warning(tmp_path):
     ],
 )
 def test_gltf_for_another_reader(change, match, tmp_path):
+    """A file that needs a newer reader, or has several scenes and chooses none, is refused."""
     refused(tmp_path, "part.gltf", gltf(change), match)
 
 
 def test_gltf_that_states_what_is_read(tmp_path):
+    """Values that equal the defaults change nothing."""
     assert load(tmp_path, "part.gltf", gltf(lambda t: t["asset"].update(version="2.1", minVersion="2.0")))[0] == WHOLE
     assert load(tmp_path, "part.gltf", gltf(lambda t: t.pop("scene"))) == (WHOLE, [])

@@ -13,6 +13,7 @@ from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene,
 from loewner.cli.main import main
 
 ControllerPoints = planners.ControllerPoints
+pytestmark = pytest.mark.filterwarnings("ignore:.*shapes and poses of bodies that the message attaches:UserWarning")
 
 # A lift, on which a slide carries a cart.
 CART = """<robot name="r"><link name="base"/>
@@ -124,15 +125,19 @@ def test_parts_follow_each_other_in_their_own_states(cart, written):
 
 
 def test_given_values_come_before_those_of_the_message(cart, written):
+    """An explicit configuration replaces the start state."""
     for part in ControllerPoints.load_all(written(SOLUTION), robot=cart, others=[0.5, 3.0])[:2]:
         assert part.positions[:, part.names.index("lift")].tolist() == [0.5, 0.5]
 
 
 def test_a_state_that_is_no_difference_replaces_what_is_carried(cart, written):
+    """A whole state has all bodies that the robot carries."""
     held = {"attached_collision_objects": [carries("can")], "is_diff": True}
     message = copy.deepcopy(SOLUTION)
     message["start_scene"]["robot_state"] |= held
-    message["sub_trajectory"][0]["scene_diff"] = {"robot_state": {"attached_collision_objects": []}}
+    message["sub_trajectory"][0]["scene_diff"] = {
+        "robot_state": {"joint_state": {"name": ["slide"], "position": [1.0]}, "attached_collision_objects": []}
+    }
     parts = ControllerPoints.load_all(written(message), robot=cart)
     assert [part.carried for part in parts[:2]] == [{"can": "cart"}, {}]
 
@@ -154,6 +159,90 @@ def test_points_that_carry_a_body_need_a_scene_that_does(cart, written):
     assert checker.certify_trajectory(part).verdict == Verdict.FREE
 
 
+def test_bodies_carried_in_other_parts_only_must_not_be_held(cart, written):
+    """A scene that still holds what the message has put down is refused; the proof would be about another robot."""
+    parts = ControllerPoints.load_all(written(SOLUTION), robot=cart)
+    scene = Scene()
+    scene.add("can", Body.sphere(0.05))
+    scene.attach("can", "cart", placed(0, 0, 0.2))
+    checker = CollisionChecker(cart, scene)
+    for part in (parts[0], parts[3]):
+        with pytest.raises(InputError, match="expected 'can' attached to no link .* found it on 'cart'"):
+            checker.certify_trajectory(part)
+
+
+def test_states_in_which_nothing_is_set_change_nothing(cart, written):
+    """A state that a program has made and not filled does not put down what the robot carries."""
+    message = copy.deepcopy(SOLUTION)
+    empty = {
+        "joint_state": {"name": [], "position": []},
+        "multi_dof_joint_state": {"joint_names": [], "transforms": []},
+        "attached_collision_objects": [],
+        "is_diff": False,
+    }
+    message["sub_trajectory"][2]["scene_diff"] = {"robot_state": empty}
+    message["sub_trajectory"].pop(3)
+    parts = ControllerPoints.load_all(written(message), robot=cart)
+    assert [part.carried for part in parts[2:4]] == [{"can": "cart"}] * 2
+
+
+@pytest.mark.parametrize("operation", [1, "\x01"])
+def test_a_removal_without_a_name_is_of_one_link(cart, written, operation):
+    """It takes away the bodies of its link; a byte may be written as a character."""
+    state = {"attached_collision_objects": [
+        carries("can"), {**carries("cup"), "link_name": "mast"}, {**carries("", operation), "link_name": "mast"},
+    ]}  # fmt: skip
+    message = {"trajectory_start": state, "trajectory": [of_joints((0, 0.0), (1, 1.0))]}
+    (part,) = ControllerPoints.load_all(written(message), robot=cart)
+    assert (part.carried, part.origin.free) == ({"can": "cart"}, ("cup",))
+
+
+def test_only_the_last_stage_of_a_plan_is_read(cart, written):
+    """The stages of a detailed response are the same plan, not motions one after another."""
+    stages = [of_joints((0, 0.0), (3, 0.1)), of_joints((0, 0.0), (1, 2.0))]
+    with pytest.warns(UserWarning, match="has 2 stages of one plan; the last one is read"):
+        (part,) = ControllerPoints.load_all(
+            written({"trajectory": stages, "description": ["plan", "simplify"]}), robot=cart
+        )
+    assert part.positions[:, part.names.index("slide")].tolist() == [0, 2]
+
+
+def test_a_joint_that_mimics_needs_the_one_it_mimics(written):
+    """A state with the mimic alone would leave both at 0."""
+    robot = Robot.from_urdf(
+        text=CART.replace(
+            "</joint></robot>",
+            '</joint><link name="f"/><joint name="m" '
+            'type="prismatic"><parent link="base"/><child link="f"/><limit upper="9"/><mimic joint="lift"/></joint></robot>',
+        )
+    )
+    state = {"joint_state": {"name": ["m"], "position": [0.5]}}
+    message = written({"trajectory_start": state, "trajectory": [of_joints((0, 0.0), (1, 1.0))]})
+    with pytest.raises(FileError, match="found m, which mimics lift; add the value of the joint that is mimicked"):
+        ControllerPoints.load(message, robot=robot)
+
+
+def test_a_way_of_the_base_that_is_not_in_the_message_is_told(cart, written):
+    """As for joints: the base does not begin where the message has left it."""
+    robot = cart.add_base("planar", name="drive")
+    parts = [{"multi_dof_joint_trajectory": driven((0, x, 0, 0), (1, x + 1, 0, 0))} for x in (0, 3)]
+    with pytest.warns(UserWarning, match="does not begin where the message has left drive"):
+        ControllerPoints.load_all(written({"trajectory": parts}), robot=robot)
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "0 0 -1"])
+def test_a_planar_joint_with_another_axis_is_refused(written, axis):
+    """A message gives the position and heading about z; the joint moves in another plane."""
+    text = """<robot name="r"><link name="w"/><link name="b"><collision><geometry>
+    <sphere radius="0.1"/></geometry></collision></link><joint name="drive" type="planar"><parent link="w"/>
+    <child link="b"/><axis xyz="{}"/></joint></robot>"""
+    message = written(driven((0, 0, 0, 0), (1, 1, 0, 0)))
+    with pytest.raises(FileError, match="expected the axis 0 0 1 of the planar joint drive"):
+        ControllerPoints.load(message, robot=Robot.from_urdf(text=text.format(axis)))
+    upright = Robot.from_urdf(text=text.format("0 0 1"))
+    assert ControllerPoints.load(message, robot=upright).positions[:, 0].tolist() == [0, 1]
+
+
 # -- the command --------------------------------------------------------------------------------
 
 
@@ -171,7 +260,7 @@ def test_every_part_is_proven_with_what_it_carries(written, capsys):
     status, out, _ = audit(capsys, name, "--scene", "s.yaml", "--attach", "3:can=cart")
     assert status == 1
     assert "part      3 of 4, sub_trajectory[2]/trajectory" in out
-    assert "state     lift = 0.8, as start_scene/robot_state/joint_state says" in out
+    assert "state     lift = 0.8, from start_scene/robot_state/joint_state;" in out
     assert out.splitlines()[-1] == "COLLIDING  3 of 4 parts proven free"
     answer = json.loads(audit(capsys, name, "--scene", "s.yaml", "--attach", "3:can=cart", "--json")[1])
     assert [part["verdict"] for part in answer["parts"]] == ["FREE", "FREE", "FREE", "COLLIDING"]
@@ -180,6 +269,7 @@ def test_every_part_is_proven_with_what_it_carries(written, capsys):
 
 
 def test_a_second_trajectory_is_not_dropped(written, capsys):
+    """Each trajectory has a verdict, and a proof of its own if it is free."""
     written("bodies: {post: {box: [0.2, 0.2, 0.2], position: [2.3, 0, 0]}}", "s.yaml")
     message = {"model_id": "r", "trajectory": [of_joints((0, 0.0), (1, 1.0)), of_joints((0, 1.0), (1, 3.0))]}
     status, out, _ = audit(capsys, written(message), "--scene", "s.yaml", "--json", "--proof", "a.proof")
@@ -204,6 +294,7 @@ def test_a_second_trajectory_is_not_dropped(written, capsys):
     ],
 )
 def test_bodies_that_cannot_be_attached(written, capsys, option, told):
+    """A malformed option, and a name that does not exist, is refused."""
     written(CAN, "s.yaml")
     status, _, err = audit(capsys, written(SOLUTION), "--scene", "s.yaml", "--attach", option)
     assert status == 2
@@ -211,6 +302,7 @@ def test_bodies_that_cannot_be_attached(written, capsys, option, told):
 
 
 def test_the_way_to_a_later_first_point_is_told(written, capsys):
+    """What happens before the first point is not in the file."""
     written(CAN, "s.yaml")
     status, out, _ = audit(capsys, written(of_joints((1, 1.0), (2, 1.2))), "--scene", "s.yaml")
     assert status == 0
@@ -277,6 +369,7 @@ def test_a_base_turns(cart, written):
     ],
 )
 def test_bases_that_cannot_be_read(cart, written, change, told):
+    """A motion of a base that has no place among the robot's values is refused."""
     base = driven((0, 0, 0, 0), (4, 4, 0, 0))
     change(base)
     message = written({"joint_trajectory": moved((0, 0.0), (4, 1.0)), "multi_dof_joint_trajectory": base})
@@ -312,6 +405,7 @@ def test_bases_that_cannot_be_read(cart, written, change, told):
     ],
 )
 def test_what_is_not_read_is_told(cart, written, message, told):
+    """Parts of a message without an effect here cause a warning."""
     with pytest.warns(UserWarning, match=told):
         ControllerPoints.load(written(message), robot=cart)
 
@@ -328,6 +422,7 @@ def test_what_is_not_read_is_told(cart, written, message, told):
     ],
 )
 def test_times_that_are_none(written, time, told):
+    """A duration has seconds and nanoseconds of one spelling, or is a number."""
     message = moved((0, 0.0), (1, 1.0))
     message["points"][1]["time_from_start"] = time
     with pytest.raises(FileError, match=rf"time_from_start: .*{told}"):
@@ -345,6 +440,7 @@ def test_numbers_as_other_programs_write_them(written, text):
 
 @pytest.mark.parametrize("text", ["050000000", "010", "1:30", "1_5", "0x10", ".inf", "'1'"])
 def test_numbers_that_versions_of_yaml_read_differently(written, text):
+    """Such a number is refused, with its line."""
     points = "{positions: [0], time_from_start: {secs: 0, nsecs: 0}}"
     points += f", {{positions: [1], time_from_start: {{secs: 1, nsecs: {text}}}}}"
     with pytest.raises(FileError, match=r"line 2: points\[1\]/time_from_start/nsecs: expected a"):

@@ -204,6 +204,7 @@ BALL = '<body pos="0 3 1"><joint type="ball" range="0 0.1" limited="true"/><geom
     ],
 )
 def test_what_mujoco_computes_with_and_is_not_read_is_told(geom, body, more, told, tmp_path):
+    """One warning counts the parts of each kind."""
     path = written(tmp_path, TWO.format(geom, body))
     path.write_text(path.read_text().replace("</mujoco>", f"{more}</mujoco>"))
     with pytest.warns(UserWarning, match=f"not read, although MuJoCo computes with it: {told}") as caught:

@@ -84,11 +84,13 @@ def test_known_shapes_from_every_first_corner(shape):
 
 @pytest.mark.parametrize("n", [4, 5, 6, 8, 12, 20, 40])
 def test_random_simple_polygons(n, rng):
+    """Triangles of a polygon have its area, and all face one side."""
     for _ in range(20):
         assert_filled(simple_polygon(rng, n))
 
 
 def test_spiral_of_a_thousand_corners():
+    """A long spiral is cut right, and soon."""
     turns = np.linspace(0, 8 * np.pi, 500)
     arms = [np.c_[(1 + turns + width) * np.cos(turns), (1 + turns + width) * np.sin(turns)] for width in (0, 3)]
     assert_filled(np.r_[arms[0], arms[1][::-1]])
@@ -145,6 +147,7 @@ def test_polygons_of_many_sizes_stay_in_their_order(rng):
     ],
 )
 def test_polygons_that_cross_themselves_are_told(polygon):
+    """Such a polygon keeps its fan, and a warning names it."""
     triangles, ((text, place),) = cut(polygon)
     assert triangles.tolist() == [[0, k, k + 1] for k in range(1, len(polygon) - 1)]
     assert "flat polygons that do not cross themselves" in text
@@ -162,6 +165,7 @@ def test_noise_is_no_notch(rng):
 
 
 def test_too_many_corners():
+    """A notched polygon with more corners than can be cut is refused."""
     polygon = [p for i in range(5000) for p in ((i, 0), (i + 0.5, 10))] + [(5000, -1), (-1, -1)]
     with pytest.raises(parts.Refusal, match="polygons with notches of 10000 corners, found 10002"):
         cut(polygon)

@@ -528,9 +528,12 @@ def test_names_of_files(moved, tmp_path):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[1, 2]", "found 'list instead of the keys names, times"),
-        ('{"joint_names": ["a"], "points": [{"positions": [0], "time_from_start": 0}]}', "found no 'names'"),
-        ("{}", "found no 'names'"),
+        ("[1, 2]", "expected a mapping, found a sequence of 2"),
+        (
+            '{"joint_names": ["a"], "points": [{"positions": [0], "time_from_start": 0}]}',
+            "found 'joint_names'",
+        ),
+        ("{}", "expected the key names, found none"),
     ],
 )
 def test_points_of_other_programs_are_told_where_they_are_read(tmp_path, text, told):

@@ -314,6 +314,7 @@ def test_limits_of_urdf_1_2():
 
 @pytest.mark.parametrize("version", ["2.0", "0.9", "banana", "1.1.1", ""])
 def test_versions_that_do_not_exist_are_refused(version):
+    """Only versions of URDF that exist are read."""
     with pytest.raises(
         InputError, match=f"line 1: expected URDF of version 1.0, 1.1 or 1.2, found version '{version}'"
     ):
@@ -353,6 +354,7 @@ def test_quaternions_of_urdf_1_1():
     ],
 )
 def test_rotations_that_are_none_are_refused(origin, version, words):
+    """A quaternion has norm 1, and stands alone."""
     with pytest.raises(InputError, match=f"line 4: expected {words}"):
         read(joint=f"<origin {origin}/>", attributes=f'version="{version}"')
 
@@ -435,6 +437,7 @@ def with_srdf(folder, inside):
     ],
 )  # fmt: skip
 def test_parts_of_an_srdf_that_have_no_effect_are_told(inside, words, tmp_path):
+    """One warning names them with their lines."""
     with pytest.warns(UserWarning, match=words):
         with_srdf(tmp_path, inside)
 
@@ -471,6 +474,7 @@ def test_passive_joints_are_in_no_group(tmp_path):
     ],
 )  # fmt: skip
 def test_a_state_or_a_joint_of_it_twice_is_refused(inside, words, tmp_path):
+    """Only one of two values could count."""
     with pytest.raises(InputError, match=words):
         with_srdf(tmp_path, inside)
 

@@ -85,11 +85,13 @@ def test_faults_after_the_expansion_are_those_of_a_urdf(tmp_path):
 
 @pytest.mark.parametrize("arguments", [3, {"reach": None}, {"reach": [1]}, {1: "2"}])
 def test_arguments_that_are_none_are_refused(arguments, tmp_path):
+    """Arguments are a mapping, and need a file of xacro."""
     with pytest.raises(InputError, match="xacro_args: expected"):
         Robot.from_urdf(written(tmp_path), xacro_args=arguments)
 
 
 def test_a_text_has_no_arguments(tmp_path):
+    """Arguments with a text instead of a path are refused."""
     with pytest.raises(InputError, match="xacro_args: expected a path to a xacro file"):
         Robot.from_urdf(text=FILE, xacro_args={"reach": 1})
     with pytest.raises(FileError, match="expected a xacro file, but there is no such file"):

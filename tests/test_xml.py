@@ -10,6 +10,7 @@ def parsed(data, **options):
 
 
 def test_tree_has_attributes_lines_and_texts():
+    """Elements are as in the file."""
     root = parsed(b'<a x="1">\n one <b/>\n two </a>', texts=True)
     (b,) = root.children
     assert (root.tag, root.line, root.attributes, "".join(root.texts).split()) == ("a", 1, {"x": "1"}, ["one", "two"])
@@ -31,12 +32,14 @@ def test_tree_has_attributes_lines_and_texts():
     ],
 )
 def test_what_is_no_xml_is_refused_with_its_line(data, found, line):
+    """The error has the line of the fault."""
     with pytest.raises(_xml.XmlError, match=f"^expected a test, found {found}") as caught:
         parsed(data)
     assert caught.value.line == line
 
 
 def test_document_types_are_refused_on_request():
+    """Readers choose whether a document type may be there."""
     assert parsed(b"<!DOCTYPE a>\n<a/>").tag == "a"
     with pytest.raises(_xml.XmlError, match="found a document type"):
         parsed(b"<!DOCTYPE a>\n<a/>", doctype=False)
@@ -50,10 +53,12 @@ def test_encodings_that_a_file_declares(codec):
 
 
 def test_text_is_decoded_already():
+    """A text's declared encoding does not count."""
     assert parsed('<?xml version="1.0" encoding="GB2312"?><a b="é"/>').get("b") == "é"
 
 
 def test_namespaces_are_in_scope_or_taken_off():
+    """Prefixes resolve to the addresses in scope."""
     text = '<a xmlns="one"><x:b xmlns:x="two"><x:c/></x:b><x:d/><e/></a>'
     root = parsed(text)
     b, d, e = root.children
@@ -70,6 +75,7 @@ def test_namespaces_are_in_scope_or_taken_off():
 
 
 def test_children_that_may_occur_once():
+    """A second one is refused."""
     root = parsed("<a>\n<b/>\n<b/><c/></a>")
     assert root.one("d") is None
     assert root.one("c") is root.the("c")
@@ -81,6 +87,7 @@ def test_children_that_may_occur_once():
 
 
 def test_what_nobody_asked_for_is_reported_in_order():
+    """Unread elements and attributes come in the order of the file."""
     root = parsed('<a x="1" y="2" xmlns:n="z"><b p="1">\n<q/></b><c><d/></c>\n<e f="1"><g/></e><b/><h/></a>')
     root.get("x")
     for b in root.all("b"):

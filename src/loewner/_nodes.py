@@ -382,14 +382,17 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
 def _merge(top: YamlNode) -> None:
     """Replace each key << by the entries of the mappings to which it leads; a mapping's own entries come first."""
     # Parts come before the whole. An alias leads to the same node again, even from within it.
-    order, waiting, seen = [], [top.raw], set()
+    order, waiting, seen = [], [(top.raw, False)], set()
     while waiting:
-        node = waiting.pop()
-        if id(node) not in seen and node.id != "scalar":
-            seen.add(id(node))
+        node, entered = waiting.pop()
+        if entered:
             order.append(node)
-            waiting += node.value if node.id == "sequence" else [value for _, value in node.value]
-    for node in reversed(order):
+        elif id(node) not in seen and node.id != "scalar":
+            seen.add(id(node))
+            waiting.append((node, True))
+            inside = node.value if node.id == "sequence" else [value for _, value in node.value]
+            waiting += [(each, False) for each in inside]
+    for node in order:
         if node.id != "mapping" or not any(key.tag == MERGE for key, _ in node.value):
             continue
         own = [(key, value) for key, value in node.value if key.tag != MERGE]
@@ -400,7 +403,7 @@ def _merge(top: YamlNode) -> None:
             for each in value.value if value.id == "sequence" else [value]:
                 if each.id != "mapping":
                     raise YamlNode(top.file, each).error("expected a mapping at <<, found something else")
-                own += [pair for pair in each.value if pair[0].value not in taken]
+                own += [pair for pair in each.value if pair[0].id != "scalar" or pair[0].value not in taken]
                 taken |= {pair[0].value for pair in each.value if pair[0].id == "scalar"}
         node.value = own
 

@@ -179,7 +179,7 @@ def _expect_carried(scene: loewner.Scene, given: planners.ControllerPoints | Flo
     """Refuse a part on which the robot carries bodies that neither the scene nor --attach lets it carry."""
     if isinstance(given, planners.ControllerPoints):
         held = {body: each.link for body, each in scene.attachments.items()} | carrying
-        curves.expect_carried(held, given.carried.items())
+        curves.expect_carried(held, [*given.carried.items(), *((body, "") for body in given.origin.free)])
 
 
 def _set_clock(parts: list[planners.ControllerPoints | Floats], start_time: float | None) -> None:
@@ -315,7 +315,8 @@ def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, A
     if not isinstance(given, planners.ControllerPoints):
         return {}
     origin = given.origin
-    stated = {"stated": origin.stated, "stated_in": origin.stated_in} if origin.stated else {}
+    sources = {column: origin.sources[column] for column in origin.stated}
+    stated = {"stated": origin.stated, "stated_in": sources} if origin.stated else {}
     carried = {"carried": given.carried} if given.carried else {}
     return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **carried}
 
@@ -388,7 +389,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
     else:
         print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")
     for column, value in answer.get("stated", {}).items():
-        print(f"state     {column} = {value:.9g}, as {answer['stated_in']} says; the points do not name it")
+        print(f"state     {column} = {value:.9g}, from {answer['stated_in'][column]}; the points do not name it")
     if answer.get("first_point_due", 0.0) > 0:
         print(
             f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from where the "

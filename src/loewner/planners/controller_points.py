@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 
 from loewner import _tables, _validate
 from loewner._files import read_regular, shown
+from loewner._kernels import columns
+from loewner._matrices import image, product
 from loewner._nodes import Node, read_json, read_yaml, some
 from loewner._pictures import POINTS, curves, pictured
 from loewner._plausible import warn
@@ -60,17 +62,21 @@ class Origin:
         The keys that lead to the points.
     stated : dict
         Values, by columns, that come from the message's start state.
-    stated_in : str
-        The keys that lead to this state.
+    sources : dict
+        Where these values come from, by the columns: keys of the message.
     touching : dict
         Links that a carried body may touch, by its name.
+    free : tuple of str
+        Bodies that the robot carries in another part of the message, and not here; queries refuse them where the scene
+        has attached them.
     straight : tuple of str
         Columns that are interpolated by straight lines, although others have velocities: motions of a base.
     """
 
     place: str = ""
     stated: dict[str, float] = field(default_factory=dict)
-    stated_in: str = ""
+    sources: dict[str, str] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
     touching: dict[str, tuple[str, ...]] = field(default_factory=dict)
     straight: tuple[str, ...] = ()
 
@@ -207,10 +213,19 @@ class ControllerPoints:
     def load_all(
         cls, path: str | os.PathLike[str], *, robot: Robot | None = None, others: ArrayLike | None = None
     ) -> list[ControllerPoints]:
-        """Read all trajectories of a file, in their order; parameters and errors as for `load`.
+        """Read all trajectories of a file, in their order; errors and warnings as for `load`.
 
         Joints that a trajectory does not name keep their values from the trajectory before, or from the message's
         states. Each has the bodies that the robot then carries as `carried`.
+
+        Parameters
+        ----------
+        path, robot, others
+            As for `load`.
+
+        Returns
+        -------
+        list of ControllerPoints
 
         Examples
         --------
@@ -318,7 +333,10 @@ class ControllerPoints:
             told.append(f"the message has a world of its own ({around}), which is not read; a scene gives obstacles")
         for text in told:
             warn(f"{name}: {text}")
-        return [_points_of(part, name, robot, others) for part in found.parts]
+        carried = {body for part in found.parts for body in part.start.carried}
+        if carried:
+            warn(f"{name}: shapes and poses of bodies that the message attaches ({some(sorted(carried))}) are not read")
+        return [_points_of(part, found.bodies, name, robot, others) for part in found.parts]
 
     def _completed(
         self, robot: Robot | None, others: Floats | None, stated: dict[str, float] | None = None
@@ -385,13 +403,16 @@ def _form(given: ControllerPoints, name: str) -> Curve:
     for k in [given.names.index(name) for name in given.origin.straight] if given.names else []:
         courses[:, :, k] = q0[:, k, None] + (q1 - q0)[:, k, None] * np.linspace(0, 1, courses.shape[1])
         courses[:, -1, k] = q1[:, k]
-    return Curve(given.names, given.times, courses, CURVE_ROUNDINGS * size, tuple(given.carried.items()))
+    carried = (*given.carried.items(), *((body, "") for body in given.origin.free))
+    return Curve(given.names, given.times, courses, CURVE_ROUNDINGS * size, carried)
 
 
 # -- messages -----------------------------------------------------------------------------------
 
 
-def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floats | None) -> ControllerPoints:
+def _points_of(
+    part: messages.Part, bodies: set[str], name: str, robot: Robot | None, others: Floats | None
+) -> ControllerPoints:
     """Make the points of one trajectory of a message, with the state in which it begins."""
     _expect_begin(part, name)
     if part.placed is not None:
@@ -408,8 +429,9 @@ def _points_of(part: messages.Part, name: str, robot: Robot | None, others: Floa
         points = ControllerPoints(part.joints.times, held["positions"], *rates, names=part.joints.names)
     points.carried = {body: link for body, (link, _) in part.start.carried.items()}
     touching = {body: touched for body, (_, touched) in part.start.carried.items()}
-    points.origin = replace(points.origin, place=part.place, touching=touching, stated_in=part.start.source)
-    stated = _stated(part, points, name, robot, others)
+    free = tuple(sorted(bodies - points.carried.keys()))
+    stated, sources = _stated(part, points, name, robot, others)
+    points.origin = replace(points.origin, place=part.place, touching=touching, free=free, sources=sources)
     return points._completed(robot, others, stated)
 
 
@@ -424,17 +446,20 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
                 f"({part.place})"
             )
         times = of_joints
-    names, columns = [], []
+    names, values = [], []
     for k, joint in enumerate(placed.names):
         found = _columns_of(joint, placed.rows["transforms"][:, k], name, robot)
         names += list(found)
-        columns += list(found.values())
-    base, held = np.stack(columns, axis=1), part.joints
+        values += list(found.values())
+    base, held = np.stack(values, axis=1), part.joints
+    twice = [column for column in names if held is not None and column in held.names]
+    if twice:
+        raise FileError(f"{name}: expected one motion of each joint, found {some(twice)} twice ({part.place})")
     if held is None:
         return ControllerPoints(times, base, names=names)
     curved = "velocities" in held.rows
     if curved and any(joint in _floating(robot) for joint in placed.names) and (np.diff(base, axis=0) != 0).any():
-        turning = [n for n, column in zip(names, columns, strict=True) if "/q" in n and np.ptp(column) != 0]
+        turning = [n for n, column in zip(names, values, strict=True) if "/q" in n and np.ptp(column) != 0]
         if turning:
             raise FileError(
                 f"{name}: expected a base that does not turn, as the joints have velocities, found {some(turning)} "
@@ -466,6 +491,7 @@ def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Flo
         values = np.hstack([T[:, :3], turned * flips[:, None]])
         return {f"{joint}/{axis}": values[:, k] for k, axis in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
     if f"{joint}/theta" in known:
+        _expect_upright(joint, name, robot)
         if np.abs(T[:, [2, 3, 4]]).max() > IN_PLANE:
             raise FileError(f"{name}: expected motions of the planar joint {joint} in its plane, found others")
         theta = np.unwrap(2 * np.arctan2(T[:, 5], T[:, 6]))
@@ -476,8 +502,30 @@ def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Flo
     )
 
 
+def _expect_upright(joint: str, name: str, robot: Robot) -> None:
+    """Refuse a planar joint whose axis is not z: its values are not the position and heading of a message."""
+    column = robot.configuration_names.index(f"{joint}/x")
+    q = np.repeat(robot.configuration()[None], 2, axis=0)
+    q[0, column : column + 3], q[1, column : column + 3] = 0.0, (1.0, 2.0, 0.5)
+    # Robot.add_base makes three joints instead of one.
+    for link in np.flatnonzero((robot.tree.kind == columns.PLANAR) & (robot.tree.column == column)).tolist():
+        before, after = robot.forward_kinematics(q)[:, link]
+        moved = image(before[:3, :3].T, after[:3, 3] - before[:3, 3])
+        turned = product(before[:3, :3].T, after[:3, :3])
+        if np.abs([*(moved - [1.0, 2.0, 0.0]), turned[1, 0] - np.sin(0.5), turned[2, 2] - 1]).max() > IN_PLANE:
+            raise FileError(f"{name}: expected the axis 0 0 1 of the planar joint {joint}, found another one")
+
+
 def _expect_begin(part: messages.Part, name: str) -> None:
     """Warn if a trajectory does not begin at the start state."""
+    if part.placed is not None:
+        begin = dict(zip(part.placed.names, part.placed.rows["transforms"][0], strict=True))
+        far = [joint for joint, T in part.start.places.items() if joint in begin and _is_far(T, begin[joint])]
+        if far:
+            warn(
+                f"{name}: {part.place} does not begin where the message has left {some(far)}; it does not contain the "
+                "way between them"
+            )
     if part.joints is None:
         return
     first = dict(zip(part.joints.names, part.joints.rows["positions"][0].tolist(), strict=True))
@@ -491,10 +539,16 @@ def _expect_begin(part: messages.Part, name: str) -> None:
         )
 
 
+def _is_far(T: Floats, other: Floats) -> bool:
+    """Return whether two poses differ, given as positions and quaternions."""
+    turned = 1 - abs(float(np.dot(T[3:], other[3:]) / (np.linalg.norm(T[3:]) * np.linalg.norm(other[3:]))))
+    return not (np.abs(T[:3] - other[:3]).max() <= START_TOLERANCE and turned <= START_TOLERANCE**2)
+
+
 def _stated(
     part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
-) -> dict[str, float]:
-    """Return the values that a message states for columns of the robot which the points do not name.
+) -> tuple[dict[str, float], dict[str, str]]:
+    """Return the values that a message states for columns that the points do not name, and where it states them.
 
     Values that belong to no column are refused, unless they are 0 and no robot is given.
     """
@@ -506,10 +560,16 @@ def _stated(
     }  # fmt: skip
     places = {joint: T for joint, T in start.places.items() if (T != IDENTITY).any()}
     if robot is None:
-        _refuse_beside(beside, places, start.source, name)
-        return {}
+        _refuse_beside(beside, places, start.sources, name)
+        return {}, {}
     known = set(robot.configuration_names)
-    lacking = [joint for joint in beside if joint not in {*known, *mimics}]
+    alone = [joint for joint in beside if joint in mimics]
+    if alone:
+        raise FileError(
+            f"{name}: expected values of joints with values of their own, found {some(alone)}, which mimics "
+            f"{some(mimics[joint] for joint in alone)}; add the value of the joint that is mimicked"
+        )
+    lacking = [joint for joint in beside if joint not in known]
     if lacking:
         raise FileError(
             f"{name}: expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
@@ -517,24 +577,27 @@ def _stated(
             "message"
         )
     stated = {joint: value for joint, value in beside.items() if joint in known}
+    sources = {joint: start.sources.get(joint, "") for joint in stated}
     for joint, T in places.items():
         if not any(column.startswith(f"{joint}/") for column in known):
             raise FileError(
                 f"{name}: expected a state of the robot {robot.name!r}, found {joint} away from the identity "
-                f"({start.source}){WITHOUT_BASE.format(joint)}"
+                f"({start.sources.get(joint, '')}){WITHOUT_BASE.format(joint)}"
             )
         columns = _columns_of(joint, T[None], name, robot)
         stated |= {column: float(value[0]) for column, value in columns.items() if column not in named}
-    return stated
+        sources |= dict.fromkeys(columns, start.sources.get(joint, ""))
+    return stated, sources
 
 
-def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], source: str, name: str) -> None:
+def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources: dict[str, str], name: str) -> None:
     """Refuse values of a state that nothing uses, as no robot is given, unless they are 0."""
     told = [f"{joint} = {value:g}" for joint, value in beside.items() if value != 0]
     told += [f"{joint} away from the identity" for joint in places]
     if told:
+        where = some(dict.fromkeys(sources.get(joint, "") for joint in (*beside, *places)))
         raise FileError(
-            f"{name}: expected a state of the joints that the points name, found {', '.join(told)} ({source}); give "
+            f"{name}: expected a state of the joints that the points name, found {', '.join(told)} ({where}); give "
             "the robot, by robot=, whose joints stand as the state says, or as others= says"
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -204,24 +204,42 @@ def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
     return np.broadcast_to(array, robot.dof)
 
 
-def _holders(node: Node, beside: list[Node]) -> Iterator[dict[str, Node]]:
-    """Find the mappings with a table of joints, however they are wrapped; what leads to none is added to `beside`."""
-    keys = node.mapping(None)
-    if TABLE in keys:
-        yield keys
-        beside += [held for key, held in keys.items() if key not in (TABLE, *FACTORS.values())]
-        return
-    for held in keys.values():
-        found = list(_holders(held, beside)) if held.kind == "mapping" else []
-        if not found:
-            beside.append(held)
-        yield from found
+def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
+    """Find the mappings with a table of joints, however wrapped; `beside` gets all that leads to none."""
+    leads: dict[int, bool] = {}  # whether a place leads to a table; aliases lead to the same place, even from within
+
+    def leading(node: Node) -> bool:
+        if node.kind != "mapping":
+            return False
+        if id(node.raw) not in leads:
+            leads[id(node.raw)] = False
+            keys = node.mapping(None)
+            leads[id(node.raw)] = True in [TABLE in keys, *map(leading, keys.values())]
+        return leads[id(node.raw)]
+
+    found: dict[int, dict[str, Node]] = {}
+    waiting = [top] if leading(top) else []
+    seen: set[int] = set()
+    while waiting:
+        node = waiting.pop()
+        if id(node.raw) in seen:
+            continue
+        seen.add(id(node.raw))
+        keys = node.mapping(None)
+        if TABLE in keys:
+            found[id(node.raw)] = keys
+        for key, held in keys.items():
+            if leading(held) and key != TABLE:
+                waiting.append(held)
+            elif TABLE not in keys or key not in (TABLE, *FACTORS.values()):
+                beside.append(held)
+    return list(found.values())
 
 
 def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str]]:
     """Return the limits, and why some may be in degrees."""
     beside: list[Node] = []
-    holders = list(_holders(root, beside))
+    holders = _holders(root, beside)
     if not holders:
         raise root.error("expected the key joint_limits with joints below it, found none")
     for held in beside:
@@ -246,11 +264,15 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
     _expect_joints(str(root.file), list(entries), columns)
     turns, doubts, followed = _turning(robot), [], []
     scales = {kind: np.ones(robot.dof) for kind in FACTORS}
+    soft = {"lower": np.full(robot.dof, -np.inf), "upper": np.full(robot.dof, np.inf)}
+    followers = {attribute: np.full(robot.dof, np.inf) for attribute in KINDS.values()}
     for name, (entry, of_table) in entries.items():
         (k, by), own = columns[name], _limits_of_joint(entry)
         for kind, attribute in KINDS.items():
-            if kind in own and by != 0:
-                limits[attribute][k] = np.fmin(limits[attribute][k], own[kind] / abs(by))
+            if kind in own and name not in robot.mimics:
+                limits[attribute][k] = np.fmin(limits[attribute][k], own[kind])
+            elif kind in own and by != 0:
+                followers[attribute][k] = np.fmin(followers[attribute][k], own[kind] / abs(by))
         for kind in scales:
             scales[kind][k] = min(scales[kind][k], of_table[kind])
         if name in robot.mimics:
@@ -258,6 +280,8 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
         else:
             for kind in {"lower", "upper"} & own.keys():
                 limits[kind][k] = own[kind]
+            for kind in soft:
+                soft[kind][k] = own.get(f"soft_{kind}", soft[kind][k])
         if turns[k]:
             plain = {kind: value if np.isfinite(value) else 0.0 for kind, value in own.items()}
             lower, upper, velocity = (plain.get(kind, 0.0) for kind in ("lower", "upper", "velocity"))
@@ -267,6 +291,13 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
         warn(f"{root.file}: not read: positions of joints that mimic others, {some(followed)}; limit those they mimic")
     for attribute, known in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
         limits[attribute] = np.where(np.isnan(limits[attribute]), known, limits[attribute])
+    followed_here = [columns[joint][0] for joint, _ in robot.mimics.values() if joint in columns]
+    # A joint that others mimic keeps to what the URDF allows them, unless the file has limits of theirs.
+    limits["velocity"][followed_here] = np.fmin(limits["velocity"], robot.velocity)[followed_here]
+    for attribute, array in followers.items():
+        limits[attribute] = np.fmin(limits[attribute], array)
+    limits["lower"] = np.maximum(limits["lower"], soft["lower"])
+    limits["upper"] = np.minimum(limits["upper"], soft["upper"])
     for k in np.flatnonzero(limits["lower"] > limits["upper"])[:1]:
         found = f"{limits['lower'][k]:g} and {limits['upper'][k]:g}"
         raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {found}")
@@ -326,9 +357,10 @@ def _limits_of_joint(entry: Node) -> dict[str, float]:
             raise entry.error(f"expected {soft} with has_soft_limits, found none")
         if limit is None and "has_position_limits" in keys and not keys["has_position_limits"].flag():
             limit = none
-        if limit is not None or narrower is not None:
-            both = [value for value in (limit, narrower) if value is not None]
-            found[kind] = max(both) if kind == "lower" else min(both)
+        if limit is not None:
+            found[kind] = limit
+        if narrower is not None:
+            found[f"soft_{kind}"] = narrower
     return found
 
 

@@ -130,6 +130,7 @@ DAY = 86400.0
 
 # The operation by which a body is taken away, in moveit_msgs/CollisionObject.
 REMOVE = 1
+OPERATIONS = range(4)
 
 
 @dataclass(eq=False)
@@ -144,18 +145,18 @@ class State:
         For a joint of several values: position [m] and quaternion x, y, z, w, as one array of 7 numbers.
     carried : dict
         For each body that the robot carries, by name: the link that carries it, and links that it may touch.
-    source : str
-        The key of the latest state.
+    sources : dict
+        Where the values of joints and places come from, by the joint: keys of a state, or of an earlier trajectory.
     """
 
     joints: dict[str, float] = field(default_factory=dict)
     places: dict[str, Floats] = field(default_factory=dict)
     carried: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
-    source: str = ""
+    sources: dict[str, str] = field(default_factory=dict)
 
     def copy(self) -> State:
         """Return a state that changes by itself."""
-        return State(dict(self.joints), dict(self.places), dict(self.carried), self.source)
+        return State(dict(self.joints), dict(self.places), dict(self.carried), dict(self.sources))
 
 
 @dataclass(eq=False)
@@ -198,6 +199,8 @@ class Message:
         Names of robots in the message.
     around : list of str
         Names of the bodies in the message's world.
+    bodies : set of str
+        Names of bodies that the robot carries at some time, or that are taken away from it.
     warnings : list of str
         Sentences for warnings about other parts that are not read.
     """
@@ -205,6 +208,7 @@ class Message:
     parts: list[Part] = field(default_factory=list)
     robots: list[str] = field(default_factory=list)
     around: list[str] = field(default_factory=list)
+    bodies: set[str] = field(default_factory=set)
     warnings: list[str] = field(default_factory=list)
 
 
@@ -263,7 +267,7 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
         _add_part(node, given, found, state)
         found.warnings += _tolerated(keys)
     elif name == "RobotState":
-        _read_state(keys, state)
+        _read_state(keys, state, found)
     elif name == "PlanningSceneWorld":
         found.around += _around(keys)
     else:
@@ -275,7 +279,11 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
             elif of == TOLD:
                 found.warnings.append(f"{keys[key].key} is not read")
             else:
-                for each in _listed(keys[key]):
+                listed = _listed(keys[key])
+                if name == "MotionPlanDetailedResponse" and of == "RobotTrajectory" and len(listed) > 1:
+                    found.warnings.append(f"{keys[key].key} has {len(listed)} stages of one plan; the last one is read")
+                    listed = listed[-1:]
+                for each in listed:
                     _walk(each, _type_of(each, WRAPPED) if of == ANY else of, found, state)
 
 
@@ -291,8 +299,10 @@ def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) 
     found.parts.append(Part(node.key or "the message itself", joints, placed, state.copy()))
     if joints is not None:
         state.joints.update(zip(joints.names, joints.rows["positions"][-1].tolist(), strict=True))
+        state.sources.update(dict.fromkeys(joints.names, f"the end of {found.parts[-1].place}"))
     if placed is not None:
         state.places.update(zip(placed.names, placed.rows["transforms"][-1], strict=True))
+        state.sources.update(dict.fromkeys(placed.names, f"the end of {found.parts[-1].place}"))
 
 
 def _joint_motion(node: Node) -> Motion | None:
@@ -331,10 +341,12 @@ def _plain_motion(names: list[str], points: Node) -> Motion | None:
     rows = {}
     try:
         for kind in RATES:
-            listed = [point.get(kind) or [] for point in raw]
+            listed = [[] if point.get(kind) is None else point[kind] for point in raw]
+            if any(type(row) is not list for row in listed):
+                return None
             if not any(listed):
                 continue
-            if any(type(row) is not list for row in listed) or {*map(len, listed)} != {len(names)}:
+            if {*map(len, listed)} != {len(names)}:
                 return None
             if not {*map(type, itertools.chain.from_iterable(listed))} <= {int, float}:
                 return None
@@ -377,9 +389,10 @@ def _expect_once(names: list[str], node: Node) -> None:
         raise node.error(f"expected each joint once, found {some(twice)} again")
 
 
-def _read_state(keys: dict[str, Node], state: State) -> None:
+def _read_state(keys: dict[str, Node], state: State, found: Message) -> None:
     """Change a state by a RobotState; one that is not a difference replaces the carried bodies."""
     differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
+    empty = True
     for key, known in (("joint_state", JOINT_STATE), ("multi_dof_joint_state", PLACED_STATE)):
         if key not in keys or keys[key].empty:
             continue
@@ -397,26 +410,43 @@ def _read_state(keys: dict[str, Node], state: State) -> None:
             given = [name.text() for name in names]
             state.places.update(zip(given, (np.array(_transform(T)) for T in places), strict=True))
         _expect_once(given, keys[key])
-        if given:
-            state.source = keys[key].key
+        state.sources.update(dict.fromkeys(given, keys[key].key))
+        empty = empty and not given
     if "attached_collision_objects" in keys:
-        _carry(keys["attached_collision_objects"], state, differs)
+        listed = keys["attached_collision_objects"]
+        # MoveIt ignores a state in which nothing is set.
+        if not differs and not (empty and listed.empty):
+            state.carried.clear()
+        _carry(listed, state, found)
 
 
-def _carry(node: Node, state: State, differs: bool) -> None:
+def _carry(node: Node, state: State, found: Message) -> None:
     """Change the bodies that the robot carries in a state."""
-    if not differs:
-        state.carried.clear()
     for entry in _listed(node) if not node.empty else []:
         held = entry.mapping(CARRIED, required=("link_name", "object"))
         body = held["object"].mapping(None)
         name = body["id"].text() if "id" in body and not body["id"].empty else ""
-        if "operation" in body and body["operation"].number() == REMOVE:
-            for one in [name] if name else list(state.carried):
+        link = held["link_name"].text()
+        operation = _operation(body["operation"]) if "operation" in body else 0
+        if operation == REMOVE:
+            on_link = [one for one, (carrier, _) in state.carried.items() if carrier == link]
+            for one in [name] if name else on_link:
                 state.carried.pop(one, None)
         else:
-            touched = tuple(link.text() for link in _list(held, "touch_links"))
-            state.carried[name] = held["link_name"].text(), touched
+            state.carried[name] = link, tuple(each.text() for each in _list(held, "touch_links"))
+        found.bodies |= {name} if name else set()
+
+
+def _operation(node: Node) -> int:
+    """Read a byte: a number, or the character that some programs write for it."""
+    try:
+        code = node.number()
+    except FileError:
+        text = node.text()
+        code = ord(text) if len(text) == 1 else -1
+    if code not in OPERATIONS:
+        raise node.error(f"expected 0 to 3, found {node.described()}")
+    return int(code)
 
 
 def _around(keys: dict[str, Node]) -> Iterator[str]:

@@ -55,7 +55,7 @@ class Curve(NamedTuple):
     off : ndarray, shape (n, dof)
         Bounds on the rounding error of each value.
     carried : tuple of (str, str)
-        Bodies that the robot has to carry, and their links.
+        Bodies that the robot has to carry, and their links; an empty link for a body that it must not carry.
     """
 
     names: tuple[str, ...] | None
@@ -248,7 +248,12 @@ def curves_of(robot: Robot, scene: Scene, given: Any, t0: float | None = None) -
 def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
     """Refuse bodies that the robot carries, with their links, unless these links hold them."""
     for body, link in carried:
-        if held.get(body) != link:
+        if not link and body in held:
+            raise InputError(
+                f"expected {body!r} attached to no link on this trajectory, since the robot carries it on others of "
+                f"its message only, found it on {held[body]!r}"
+            )
+        if link and held.get(body) != link:
             found = f"it on {held[body]!r}" if body in held else "none"
             raise InputError(
                 f"expected a body {body!r} attached to the link {link!r}, which carries it on this trajectory, found "

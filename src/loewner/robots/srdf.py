@@ -134,7 +134,8 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
     if urdf is not None:
         urdf.fault("an SRDF, with groups, states and rules on pairs", f"a URDF, with a <{urdf.tag}>")
-    names = _Names(robot, {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))})
+    virtual = {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))}
+    names = _Names(robot, virtual - robot.joints.keys())
     disabled = _disabled_pairs(root, names)
     groups = _groups(root, names)
     states, doubts = _states(root, names, groups)
