@@ -209,13 +209,8 @@ def test_only_the_last_stage_of_a_plan_is_read(cart, written):
 
 def test_a_joint_that_mimics_needs_the_one_it_mimics(written):
     """A state with the mimic alone would leave both at 0."""
-    robot = Robot.from_urdf(
-        text=CART.replace(
-            "</joint></robot>",
-            '</joint><link name="f"/><joint name="m" '
-            'type="prismatic"><parent link="base"/><child link="f"/><limit upper="9"/><mimic joint="lift"/></joint></robot>',
-        )
-    )
+    more = '<link name="f"/><joint name="m" type="prismatic"><parent link="base"/><child link="f"/><limit upper="9"/>'
+    robot = Robot.from_urdf(text=CART.replace("</robot>", more + '<mimic joint="lift"/></joint></robot>'))
     state = {"joint_state": {"name": ["m"], "position": [0.5]}}
     message = written({"trajectory_start": state, "trajectory": [of_joints((0, 0.0), (1, 1.0))]})
     with pytest.raises(FileError, match="found m, which mimics lift; add the value of the joint that is mimicked"):

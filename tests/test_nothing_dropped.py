@@ -77,6 +77,7 @@ def xml_mutants(sample: str) -> Iterator[tuple[str, str, str]]:
     for number, (path, _, element) in enumerate(_elements(ElementTree.fromstring(sample))):
         changes = [("renamed", path, _rename), ("doubled", path, _double)]
         changes += [("joined", f"{path}/stranger", _join), ("joined", f"{path}@stranger", _join_attribute)]
+        changes += [("joined", f"{path}/text", _join_text)]
         changes += [("renamed", f"{path}@{name}", partial(_rename_attribute, name)) for name in element.attrib]
         for what, part, change in changes:
             root = ElementTree.fromstring(sample)
@@ -109,6 +110,10 @@ def _join(_: ElementTree.Element, element: ElementTree.Element) -> None:
 
 def _join_attribute(_: ElementTree.Element, element: ElementTree.Element) -> None:
     element.set("stranger", "1")
+
+
+def _join_text(_: ElementTree.Element, element: ElementTree.Element) -> None:
+    element.text = (element.text or "") + " 1 2 3 "
 
 
 def _double(above: ElementTree.Element, element: ElementTree.Element) -> None:

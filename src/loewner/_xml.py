@@ -99,7 +99,7 @@ class Element:
     def unread(
         self, harmless: Mapping[str, AbstractSet[str]], telling: AbstractSet[str] = frozenset()
     ) -> Iterator[tuple[Self, str]]:
-        """Yield the elements, and the attributes, in this one that were never requested, in the order of the file.
+        """Yield the elements, attributes and texts in this one that were never requested, in the order of the file.
 
         Parameters
         ----------
@@ -123,6 +123,8 @@ class Element:
             known = f"@{name}" in asked or f"@{name}" in passed_over
             if not known and not name.startswith(("xmlns", "xml:")):
                 yield self, f"<{self.tag} {name}>"
+        if "".join(self.texts).strip():
+            yield self, f"text in <{self.tag}>"
         for child in self.children:
             if f"{child.tag}*" in passed_over:
                 yield from child._inside(child.tag, telling)

@@ -292,7 +292,7 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
     for attribute, known in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
         limits[attribute] = np.where(np.isnan(limits[attribute]), known, limits[attribute])
     followed_here = [columns[joint][0] for joint, _ in robot.mimics.values() if joint in columns]
-    # A joint that others mimic keeps to what the URDF allows them, unless the file has limits of theirs.
+    # A joint that others mimic keeps within the limits that the URDF gives for them.
     limits["velocity"][followed_here] = np.fmin(limits["velocity"], robot.velocity)[followed_here]
     for attribute, array in followers.items():
         limits[attribute] = np.fmin(limits[attribute], array)
