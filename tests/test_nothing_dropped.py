@@ -5,6 +5,7 @@ reader that picks what it knows, and does not account for the rest, reads some o
 parts where that is right are listed.
 """
 
+import base64
 import copy
 import json
 import re
@@ -16,9 +17,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
-from loewner import LoewnerError, Robot, load_scene, planners, read_motion_bench_maker
+from loewner import LoewnerError, Robot, load_scene, meshes, planners, read_motion_bench_maker
 from loewner.robots.srdf import read_srdf
 from loewner.robots.urdf import read_urdf as description
 
@@ -340,6 +342,30 @@ SCENE = {
 }
 
 
+DATA = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4").tobytes()
+DATA += np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3], "<u2").tobytes()
+GLTF = {
+    "asset": {"version": "2.0", "generator": "x"},
+    "scene": 0,
+    "scenes": [{"name": "s", "nodes": [0]}],
+    "nodes": [
+        {"name": "n", "translation": [1, 0, 0], "rotation": [0, 0, 0.6, 0.8], "scale": [1, 2, 1], "children": [1]},
+        {"mesh": 0, "extras": {"x": 1}},
+    ],
+    "meshes": [{"name": "m", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": 4, "material": 0}]}],
+    "materials": [{"name": "red"}],
+    "accessors": [
+        {"bufferView": 0, "byteOffset": 0, "componentType": 5126, "count": 4, "type": "VEC3", "normalized": False},
+        {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+    ],
+    "bufferViews": [
+        {"buffer": 0, "byteOffset": 0, "byteLength": 48, "byteStride": 12},
+        {"buffer": 0, "byteOffset": 48, "byteLength": 24},
+    ],
+    "buffers": [{"byteLength": 72, "uri": f"data:application/octet-stream;base64,{base64.b64encode(DATA).decode()}"}],
+}
+
+
 def as_named(name: str, read: Callable[[Path], object]) -> Callable[[Path], object]:
     """Read a copy of a file whose name has another ending."""
     return lambda path: read(Path(shutil.copy(path, path.with_name(name))))
@@ -382,6 +408,10 @@ FORMATS = MESSAGES | {
     "scene": Format(
         json.dumps(SCENE), as_named("s.yaml", load_scene), json_mutants, (),
         named=("bodies/t", "bodies/c", "bodies/h", "bodies/f", "bodies/u"),
+    ),
+    "glTF": Format(
+        json.dumps(GLTF), as_named("m.gltf", meshes.load), json_mutants,
+        ("materials", "nodes/extras", "meshes/primitives/attributes/stranger"),
     ),
     "URDF": Format(
         URDF, description, xml_mutants,
