@@ -953,3 +953,27 @@ def test_kernels_and_descriptions_agree_on_widths():
     """Columns of a joint, by kind, are told twice: to kernels and to people."""
     for kind, values in VALUES.items():
         assert reaching.WIDTHS[KINDS[kind]] == len(values)
+
+
+class Labelled:
+    """A table of another library, such as pandas: an array with labels."""
+
+    def __init__(self, values, **labels):
+        self.values = np.asarray(values)
+        vars(self).update(labels)
+
+    def __array__(self, dtype=None, copy=None):
+        return self.values.astype(dtype or float)
+
+
+def test_labels_of_tables_are_in_the_robots_order():
+    """An array has no labels, so columns in another order would be other joints."""
+    inside = LINKS + joint("j", "revolute", "a", "b") + joint("k", "revolute", "b", "c")
+    inside += "".join(joint(f"f{k}", "fixed", a, b) for k, (a, b) in enumerate(("cd", "de", "ef")))
+    robot = Robot.from_urdf(text=f'<robot name="r">{inside}</robot>')
+    right, wrong = (robot.configuration_names, robot.configuration_names[::-1])
+    for label, values in (("columns", [[0.1, 0.2], [0.3, 0.4]]), ("index", [0.1, 0.2])):
+        assert robot.checked(Labelled(values, **{label: list(right)})).tolist() == values
+        assert robot.checked(Labelled(values, **{label: [0, 1]})).tolist() == values
+        with pytest.raises(InputError, match="Q: expected columns in the order 'j, k', found 'k, j'; choose them by"):
+            robot.checked(Labelled(values, **{label: list(wrong)}))

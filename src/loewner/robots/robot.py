@@ -713,6 +713,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+            A table with names of columns must have the order of `configuration_names`.
         name : str
             The caller's name for it, for messages.
 
@@ -724,7 +725,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), a quaternion does not have norm 1, or
+            the columns of a table (of pandas, say) have the names of joints in another order.
 
         Warns
         -----
@@ -738,6 +740,7 @@ class Robot(KeepsReadOnly):
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
+        _expect_order(self, Q, name)
         array = _validate.float_array(Q, name)
         expect_width(self, array.shape, name)
         if not self._watch.passes(array):
@@ -1008,6 +1011,19 @@ def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None)
             raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
         robot._chains[key] = made
     return robot._chains[key]
+
+
+def _expect_order(robot: Robot, Q: object, name: str) -> None:
+    """Refuse a table, or a row of one, whose labels are joints in another order: its array has no labels."""
+    labels = getattr(Q, "columns" if hasattr(Q, "columns") else "index", None)
+    if labels is None or callable(labels) or isinstance(Q, np.ndarray):
+        return
+    found, expected = [str(label) for label in labels], list(robot.configuration_names)
+    if found != expected and set(found) & set(expected):
+        raise InputError(
+            f"{name}: expected columns in the order {_validate.short(', '.join(expected))}, found "
+            f"{_validate.short(', '.join(found))}; choose them by list(robot.configuration_names)"
+        )
 
 
 def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
