@@ -726,7 +726,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If the width is not dof, an entry is not finite (or beyond ±1e200), a quaternion does not have norm 1, or
-            the columns of a table (of pandas, say) have the names of joints in another order.
+            the columns of a table (such as of pandas) have the names of joints in another order.
 
         Warns
         -----
