@@ -428,7 +428,15 @@ FORMATS = MESSAGES | {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", FORMATS.values(), ids=FORMATS)
+# YAML is read much more slowly than JSON.
+LONG = {"DisplayTrajectory, yaml", "Solution, yaml"}
+
+
+@pytest.mark.slow("hundreds of files of YAML")
+@pytest.mark.parametrize(
+    "form",
+    [pytest.param(form, id=name, marks=[pytest.mark.verify] * (name in LONG)) for name, form in FORMATS.items()],
+)
 def test_no_part_of_a_file_is_dropped_without_a_word(form, tmp_path):
     """Only what is listed may be renamed, doubled or joined by a stranger: the list is complete, and no longer."""
     quiet = without_a_word(form, tmp_path / "file")
