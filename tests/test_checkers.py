@@ -6,6 +6,7 @@ import math
 import pickle
 import subprocess
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -595,3 +596,24 @@ def test_a_motion_alone_is_divided_as_in_a_batch(tmp_path):
 def test_quotients_that_rounding_may_move_are_found():
     """Whole numbers but for a rounding, and what overflowed."""
     assert edges.nearly_whole(np.array([0.5, 2.0, 3.0 - 1e-13, np.inf, 7.1])).tolist() == [1, 2, 3]
+
+
+ALWAYS = """<robot name="r"><link name="a"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
+<link name="b"/><link name="c"><collision><geometry><box size="3 3 3"/></geometry></collision></link>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0 0 1.2"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1"/></joint><joint name="k" type="revolute"><parent link="b"/><child link="c"/>
+<origin xyz="0 0 {}"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_a_pair_that_always_collides_is_named_once(one_by_one):
+    """Nobody can plan with such a pair, and the pair alone says why; a robot that is free somewhere causes no words."""
+    for height, words in ((0.2, 1), (1.0, 0)):
+        robot = Robot.from_urdf(text=ALWAYS.format(height))
+        checker = CollisionChecker(robot, skip_adjacent=False)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            for Q in robot.random_configurations(100) if one_by_one else [robot.random_configurations(100)] * 3:
+                checker.collide(Q)
+        assert len(told) == words
+        assert all("'a' and 'c' collide in each of" in str(one.message) for one in told)

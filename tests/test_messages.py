@@ -197,6 +197,23 @@ def test_a_removal_without_a_name_is_of_one_link(cart, written, operation):
     assert (part.carried, part.origin.free) == ({"can": "cart"}, ("cup",))
 
 
+@pytest.mark.filterwarnings("default:.*shapes and poses")
+def test_shapes_of_attached_bodies_are_not_read(cart, written):
+    """The scene's bodies count; a warning names those whose shapes the message has."""
+    with pytest.warns(UserWarning, match=r"shapes and poses of bodies that the message attaches \(can\) are not read"):
+        ControllerPoints.load_all(written(SOLUTION), robot=cart)
+
+
+@pytest.mark.parametrize("rates", [0, False, "fast", [0.5, 0.5]])
+def test_rates_that_are_none_are_refused(written, rates):
+    """Points without velocities would be another curve."""
+    message = moved((0, 0.0), (1, 1.0))
+    for point in message["points"]:
+        point["velocities"] = rates
+    with pytest.raises(FileError, match=r"points\[0\]/velocities: expected a sequence"):
+        ControllerPoints.load(written(message))
+
+
 def test_only_the_last_stage_of_a_plan_is_read(cart, written):
     """The stages of a detailed response are the same plan, not motions one after another."""
     stages = [of_joints((0, 0.0), (3, 0.1)), of_joints((0, 0.0), (1, 2.0))]
