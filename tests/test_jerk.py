@@ -657,6 +657,8 @@ def test_soft_limits_narrow_and_those_of_mimics_do_not_widen(robot, tmp_path):
         "a: &a {? [1] : 2}\nb: {<<: *a}",
         "p: {joint_limits: {x: {max_velocity: 1}}}\na0: &a0 {x: 1}\n"
         + "".join(f"a{k}: &a{k} {{x: *a{k - 1}, y: *a{k - 1}}}\n" for k in range(1, 25)),
+        "a0: &a0 {joint_limits: {x: {max_velocity: no}}}\n"
+        + "".join(f"a{k}: &a{k} {{x: *a{k - 1}}}\n" for k in range(1, 3000)),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*not read, since they are no limits")

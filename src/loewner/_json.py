@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import re
 from collections.abc import Callable
 from typing import Any
 
+from loewner._memory import uncollected
 from loewner._validate import short
 from loewner.errors import FileError
 
@@ -75,14 +75,8 @@ def loads(data: str | bytes, constant: Callable[[str], Any] | None = None) -> An
             repeated.append(made)
         return made
 
-    # A tree of JSON has no cycles, and the search for some would take a third of the time of a large file.
-    searches = gc.isenabled()
-    gc.disable()
-    try:
+    with uncollected():
         found = json.loads(text, object_pairs_hook=once, parse_constant=constant)
-    finally:
-        if searches:
-            gc.enable()
     if repeated:
         raise RepeatedKeyError(*_first_repeated(text))
     return found

@@ -60,10 +60,12 @@ class Node(ABC):
     @property
     def key(self) -> str:
         """The keys that lead here, joined by "/"; empty at the top."""
-        above = "" if self._above is None else self._above.key
-        if isinstance(self._name, int):
-            return f"{above}[{self._name}]"
-        return f"{above}/{cut(self._name)}" if above else cut(self._name)
+        names: list[str] = []
+        at: Node | None = self
+        while at is not None and at._above is not None:  # aliases of YAML lead deeper than recursion may go
+            names.append(f"[{at._name}]" if isinstance(at._name, int) else f"/{cut(at._name)}")
+            at = at._above
+        return cut_middle("".join(reversed(names)).removeprefix("/"))
 
     @property
     @abstractmethod
@@ -181,6 +183,11 @@ def some(names: Iterable[str]) -> str:
     listed = list(names)
     more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
     return ", ".join(map(cut, listed[:LISTED])) + more
+
+
+def cut_middle(text: str) -> str:
+    """Shorten the keys that lead to a place to the first and the last."""
+    return text if len(text) <= 400 else f"{text[:200]} ... {text[-200:]}"
 
 
 def cut(text: str) -> str:

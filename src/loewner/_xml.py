@@ -9,6 +9,8 @@ from collections.abc import Set as AbstractSet
 from typing import Any, NoReturn, Self, TypeVar
 from xml.parsers import expat
 
+from loewner._memory import uncollected
+
 E = TypeVar("E", bound="Element")
 
 # Python's expat decodes no encoding that has characters of several bytes, except Unicode's. These are names of Python's
@@ -60,7 +62,9 @@ class Element:
 
     def all(self, tag: str) -> list[Self]:
         """Return the children with this tag."""
-        self._ask(tag)
+        if self._asked is None:
+            self._asked = set()
+        self._asked.add(tag)
         return [child for child in self.children if child.tag == tag]
 
     def one(self, tag: str) -> Self | None:
@@ -79,17 +83,14 @@ class Element:
 
     def get(self, name: str) -> str | None:
         """Return an attribute, or None."""
-        self._ask("@" + name)
+        if self._asked is None:
+            self._asked = set()
+        self._asked.add("@" + name)
         return self.attributes.get(name)
 
     def fault(self, expected: str, found: str) -> NoReturn:
         """Raise an error about this element; readers replace it by one that raises their own."""
         raise XmlError(expected, found, self.line)
-
-    def _ask(self, name: str) -> None:
-        if self._asked is None:
-            self._asked = set()
-        self._asked.add(name)
 
     def disown(self, *names: str) -> None:
         """Mark parts as unread again: tags, and names of attributes after "@"."""
@@ -202,8 +203,13 @@ def parse(
                 names[name] = tag, namespace
             tag, namespace = names[name]
         else:
-            scopes.append(_with_declared(scopes[-1], attributes))
-            tag, namespace = name, scopes[-1].get(name.rpartition(":")[0], "")
+            scope = scopes[-1]
+            for attribute in attributes:
+                if attribute.startswith("xmlns"):
+                    scope = _with_declared(scope, attributes)
+                    break
+            scopes.append(scope)
+            tag, namespace = name, scope.get(name.rpartition(":")[0], "") if scope else ""
         element = make(tag, attributes, parser.CurrentLineNumber, namespace)
         path[-1].children.append(element)
         path.append(element)
@@ -228,7 +234,8 @@ def parse(
     if not doctype:
         parser.StartDoctypeDeclHandler = document_type
     try:
-        parser.Parse(_decoded(data), True)
+        with uncollected():
+            parser.Parse(_decoded(data), True)
     except XmlError:
         raise
     except expat.ExpatError as error:
@@ -249,7 +256,5 @@ def _decoded(data: bytes | str) -> bytes | str:
 
 def _with_declared(namespaces: dict[str, str], attributes: dict[str, str]) -> dict[str, str]:
     """Add the namespaces that an element declares to a dict by prefix; the default namespace has the prefix ""."""
-    if not any(name.startswith("xmlns") for name in attributes):
-        return namespaces
     declared = {name[6:]: value for name, value in attributes.items() if name == "xmlns" or name.startswith("xmlns:")}
     return namespaces | declared

@@ -114,6 +114,8 @@ TYPES: dict[str, dict[str, str]] = {
 }
 WRAPPED = [name for name, fields in TYPES.items() if ANY not in fields.values()]
 
+# Keys of further types. Headers, efforts, the velocities, twists and wrenches of a state, the posture of a gripper and
+# the weight of a body have no effect on where the robot is.
 RATES = ("positions", "velocities", "accelerations")
 POINT = (*RATES, "effort", "time_from_start")
 PLACED_POINT = ("transforms", "velocities", "accelerations", "time_from_start")
@@ -121,7 +123,7 @@ JOINT_STATE = ("header", "name", "position", "velocity", "effort")
 PLACED_STATE = ("header", "joint_names", "transforms", "twist", "wrench")
 CARRIED = ("link_name", "object", "touch_links", "detach_posture", "weight")
 TREE = ("header", "origin", "octomap", "binary", "id", "resolution", "data")
-TOLERANCE = ("name", "component", "position", "velocity", "acceleration")
+TOLERANCE = ("name", "joint_name", "component", "position", "velocity", "acceleration")
 
 # Seconds and their fractions in a duration, in ROS 2 and ROS 1. A number that is larger than a day in seconds is
 # probably in nanoseconds.
@@ -464,10 +466,11 @@ def _tolerated(keys: dict[str, Node]) -> Iterator[str]:
     """Describe how far a goal lets a controller deviate from the path."""
     for key in ("path_tolerance", "component_path_tolerance"):
         for entry in _list(keys, key):
-            held = entry.mapping(None if key.startswith("component") else TOLERANCE)
+            held = entry.mapping(TOLERANCE)
             allowed = held["position"].number() if "position" in held and not held["position"].empty else 0.0
             if allowed:  # 0 is the controller's default, and negative no limit
-                joint = held["name"].text() if "name" in held else "a joint"
+                named = [held[name].text() for name in ("name", "joint_name") if name in held]
+                joint = named[0] if named else "a joint"
                 far = f"by {allowed:g}" if allowed > 0 else "without a limit"
                 yield f"{entry.key} lets {joint} deviate {far} on the way; joint_error= covers deviations"
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loewner._matrices import lengths
+from loewner._memory import uncollected
 from loewner._plausible import FARTHEST_LIMIT, doubt_about_limits, doubt_about_rpy, warn
 from loewner._rotations import QUATERNION_TOLERANCE, from_quaternion, from_rpy
 from loewner._validate import Floats
@@ -210,6 +211,7 @@ class Description:
         return tuple(j.name for j in self.joints.values() if VALUES[j.kind] and j.mimic is None)
 
 
+@uncollected()
 def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Description:
     """Read a URDF file, or a string as if it were the contents of that file.
 
@@ -253,7 +255,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     order = _parents_first(root, list(links), joint_above)
     shapes = {link: tuple(_shape(e, version) for e in links[link].all("collision")) for link in order}
     for link in links.values():
-        if not np.array_equal(_origin(link, version), np.eye(4)):
+        if link.has("origin") and not np.array_equal(_origin(link, version), np.eye(4)):
             link.disown("origin")  # a link has none, but its shapes; the identity does no harm
     _doubt_angles(root)
     _doubt_limits(root.path, joints)
@@ -501,13 +503,13 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
 
 def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
     """Narrow the ranges of joints to values at which the joints that mimic them are within their limits."""
-    ranges = {name: joint.range for name, joint in joints.items() if joint.mimic is None}
+    ranges: dict[str, tuple[float, float]] = {}  # of joints whose ranges are narrowed
     faults = []
     for joint in joints.values():
         mimic = joint.mimic
         if mimic is None or mimic.multiplier == 0:
             continue
-        low, high = ranges[mimic.joint]
+        low, high = ranges.get(mimic.joint, joints[mimic.joint].range)
         least, most = sorted((end - mimic.offset) / mimic.multiplier for end in joint.range)
         new = least if least > low + LEAST_CUT else low, most if most < high - LEAST_CUT else high
         if new == (low, high):
@@ -522,7 +524,7 @@ def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
     if faults:
         more = f" ({len(faults) - 1} more like it)" if len(faults) > 1 else ""
         warn(f"{path}, {faults[0]}; its limits are not used{more}")
-    return {name: replace(joint, soft=ranges.get(name, joint.soft)) for name, joint in joints.items()}
+    return joints | {name: replace(joints[name], soft=soft) for name, soft in ranges.items()}
 
 
 def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -103,11 +104,8 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
     path = _validate.path(path, "path", wanted=f"a path to {what}")
     data = read_regular(path, what, MOST_BYTES) if text is None else _checked_text(text, what)
 
-    def make(tag: str, attributes: dict[str, str], line: int, namespace: str) -> Element:
-        return Element(path, tag, attributes, line, namespace)
-
     try:
-        root = _xml.parse(data, what, make, deepest=DEEPEST, most=MOST_ELEMENTS, texts=True)
+        root = _xml.parse(data, what, partial(Element, path), deepest=DEEPEST, most=MOST_ELEMENTS, texts=True)
     except _xml.XmlError as error:
         raise FileError(f"{path}, line {error.line}: {error}") from None
     if root.tag != "robot":
@@ -151,6 +149,8 @@ def _refuse_macros(root: Element, what: str) -> None:
 def _is_macro(element: Element) -> bool:
     """Return whether xacro or XInclude would replace an element; the prefix xacro always means xacro."""
     prefix = element.tag.rpartition(":")[0]
+    if not prefix and not element.namespace:  # nearly all elements
+        return False
     namespace = element.namespace or UNDECLARED.get(prefix, "")
     return prefix == "xacro" or any(part in namespace.lower() for part in TO_EXPAND)
 
