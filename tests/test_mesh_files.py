@@ -213,6 +213,8 @@ MM = '<unit name="millimeter" meter="0.001"/>'
         ({"unit": '<Unit meter="0.001"/>'}, "line 2: <asset>: expected elements of Collada, found <'Unit'>"),
         ({"node": "<Translate>5 0 0</Translate>"}, "<node>: expected elements of Collada, found <'Translate'>"),
         ({"visual": "<Node/>"}, "<visual_scene>: expected elements of Collada, found <'Node'>"),
+        ({"unit": "<unit>0.01</unit>"}, "line 2: <unit>: expected elements and attributes alone, found '0.01'"),
+        ({"node": "5 0 0"}, "<node>: expected elements and attributes alone, found '5 0 0'"),
         ({"names": "XXY"}, "<param>: expected X, Y and Z"),
         ({"names": ["X", "", "Z"]}, "<param>: expected X, Y and Z"),
     ],

@@ -259,7 +259,9 @@ class _Scene:
 
 
 def _check_children(element: _Element, metres: float) -> None:
-    """Refuse children that Collada does not have, and a unit, wherever it is, that is not the file's."""
+    """Refuse children that Collada does not have, text between them, and a unit anywhere that is not the file's."""
+    text = "".join(element.texts).strip()
+    expect(not text, f"<{element.tag}>: expected elements and attributes alone, found {quoted(text)}", element.line)
     for child in element.children:
         known = child.tag in _CHILDREN[element.tag]
         expect(known, f"<{element.tag}>: expected elements of Collada, found <{quoted(child.tag)}>", child.line)
