@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -104,13 +103,24 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
     path = _validate.path(path, "path", wanted=f"a path to {what}")
     data = read_regular(path, what, MOST_BYTES) if text is None else _checked_text(text, what)
 
+    prefixed: list[Element] = []
+
+    def make(tag: str, attributes: dict[str, str], line: int, namespace: str) -> Element:
+        element = Element(path, tag, attributes, line, namespace)
+        if namespace or ":" in tag:
+            prefixed.append(element)
+        return element
+
     try:
-        root = _xml.parse(data, what, partial(Element, path), deepest=DEEPEST, most=MOST_ELEMENTS, texts=True)
+        root = _xml.parse(data, what, make, deepest=DEEPEST, most=MOST_ELEMENTS, texts=True)
     except _xml.XmlError as error:
         raise FileError(f"{path}, line {error.line}: {error}") from None
     if root.tag != "robot":
         root.fault(f"{what} with the root element <robot>", f"<{root.tag}>", FileError)
-    _refuse_macros(root, what)
+    macros = [element for element in prefixed if _is_macro(element)]
+    macros += [child for child in root.children if child.tag in WITHOUT_PREFIX]
+    for element in sorted(macros, key=lambda macro: macro.line)[:1]:
+        element.fault(what, f"the macro <{element.tag}>; run xacro on the file first", FileError)
     return root
 
 
@@ -135,22 +145,9 @@ def settle(root: Element, what: str, harmless: Mapping[str, AbstractSet[str]]) -
         warn(f"{root.path}: some parts are ignored, {why}: {some(named, UNREAD)}")
 
 
-def _refuse_macros(root: Element, what: str) -> None:
-    """Raise a FileError for the first element that another program has to replace."""
-    old = {id(child) for child in root.children if child.tag in WITHOUT_PREFIX}
-    waiting = [root]
-    while waiting:
-        element = waiting.pop()
-        if id(element) in old or _is_macro(element):
-            element.fault(f"{what}", f"the macro <{element.tag}>; run xacro on the file first", FileError)
-        waiting.extend(reversed(element.children))
-
-
 def _is_macro(element: Element) -> bool:
     """Return whether xacro or XInclude would replace an element; the prefix xacro always means xacro."""
     prefix = element.tag.rpartition(":")[0]
-    if not prefix and not element.namespace:  # nearly all elements
-        return False
     namespace = element.namespace or UNDECLARED.get(prefix, "")
     return prefix == "xacro" or any(part in namespace.lower() for part in TO_EXPAND)
 
