@@ -960,7 +960,7 @@ CALLS: dict[str, Call] = {
         {
             "path": arg("gantry.urdf"),
             "text": arg(None, NONE),
-            "xacro_args": arg(None, NONE),
+            "xacro_args": arg(None, NONE, "empty dict", "dict of numbers"),
             "srdf": arg("gantry.srdf", NONE),
             "package_dirs": arg(list, NOTHING, "folder"),
             "meshes": choice("hull"),
@@ -972,6 +972,9 @@ CALLS: dict[str, Call] = {
     ),
     "Robot.from_mjcf": Call(Robot.from_mjcf, {"path": arg("pole.xml"), "tol": TOL}),
     "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
+    "Robot.to_urdf": Call(
+        on(robot, "to_urdf"), {"path": arg("out.urdf", NUMERAL), "mesh_prefix": arg("", TEXTS, "empty text")}
+    ),
     "Robot.disabling": Call(on(robot, "disabling"), {"pairs": arg(lambda: [("ball", "rod")], NOTHING)}),
     "Robot.join": Call(
         Robot.join, {"parts": arg(lambda: {"a": robot(), "b": robot()}), "poses": arg(None, NONE, "empty dict")}

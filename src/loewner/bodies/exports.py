@@ -76,14 +76,14 @@ def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
     for number, shape in enumerate(_listed(packed, which)):
         geom = ElementTree.SubElement(body, "geom", name=f"{name}_{number}", type=shape.kind)
         if shape.mesh is not None:
-            ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=_numbers(shape.mesh[0].ravel()))
+            ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=numbers(shape.mesh[0].ravel()))
             geom.set("mesh", f"{name}_{number}")
             continue
         half = {"box": [0.5] * 3, "cylinder": [1.0, 0.5], "capsule": [1.0, 0.5]}.get(shape.kind, 1.0)
-        geom.set("size", _numbers(np.multiply(shape.sizes, half)))
-        geom.set("pos", _numbers(shape.center))
-        geom.set("quat", _numbers(np.roll(Rotation.from_matrix(shape.rotation).as_quat(), 1)))
-    return _text(root)
+        geom.set("size", numbers(np.multiply(shape.sizes, half)))
+        geom.set("pos", numbers(shape.center))
+        geom.set("quat", numbers(np.roll(Rotation.from_matrix(shape.rotation).as_quat(), 1)))
+    return text_of(root)
 
 
 def save_text(text: str, path: Path) -> None:
@@ -96,11 +96,20 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
     """Write the mesh files of a robot with one link, then its URDF."""
     root = ElementTree.Element("robot", name=path.stem)
     link = ElementTree.SubElement(root, "link", name=path.stem)
-    shapes = [part for shape in _listed(packed, which) for part in _for_urdf(shape, which)]
+    meshes = add_collisions(link, packed, path, which, mesh_prefix)
+    with replacing(path) as temporary:  # a name that cannot be written is reported before any mesh is written
+        save_texts(meshes)
+        temporary.write_text(text_of(root), encoding="utf-8")
+
+
+def add_collisions(
+    link: ElementTree.Element, packed: Packed, path: Path, which: str | None, mesh_prefix: str
+) -> dict[Path, str]:
+    """Add the shapes of a body to a link of the URDF at `path`, and return the contents of its mesh files."""
     meshes: dict[Path, str] = {}
-    for shape in shapes:
+    for shape in (part for listed in _listed(packed, which) for part in _for_urdf(listed, which)):
         collision = ElementTree.SubElement(link, "collision")
-        ElementTree.SubElement(collision, "origin", xyz=_numbers(shape.center), rpy=_numbers(to_rpy(shape.rotation)))
+        add_origin(collision, shape.rotation, shape.center)
         geometry = ElementTree.SubElement(collision, "geometry")
         if shape.mesh is not None:
             text = _obj(*shape.mesh)
@@ -108,15 +117,33 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
             meshes[file] = text
             ElementTree.SubElement(geometry, "mesh", filename=mesh_prefix + file.name)
         elif shape.kind == "box":
-            ElementTree.SubElement(geometry, "box", size=_numbers(shape.sizes))
+            ElementTree.SubElement(geometry, "box", size=numbers(shape.sizes))
         else:
             names = ("radius", "length")[: len(shape.sizes)]
-            sizes = {size: _numbers([value]) for size, value in zip(names, shape.sizes, strict=True)}
+            sizes = {size: numbers([value]) for size, value in zip(names, shape.sizes, strict=True)}
             ElementTree.SubElement(geometry, shape.kind, sizes)
-    with replacing(path) as temporary:  # a name that cannot be written is reported before any mesh is written
-        for file, text in meshes.items():
-            save_text(text, file)
-        temporary.write_text(_text(root), encoding="utf-8")
+    return meshes
+
+
+def add_origin(element: ElementTree.Element, rotation: Floats, center: Floats) -> None:
+    """Add a pose in the form of URDF."""
+    ElementTree.SubElement(element, "origin", xyz=numbers(center), rpy=numbers(to_rpy(rotation)))
+
+
+def save_texts(texts: dict[Path, str]) -> None:
+    """Write files, each atomically."""
+    for file, text in texts.items():
+        save_text(text, file)
+
+
+def enlarged(packed: Packed) -> str | None:
+    """Return the name of a kind of piece that URDF has no shape for, so that a larger polytope is written; or None."""
+    for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
+        if row > columns.POLYTOPE:
+            kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)
+            if kind.inradii is not None or (kind.name == "ellipsoid" and semi_axes.min() < semi_axes.max()):
+                return kind.name
+    return None
 
 
 def plain_name(name: Any, what: str = "name") -> str:
@@ -133,18 +160,19 @@ def prefix(text: Any) -> str:
     return text
 
 
-def _numbers(values: Any) -> str:
+def numbers(values: Any) -> str:
     """Format numbers for an attribute, without rounding."""
     return " ".join(repr(value + 0.0) for value in np.asarray(values, dtype=np.float64).tolist())
 
 
-def _text(root: ElementTree.Element) -> str:
+def text_of(root: ElementTree.Element) -> str:
+    """Write an element with its children, a line for each."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _obj(vertices: Floats, triangles: Any) -> str:
-    corners = (f"v {_numbers(vertex)}\n" for vertex in vertices)
+    corners = (f"v {numbers(vertex)}\n" for vertex in vertices)
     faces = (f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist())
     return "".join(corners) + "".join(faces)
 

@@ -407,6 +407,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
             p.prefix + joint: slice(at.start + shift, at.stop + shift)
             for p, shift in zip(pieces, first, strict=False) for joint, at in p.robot._columns.items()
         },
+        _above={link: above for piece in pieces for link, above in _above(piece).items()},
         _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
         _watch=Watch(name, configuration_names, limits["hard_lower"], limits["hard_upper"], turns, free),
         _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
@@ -416,6 +417,17 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
             for p, shift in zip(pieces, first, strict=False) for key, part in p.robot._parts.items()
         },
     )  # fmt: skip
+
+
+def _above(piece: _Piece) -> dict[str, tuple[str, str | None]]:
+    """Return the joints above the links of a piece, and their parents, by their names in the combined robot."""
+    left_out = piece.robot.link_names[0] if piece.without_root else None
+    above = {}
+    for link in piece.robot.link_names[piece.without_root :]:
+        joint, parent = piece.robot._above.get(link, ("", None))
+        on = piece.on if parent in (None, left_out) else piece.prefix + parent
+        above[piece.prefix + link] = joint and piece.prefix + joint, on
+    return above
 
 
 def _states(piece: _Piece) -> dict[str, Any]:

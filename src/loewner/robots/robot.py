@@ -67,10 +67,10 @@ def _text_of(
         if xacro_args is not None:
             raise InputError("xacro_args: expected a path to a xacro file with them, found text=")
         return text
-    named = isinstance(path, (str, os.PathLike)) and os.fspath(path)
-    if xacro_args is None and not (isinstance(named, str) and named.lower().endswith(SUFFIX)):
+    named = _validate.path(path, "path", wanted="a path to a URDF")
+    if xacro_args is None and not str(named).lower().endswith(SUFFIX):
         return None
-    return expanded(path, xacro_args or {}, places)
+    return expanded(named, xacro_args or {}, places)
 
 
 def _model(meshes: str, decompose: bool) -> str:
@@ -167,6 +167,8 @@ class Robot(KeepsReadOnly):
     urdf: Path
     package_dirs: tuple[Path, ...]
     _columns: dict[str, slice] = field(repr=False)
+    # For each link but roots, the joint above it, "" for one without a name, and its parent; None is the world.
+    _above: dict[str, tuple[str, str | None]] = field(repr=False)
     # For messages: the links that only have visual geometry.
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
@@ -315,6 +317,7 @@ class Robot(KeepsReadOnly):
             urdf=path,
             package_dirs=package_dirs,
             _columns=columns,
+            _above={link: (joint.name, joint.parent) for link, joint in robot.joint_above.items()},
             _only_visual=robot.only_visual,
             _watch=Watch(robot.name, names, hard_lower, hard_upper, turns, free),
             _rooted=tree,
@@ -377,6 +380,43 @@ class Robot(KeepsReadOnly):
         model = read_mjcf(path, checked_tolerance(tol))
         robot, bodies = description_of(model)
         return cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), "MJCF", None)
+
+    def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
+        """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.
+
+        Together the files describe the same kinematics, limits, rates, groups, states, shapes and checked pairs, up to
+        the rounding of poses. A root link "world" is added if the robot has several roots, or is placed. Visual
+        geometry, masses and efforts are not written. Limits that are narrower than `hard_lower` and `hard_upper` become
+        soft limits. Without the SRDF, other pairs are checked: pass it to `from_urdf`, too.
+
+        Parameters
+        ----------
+        path : path
+            The URDF. The SRDF has the suffix ``.srdf`` instead, and meshes are files next to them,
+            ``STEM-DIGEST.obj``, as for `Body.to_urdf`.
+        mesh_prefix : str
+            Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
+
+        Raises
+        ------
+        InputError
+            If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
+            ellipsoid, a surface, a height field or a cloud of points. If a name has characters that cannot be printed,
+            or the path ends in ``.srdf``.
+        FileError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> arm = Robot.from_urdf("arm.urdf")
+        >>> Robot.join({"left": arm, "right": arm}).to_urdf("both.urdf")
+        >>> Robot.from_urdf("both.urdf", srdf="both.srdf").configuration_names
+        ('left/rail', 'left/elbow', 'right/rail', 'right/elbow')
+        """
+        from loewner.bodies.exports import prefix
+        from loewner.robots.exports import save_urdf
+
+        save_urdf(self, _validate.path(path, "path"), prefix(mesh_prefix))
 
     @property
     def dof(self) -> int:

@@ -1,0 +1,249 @@
+"""Write robots for other programs, as URDF and SRDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from loewner import _validate
+from loewner._files import replacing
+from loewner._kernels import columns
+from loewner._matrices import image, product
+from loewner._validate import Floats
+from loewner.bodies import packed_of
+from loewner.bodies.exports import add_collisions, add_origin, enlarged, numbers, save_texts, text_of
+from loewner.errors import InputError
+from loewner.robots.urdf import VALUES
+
+# Kinds of joints by the kernels' names; joints that turn are "continuous" if they have no limits.
+KINDS = {
+    columns.FIXED: "fixed",
+    columns.REVOLUTE: "revolute",
+    columns.PRISMATIC: "prismatic",
+    columns.PLANAR: "planar",
+    columns.FLOATING: "floating",
+}
+ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
+
+
+class _Joint(NamedTuple):
+    """A joint as URDF has it. `mimic` is the joint that it follows, the multiplier and the offset."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    rotation: Floats
+    center: Floats
+    axis: Floats
+    limits: dict[str, float]
+    soft: tuple[float, float] | None
+    mimic: tuple[str, float, float] | None
+
+
+def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
+    """Write the meshes of a robot beside a URDF, then the URDF, and an SRDF of the same stem."""
+    semantics = path.with_suffix(".srdf")
+    if semantics == path:
+        raise InputError(f"path: expected the path of a URDF, found {path}, which is that of its SRDF")
+    for name in (robot.name, *robot.link_names, *robot.joint_names, *robot.mimics, *robot.groups, *robot.states):
+        if not name.isprintable():
+            raise InputError(f"expected names that can be printed, found {_validate.short(name)}")
+    exempt = robot.disabled_pairs or robot.adjacent_pairs
+    bare = [link for link in robot.link_names if link not in robot.bodies]
+    top = _top(robot, needed=len(robot.bodies) > 1 and not exempt and not bare)
+    root = ElementTree.Element("robot", name=robot.name)
+    meshes: dict[Path, str] = {}
+    if top is not None:
+        ElementTree.SubElement(root, "link", name=top)
+    for name in robot.link_names:
+        link = ElementTree.SubElement(root, "link", name=name)
+        if name in robot.bodies:
+            meshes |= _shapes(link, robot, path, mesh_prefix)
+    joints = list(_joints(robot, top))
+    places = {name: k for k, name in enumerate(robot.joint_names)}
+    for joint in sorted(joints, key=lambda joint: places.get(joint.name, len(places))):
+        _add_joint(root, joint)
+    if any({"acceleration", "jerk"} & joint.limits.keys() for joint in joints):
+        root.set("version", "1.2")
+    # Without any rule, adjacent links would be exempt. A rule on a link without a body, or on the only link, exempts no
+    # pair that could collide.
+    alone = "" if exempt else top or (*bare, *robot.link_names)[0]
+    with replacing(path) as urdf, replacing(semantics) as srdf:
+        save_texts(meshes)
+        srdf.write_text(_semantics(robot, exempt, alone), encoding="utf-8")
+        urdf.write_text(text_of(root), encoding="utf-8")
+
+
+def _top(robot: Any, *, needed: bool) -> str | None:
+    """Return the name of a new root link, which is the world; None if the robot's own root link can be the root."""
+    roots = [link for link in robot.link_names if robot._above.get(link, ("", None))[1] is None]
+    first = robot.tree.constants[0, : columns.SINE]
+    if not needed and len(roots) == 1 and np.array_equal(first, [1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]):
+        return None
+    return _unused("world", robot.link_names)
+
+
+def _unused(name: str, taken: Any) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str) -> dict[Path, str]:
+    """Add the shapes of a link; return the contents of mesh files."""
+    name = link.attrib["name"]
+    packed = packed_of(robot.bodies[name])
+    kind = enlarged(packed)
+    if kind is not None:
+        raise InputError(
+            f"link {name!r}: expected shapes that URDF has, found a piece of kind {kind!r}; Body.to_urdf writes "
+            "polytopes around such pieces"
+        )
+    try:
+        return add_collisions(link, packed, path, None, mesh_prefix)
+    except InputError as error:
+        raise InputError(f"link {name!r}: {error}") from None
+
+
+# -- joints ---------------------------------------------------------------------------------------
+
+
+def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
+    """List the joints, in the order of the links below them."""
+    tree, number = robot.tree, {name: k for k, name in enumerate(robot.link_names)}
+    driven = {at.start: name for name, at in robot._columns.items()}
+    taken = {*robot.joint_names, *robot.mimics}
+    for child, k in number.items():
+        name, parent = robot._above.get(child, ("", None))
+        if parent is None and top is None:
+            continue
+        if not name:
+            name = _unused(child, taken)
+            taken.add(name)
+        kind = int(tree.kind[k])
+        if kind not in KINDS:
+            raise InputError(f"expected joints that URDF has, found the ball joint {name!r}")
+        rotation, axis = _rotation_and_axis(tree.constants[k], kind)
+        center = tree.constants[k, columns.TRANSLATION : columns.TRANSLATION + 3]
+        offset, mimic = float(tree.offset[k]), None
+        if name in robot.mimics:
+            mimic = driven[int(tree.column[k])], float(tree.multiplier[k]), offset
+        elif offset and kind == columns.REVOLUTE:  # the child is at the origin of its joint at another value than 0
+            rotation = _turned(tree.constants[k], offset)
+        elif offset:
+            center = center + offset * image(rotation, axis)
+        if parent is not None and tree.kind[number[parent]] == columns.FIXED:  # it is a frame of its rigid group
+            frame = tree.constants[number[parent]]
+            R = _matrix(frame, columns.ROTATION)
+            shift = center - frame[columns.TRANSLATION : columns.TRANSLATION + 3]
+            rotation, center = product(R.T, rotation), image(R.T, shift)
+        limits: dict[str, float] = {}
+        soft = None
+        if kind in ONE_VALUE:
+            limits, soft = _limits(robot, int(tree.column[k]), mimic)
+        elif kind != columns.FIXED:
+            _refuse_bounds(robot, name)
+        endless = limits.get("lower") == -math.inf and limits.get("upper") == math.inf and soft is None
+        name_of_kind = "continuous" if endless and kind == columns.REVOLUTE else KINDS[kind]
+        yield _Joint(name, name_of_kind, parent or top or "", child, rotation, center, axis, limits, soft, mimic)
+
+
+def _matrix(constants: Floats, first: int) -> Floats:
+    return constants[first : first + 9].reshape(3, 3)
+
+
+def _turned(constants: Floats, angle: float) -> Floats:
+    """Return the rotation of a link on a turning joint, in the frame of its parent."""
+    sine, cosine = math.sin(angle), math.cos(angle)
+    rotation, of_sine, of_cosine = (_matrix(constants, at) for at in (columns.ROTATION, columns.SINE, columns.COSINE))
+    return rotation + sine * of_sine + cosine * of_cosine
+
+
+def _rotation_and_axis(constants: Floats, kind: int) -> tuple[Floats, Floats]:
+    """Return the rotation of a joint's frame, and its axis in that frame; see `tree.tree_of`."""
+    rotation = _matrix(constants, columns.ROTATION)
+    if kind == columns.PRISMATIC:
+        return rotation, image(rotation.T, constants[columns.ACROSS : columns.ACROSS + 3])
+    if kind in (columns.REVOLUTE, columns.PLANAR):
+        rotation = _turned(constants, 0.0)
+        cross = product(rotation.T, _matrix(constants, columns.SINE))
+        return rotation, np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+    return rotation, np.array([1.0, 0.0, 0.0])
+
+
+def _limits(
+    robot: Any, column: int, mimic: tuple[str, float, float] | None
+) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """Return limits and rates of a joint of one value, and the limits for planning if they are narrower."""
+    hard = float(robot.hard_lower[column]), float(robot.hard_upper[column])
+    if mimic is not None:  # values at which the joint that it mimics is within its limits
+        _, multiplier, offset = mimic
+        lower, upper = sorted(multiplier * end + offset for end in hard) if multiplier else (offset, offset)
+        return {"lower": lower, "upper": upper}, None
+    soft = float(robot.lower[column]), float(robot.upper[column])
+    rates = {name: float(getattr(robot, name)[column]) for name in ("velocity", "acceleration", "jerk")}
+    known = {name: rate for name, rate in rates.items() if math.isfinite(rate)}
+    return {"lower": hard[0], "upper": hard[1], **known}, None if soft == hard else soft
+
+
+def _refuse_bounds(robot: Any, name: str) -> None:
+    """Refuse limits of a planar or floating joint, which URDF does not have."""
+    values = robot._columns[name]
+    first = slice(values.start, values.start + 3)  # the quaternion of a floating joint follows
+    if np.isfinite([robot.lower[first], robot.upper[first]]).any():
+        raise InputError(f"expected limits that URDF has, found bounds of {name!r}, which has several values")
+
+
+def _add_joint(root: ElementTree.Element, joint: _Joint) -> None:
+    element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
+    ElementTree.SubElement(element, "parent", link=joint.parent)
+    ElementTree.SubElement(element, "child", link=joint.child)
+    add_origin(element, joint.rotation, joint.center)
+    if joint.kind not in ("fixed", "floating"):
+        ElementTree.SubElement(element, "axis", xyz=numbers(joint.axis))
+    if joint.limits:
+        # Readers expect an effort and a velocity; 0 is how programs write that there is none.
+        limits = {"effort": 0.0, "velocity": 0.0, **joint.limits}
+        ends = ("lower", "upper") if joint.kind == "continuous" else ()
+        written = {name: numbers([value]) for name, value in limits.items() if name not in ends}
+        ElementTree.SubElement(element, "limit", written)
+    if joint.soft is not None:
+        lower, upper = (numbers([end]) for end in joint.soft)
+        ElementTree.SubElement(
+            element, "safety_controller", soft_lower_limit=lower, soft_upper_limit=upper, k_velocity="0"
+        )
+    if joint.mimic is not None:
+        other, multiplier, offset = joint.mimic
+        ElementTree.SubElement(
+            element, "mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset])
+        )
+
+
+# -- SRDF -----------------------------------------------------------------------------------------
+
+
+def _semantics(robot: Any, exempt: Any, alone: str) -> str:
+    """Write the groups, the states, the exempt pairs, and the link that has no pairs, unless its name is empty."""
+    root = ElementTree.Element("robot", name=robot.name)
+    for name, joints in robot.groups.items():
+        group = ElementTree.SubElement(root, "group", name=name)
+        for joint in joints:
+            ElementTree.SubElement(group, "joint", name=joint)
+    for name, (of, values) in robot.states.items():
+        state = ElementTree.SubElement(root, "group_state", {"name": name} | ({"group": of} if of else {}))
+        for joint, value in values.items():
+            entries = np.atleast_1d(value)
+            if len(entries) == len(VALUES["floating"]):  # SRDF has the real part of a quaternion last
+                entries = np.concatenate([entries[:3], entries[4:], entries[3:4]])
+            ElementTree.SubElement(state, "joint", name=joint, value=numbers(entries))
+    for a, b in sorted(exempt):
+        ElementTree.SubElement(root, "disable_collisions", link1=a, link2=b)
+    if alone:
+        ElementTree.SubElement(root, "disable_default_collisions", link=alone)
+    return text_of(root)
