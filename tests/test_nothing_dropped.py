@@ -23,6 +23,7 @@ import pytest
 from loewner import LoewnerError, Robot, load_scene, meshes, planners, read_motion_bench_maker
 from loewner.robots.srdf import read_srdf
 from loewner.robots.urdf import read_urdf as description
+from robot_oracle import robots_folder
 
 
 class Format(NamedTuple):
@@ -74,14 +75,21 @@ def without_a_word(form: Format, path: Path) -> set[tuple[str, str]]:
 # -- XML ------------------------------------------------------------------------------------------
 
 
-def xml_mutants(sample: str) -> Iterator[tuple[str, str, str]]:
-    """Rename and double each element, give it a child that no format has, and likewise with its attributes."""
+def xml_mutants(sample: str, *, once: bool = False) -> Iterator[tuple[str, str, str]]:
+    """Rename and double each element, give it a child that no format has, and likewise with its attributes.
+
+    With `once`, only the first part of a kind has mutants: large files have hundreds of it.
+    """
+    done = set()
     for number, (path, _, element) in enumerate(_elements(ElementTree.fromstring(sample))):
         changes = [("renamed", path, _rename), ("doubled", path, _double)]
         changes += [("joined", f"{path}/stranger", _join), ("joined", f"{path}@stranger", _join_attribute)]
         changes += [("joined", f"{path}/text", _join_text)]
         changes += [("renamed", f"{path}@{name}", partial(_rename_attribute, name)) for name in element.attrib]
         for what, part, change in changes:
+            if once and (what, part) in done:
+                continue
+            done.add((what, part))
             root = ElementTree.fromstring(sample)
             change(*_elements(root)[number][1:])
             yield what, part, ElementTree.tostring(root, encoding="unicode")
@@ -92,7 +100,7 @@ def _elements(root: ElementTree.Element) -> list[tuple[str, ElementTree.Element,
     found, waiting = [], [("", root)]
     while waiting:
         path, above = waiting.pop(0)
-        inside = [(f"{path}/{element.tag}".lstrip("/"), element) for element in above]
+        inside = [(f"{path}/{element.tag.rpartition('}')[2]}".lstrip("/"), element) for element in above]
         found += [(name, above, element) for name, element in inside]
         waiting += inside
     return found
@@ -428,6 +436,52 @@ FORMATS = MESSAGES | {
 }  # fmt: skip
 
 
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>
+<contributor><author>a</author></contributor><created>c</created><unit name="cm" meter="0.01"/><up_axis>Z_UP</up_axis>
+</asset><library_materials><material id="m"/></library_materials>
+<library_geometries><geometry id="g" name="g"><mesh>
+<source id="p"><float_array id="f" count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array><technique_common>
+<accessor source="#f" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="2" material="m"><input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3</p></triangles>
+<polylist count="2"><input semantic="VERTEX" source="#v" offset="0"/><vcount>3 3</vcount><p>0 3 2 1 2 3</p></polylist>
+</mesh></geometry></library_geometries>
+<library_nodes><node id="o"><instance_geometry url="#g"/></node></library_nodes>
+<library_visual_scenes><visual_scene id="s"><node id="n" name="n"><translate>1 0 0</translate><rotate>0 0 1 30</rotate>
+<scale>1 2 1</scale><matrix>1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1</matrix><instance_geometry url="#g"/>
+<node><instance_node url="#o"/></node></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+MJCF = """<mujoco model="m"><compiler angle="radian"/><option gravity="0 0 -1"/>
+<default><geom friction="1 1 1"/><default class="c"><geom size="0.2"/></default></default>
+<asset><mesh name="t" vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="1 1 2"/><material name="red"/></asset>
+<worldbody><light/><camera/><site/><geom type="plane" size="1 1 1" pos="0 0 -1"/>
+<body name="a" pos="1 0 0" quat="0.8 0 0 0.6"><joint name="j" axis="0 1 0" range="-1 1" ref="0.1" pos="0 0 0.1"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<geom class="c" pos="0.1 0 0" euler="0 0 1"/><geom type="mesh" mesh="t"/>
+<body name="b"><joint name="k" type="slide"/><geom type="box" size="0.1 0.1 0.1" contype="2" conaffinity="2"/></body>
+</body></worldbody><contact><exclude body1="a" body2="b"/></contact>
+<keyframe><key name="home" qpos="0.5 0.1"/></keyframe></mujoco>"""
+
+FORMATS |= {
+    "Collada": Format(
+        COLLADA, as_named("m.dae", meshes.load), xml_mutants,
+        # Objects are found by their identifiers, in whatever library.
+        ("asset/contributor", "asset/created", "asset/up_axis", "library_materials",
+         r"library_\w+(/text|/stranger|@stranger)?$", r"library_geometries/geometry/mesh(/text|@stranger)"),
+        tuple(f"library_visual_scenes/visual_scene/node{part}" for part in (
+            "", "/instance_geometry", "/matrix", "/rotate", "/scale", "/translate", "/node", "/node/instance_node",
+        )) + ("library_nodes/node/instance_geometry",),
+    ),
+    # MuJoCo refuses elements and attributes that it does not know, and passes over text, which no element has.
+    "MJCF": Format(
+        MJCF, as_named("m.xml", Robot.from_mjcf), xml_mutants, (r".*/text$",),
+        ("compiler", "option", "contact", "contact/exclude", "worldbody/body/geom", "worldbody/geom",
+         "worldbody/camera", "worldbody/light", "worldbody/site"),
+    ),
+}  # fmt: skip
+
 # YAML is read much more slowly than JSON.
 LONG = {"DisplayTrajectory, yaml", "Solution, yaml"}
 
@@ -439,6 +493,8 @@ LONG = {"DisplayTrajectory, yaml", "Solution, yaml"}
 )
 def test_no_part_of_a_file_is_dropped_without_a_word(form, tmp_path):
     """Only what is listed may be renamed, doubled or joined by a stranger: the list is complete, and no longer."""
+    if form.sample == MJCF:
+        pytest.importorskip("mujoco")
     quiet = without_a_word(form, tmp_path / "file")
     harmless = {(what, part) for what, part in quiet if any(re.match(rf"{name}\b", part) for name in form.harmless)}
     repeated = {(what, part) for what, part in quiet if what == "doubled" and part in form.repeated}
@@ -447,3 +503,49 @@ def test_no_part_of_a_file_is_dropped_without_a_word(form, tmp_path):
     assert {part for _, part in repeated} == set(form.repeated)
     assert {part for _, part in named} == set(form.named)
     assert all(any(re.match(rf"{name}\b", part) for _, part in harmless) for name in form.harmless)
+
+
+# Files of example-robot-data, by format: three of several authors each. A mutant of each kind of part is tried.
+OF_OTHERS = {
+    "URDF": ("panda_description/urdf/panda", "so_arm_description/urdf/so100", "z1_description/urdf/z1",
+             "laikago_description/urdf/laikago"),
+    "SRDF": ("panda_description/srdf/panda", "centauro_description/srdf/centauro", "ur_description/srdf/ur5_gripper"),
+    "Collada": ("anymal_c_simple_description/meshes/battery", "romeo_description/meshes/V1/collision/LWristYaw",
+                "hyq_description/meshes/leg/lowerleg"),
+}  # fmt: skip
+ENDINGS = {"URDF": ".urdf", "SRDF": ".srdf", "Collada": ".dae"}
+ALSO_HARMLESS = {
+    "URDF": (),
+    "SRDF": (),
+    "Collada": ("library_(effects|images|lights|cameras|animations)", "asset/(modified|revision|title|keywords)",
+                r".*/bind_material", r".*/extra"),
+}  # fmt: skip
+LARGE = ("z1_description/urdf/z1", "laikago_description/urdf/laikago")
+
+
+@pytest.mark.slow("hundreds of mutants")
+@pytest.mark.parametrize(
+    ("format", "name"),
+    [
+        pytest.param(key, name, marks=[pytest.mark.verify] * (name in LARGE))
+        for key, names in OF_OTHERS.items()
+        for name in names
+    ],
+)
+def test_files_of_other_projects_are_read_in_whole(format, name, tmp_path):
+    """Nothing but the harmless parts, and parts that may occur several times, changes without a word."""
+    path = robots_folder() / f"{name}{ENDINGS[format]}"
+    form = FORMATS[format]._replace(
+        sample=path.read_text(encoding="utf-8"),
+        mutants=partial(xml_mutants, once=True),
+    )
+    if format == "SRDF":
+        robot = description(next((path.parents[1]).rglob(f"{path.stem}.urdf")))
+        form = form._replace(read=lambda file: read_srdf(file, robot))
+    quiet = without_a_word(form, tmp_path / "file")
+    listed = (*form.harmless, *ALSO_HARMLESS[format])
+    assert {
+        (what, part)
+        for what, part in quiet
+        if not any(re.match(rf"{name}\b", part) for name in listed) and (what != "doubled" or part not in form.repeated)
+    } == set()

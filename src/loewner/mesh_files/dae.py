@@ -31,19 +31,45 @@ MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 1
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
-# Children of <asset>, of <node> and of <visual_scene> by the standard; another one may be a misspelt unit or transform.
-_CHILDREN = {
+# Children and attributes ("@") by the standard: another one may be a misspelt unit, transform or count.
+_PARTS = {
     tag: frozenset(names.split())
     for tag, names in {
+        "COLLADA": "asset scene extra @base @version",  # and libraries, whatever their names
         # The last five belong to a contributor, which old exporters leave out.
         "asset": "contributor coverage created extra keywords modified revision subject title unit up_axis "
         "author authoring_tool comments copyright source_data",
+        "unit": "extra @meter @name",
+        "scene": "instance_visual_scene instance_physics_scene instance_kinematics_scene extra @sid @name",
+        "visual_scene": "asset evaluate_scene extra node @id @name",
         "node": "asset extra instance_camera instance_controller instance_geometry instance_light instance_node lookat "
-        "matrix node rotate scale skew translate",
-        "visual_scene": "asset evaluate_scene extra node",
-        "unit": "extra",
+        "matrix node rotate scale skew translate @id @name @sid @type @layer",
+        "instance_visual_scene": "extra @sid @name @url",
+        "instance_geometry": "bind_material extra @sid @name @url",
+        "instance_node": "extra @sid @name @url @proxy",
+        **dict.fromkeys(("matrix", "translate", "rotate", "scale"), "@sid"),
+        "geometry": "asset convex_mesh mesh spline brep extra @id @name",
+        "vertices": "input extra @id @name",
+        **dict.fromkeys(("triangles", "trifans", "tristrips"), "input p extra @name @count @material"),
+        "polylist": "input vcount p extra @name @count @material",
+        "polygons": "input p ph extra @name @count @material",
+        "input": "@offset @semantic @source @set",
+        **dict.fromkeys(("p", "vcount"), ""),
     }.items()
 }
+# Likewise for a source of points; other sources, such as normals, are not read.
+_PARTS_OF_POINTS = {
+    tag: frozenset(names.split())
+    for tag, names in {
+        "source": "asset float_array technique_common technique extra @id @name",
+        "float_array": "@count @digits @id @magnitude @name",
+        "technique_common": "accessor",
+        "accessor": "param @count @offset @source @stride",
+        "param": "@name @semantic @sid @type",
+    }.items()
+}
+
+_OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_array")
 
 
 # Cuts polygons, given as for `fans`.
@@ -129,8 +155,6 @@ def _parsed(data: bytes) -> _Element:
 
 def _metres(unit: _Element) -> float:
     """Read the metres of a <unit>."""
-    for name in unit.attributes:
-        expect(name in ("meter", "name"), f"<unit>: expected meter and name, found {quoted(name)}", unit.line)
     text = unit.attributes.get("meter", "1").strip()
     try:
         metres = float(floats([text.encode()])[0])
@@ -152,8 +176,12 @@ class _Scene:
             name = element.attributes.get("id")
             if name is not None:
                 self.named.setdefault((element.tag, name), []).append(element)
-            if element.tag in _CHILDREN:
-                _check_children(element, metres)
+            if element.tag in _PARTS:
+                _check_parts(element, _PARTS[element.tag])
+            if element.tag == "unit":
+                found = _metres(element)
+                right = found == metres
+                expect(right, f"<unit>: expected the file's unit, {metres:g} m, found {found:g} m", element.line)
             if element.tag != "extra":  # another program's, by the standard
                 waiting += element.children
         self.made: dict[str, tuple[Floats, Triangles]] = {}
@@ -241,8 +269,11 @@ class _Scene:
         if name in self.points:
             return self.points[name]
         source = self.find("source", name, line)
-        accessor = source.the("technique_common").the("accessor")
-        array = source.the("float_array")
+        technique, array = source.the("technique_common"), source.the("float_array")
+        accessor = technique.the("accessor")
+        for element in (source, technique, array, accessor, *accessor.children):
+            if element.tag in _PARTS_OF_POINTS:
+                _check_parts(element, _PARTS_OF_POINTS[element.tag])
         if "id" in array.attributes:
             expect(
                 accessor.reference("source") == array.text("id"), "<accessor>: expected this source's", accessor.line
@@ -258,16 +289,16 @@ class _Scene:
         return self.points[name]
 
 
-def _check_children(element: _Element, metres: float) -> None:
-    """Refuse children that Collada does not have, text between them, and a unit anywhere that is not the file's."""
-    text = "".join(element.texts).strip()
+def _check_parts(element: _Element, known: frozenset[str]) -> None:
+    """Refuse children and attributes that Collada does not have, and text between children."""
+    text = "" if element.tag in _OF_NUMBERS else "".join(element.texts).strip()
     expect(not text, f"<{element.tag}>: expected elements and attributes alone, found {quoted(text)}", element.line)
     for child in element.children:
-        known = child.tag in _CHILDREN[element.tag]
-        expect(known, f"<{element.tag}>: expected elements of Collada, found <{quoted(child.tag)}>", child.line)
-    if element.tag == "unit":
-        found = _metres(element)
-        expect(found == metres, f"<unit>: expected the file's unit, {metres:g} m, found {found:g} m", element.line)
+        wrong = f"<{element.tag}>: expected elements of Collada, found <{quoted(child.tag)}>"
+        expect(child.tag in known or (element.tag == "COLLADA" and child.tag[:8] == "library_"), wrong, child.line)
+    for name in element.attributes:
+        wrong = f"<{element.tag}>: expected attributes of Collada, found {quoted(name)}"
+        expect("@" + name in known or "}" in name, wrong, element.line)  # those of other namespaces are extensions
 
 
 def _axes(params: list[_Element]) -> list[int]:

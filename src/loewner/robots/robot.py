@@ -73,6 +73,14 @@ def _text_of(
     return expanded(named, xacro_args or {}, places)
 
 
+def _expanded_srdf(
+    path: str | os.PathLike[str], xacro_args: Mapping[str, object] | None, places: list[Path]
+) -> str | None:
+    """Return the text of an SRDF that is a xacro file by its name; None for other files."""
+    file = _validate.path(path, "srdf", wanted="a path to an SRDF")
+    return expanded(file, xacro_args or {}, places) if str(file).lower().endswith(SUFFIX) else None
+
+
 def _model(meshes: str, decompose: bool) -> str:
     """Return the representation of meshes that the two arguments `meshes` and `decompose` choose."""
     _validate.choice(meshes, "meshes", MODELS)
@@ -211,7 +219,7 @@ class Robot(KeepsReadOnly):
             Values of a xacro file's arguments; a file of any name is then expanded. ``$(find package)`` is the folder
             of a package, see `package_dirs`.
         srdf : path, optional
-            Groups, states and disabled pairs.
+            Groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded as well.
         package_dirs : path or iterable of paths
             Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
             environment, and the folders above the URDF, are also searched.
@@ -267,7 +275,7 @@ class Robot(KeepsReadOnly):
         places = [_validate.path(folder, "package_dirs") for folder in listed]
         text = _text_of(path, text, xacro_args, places)
         robot = read_urdf("URDF text" if path is None else path, text)
-        semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
+        semantics = Semantics() if srdf is None else read_srdf(srdf, robot, _expanded_srdf(srdf, xacro_args, places))
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
         return cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
 

@@ -108,8 +108,8 @@ class _Names:
         warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}")
 
 
-def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
-    """Read an SRDF file for a robot.
+def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
+    """Read an SRDF file for a robot, or a string as if it were the contents of that file.
 
     It reads groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
     ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and elements
@@ -130,7 +130,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
         different name, or has parts that are not defined in SRDF. If joints are passive; if the base moves, or a state
         places it; or a state has a value of a joint outside its group.
     """
-    root = read_xml(path, "an SRDF")
+    root = read_xml(path, "an SRDF", text)
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
     if urdf is not None:
         urdf.fault("an SRDF, with groups, states and rules on pairs", f"a URDF, with a <{urdf.tag}>")

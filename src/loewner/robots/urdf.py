@@ -69,6 +69,7 @@ HARMLESS = {
         "@name",
         "drake:proximity_properties",  # friction and stiffness
         "material", "verbose",  # looks, and output of a simulator
+        "surface",  # friction, as in SDF
     )),
     "geometry": frozenset(("@name",)),
     "mesh": frozenset(("@name", "drake:declare_convex")),  # every mesh may be made convex

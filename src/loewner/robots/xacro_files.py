@@ -56,7 +56,9 @@ def expanded(
         raise MissingExtraError(f"reading {file.name} needs the package xacro: {installing('xacro')}") from None
     with _alone, _finding(substitution, file, folders):
         try:
-            return str(xacro.process_file(str(file), mappings=given, verbosity=0).documentElement.toxml())
+            return str(
+                xacro.process_file(str(file), mappings=given, verbosity=0).documentElement.toprettyxml(indent="  ")
+            )
         except Exception as error:  # its expressions raise any error
             named = str(error) or type(error).__name__
             raise FileError(f"{path}: expected a file that xacro can expand, found that it cannot: {named}") from None

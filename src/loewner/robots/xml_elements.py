@@ -120,7 +120,8 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
     macros = [element for element in prefixed if _is_macro(element)]
     macros += [child for child in root.children if child.tag in WITHOUT_PREFIX]
     for element in sorted(macros, key=lambda macro: macro.line)[:1]:
-        element.fault(what, f"the macro <{element.tag}>; run xacro on the file first", FileError)
+        here = ", or let from_urdf do it (xacro_args={})" if what == "a URDF" and text is None else ""
+        element.fault(what, f"the macro <{element.tag}>; run xacro on the file first{here}", FileError)
     return root
 
 
