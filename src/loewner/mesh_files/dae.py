@@ -298,7 +298,8 @@ def _check_parts(element: _Element, known: frozenset[str]) -> None:
         expect(child.tag in known or (element.tag == "COLLADA" and child.tag[:8] == "library_"), wrong, child.line)
     for name in element.attributes:
         wrong = f"<{element.tag}>: expected attributes of Collada, found {quoted(name)}"
-        expect("@" + name in known or "}" in name, wrong, element.line)  # those of other namespaces are extensions
+        known_or_extension = "@" + name in known or "}" in name  # a namespace of its own: another program's
+        expect(known_or_extension, wrong, element.line)
 
 
 def _axes(params: list[_Element]) -> list[int]:
