@@ -35,7 +35,7 @@ _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "
 _PARTS = {
     tag: frozenset(names.split())
     for tag, names in {
-        "COLLADA": "asset scene extra @base @version",  # and libraries, whatever their names
+        "COLLADA": "asset scene extra @base @version",  # and libraries of any name
         # The last five belong to a contributor, which old exporters leave out.
         "asset": "contributor coverage created extra keywords modified revision subject title unit up_axis "
         "author authoring_tool comments copyright source_data",
