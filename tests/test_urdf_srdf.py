@@ -156,21 +156,6 @@ def test_limits_and_mimics_in_extensions_are_told(top, words):
             read(top=top)
 
 
-def test_known_robots_warn_for_reasons_only():
-    """Of the URDF files of example-robot-data, four warn: each for a reason that is in the file."""
-    reasons = {
-        "alex_psyonic_hands": "to mimic, found",
-        "kinova": "<limit lower>",
-        "pr2": "that leave 'r_gripper_l_finger_joint'",
-        "tiago_pro": "velocity of 'wheel_front_right_joint' in <ros2_control>",
-    }
-    paths = sorted(path for path in robots_folder().rglob("*.urdf") if path.name != "ur3.urdf")  # it has no links
-    assert len(paths) > 60
-    for path in paths:
-        _, words = told(lambda path=path: read_urdf(path))
-        assert all(reasons.get(path.stem, "nothing") in one for one in words), (path, words)
-
-
 # -- limits ---------------------------------------------------------------------------------------
 
 
