@@ -94,6 +94,8 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
                 raise InputError(f"{name}: expected numbers only, found masked entries")
+    if type(x) not in (np.ndarray, list, tuple) and (unit := _unit_of(x)):
+        raise InputError(f"{name}: expected plain numbers in metres or radians, found a quantity in {short(unit)}")
     if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert the last one to an array of its bytes
         raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
     try:
@@ -105,6 +107,15 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
         raise InputError(
             f"{name}: expected an array of numbers, found {what} ({type(error).__name__}: {error})"
         ) from None
+
+
+def _unit_of(x: Any) -> str:
+    """Return the unit of a quantity, as astropy, pint and xarray have them; empty for numbers without one."""
+    try:
+        units = [getattr(x, key, None) for key in ("unit", "units")]
+        return next((str(unit) for unit in units if unit is not None and not callable(unit)), "")
+    except Exception:  # the caller's object may raise any error
+        return ""
 
 
 def _numbers(objects: NDArray[np.object_], name: str) -> Floats:

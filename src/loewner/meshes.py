@@ -151,7 +151,11 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
     if isinstance(source, tuple) and len(source) == 2:
         source = SimpleNamespace(vertices=source[0], faces=source[1])
     try:
+        if hasattr(source, "to_mesh"):
+            _expect_one_unit(source)
         mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
+    except InputError:
+        raise
     except Exception as error:  # from a scene made by the caller; trimesh has no errors of its own
         raise GeometryError(
             f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
@@ -169,6 +173,16 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
     if len(triangles) and triangles.dtype.kind not in "iu":
         raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
     return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
+
+
+def _expect_one_unit(scene: Any) -> None:
+    """Refuse a scene of meshes with different units: trimesh joins them without converting any."""
+    units = {str(getattr(mesh, "units", None)) for mesh in getattr(scene, "geometry", {}).values()}
+    if len(units) > 1:
+        raise GeometryError(
+            f"mesh: expected a scene with one unit of length, found {', '.join(sorted(units))}; convert its meshes "
+            "first (mesh.convert_units)"
+        )
 
 
 def _ask_about_units(vertices: Floats, name: str) -> None:
