@@ -103,9 +103,9 @@ def test_rows_of_a_table_have_as_many_cells_as_its_head(document):
         assert odd == []
 
 
-def example(name: str, *arguments: str, cwd: Path) -> str:
+def example(name: str, *arguments: str, cwd: Path, **variables: str) -> str:
     """Run an example as a user would and return what it printed."""
-    environment = os.environ | {"PYTHONWARNINGS": "error", "LOEWNER_QUIET": "1"}
+    environment = os.environ | {"PYTHONWARNINGS": "error", "LOEWNER_QUIET": "1"} | variables
     done = subprocess.run(
         [sys.executable, str(ROOT / "examples" / name), *arguments],
         capture_output=True,
@@ -123,6 +123,20 @@ def test_example_two_meshes(folder_with_meshes):
     out = example("two_meshes.py", "part.stl", "link.stl", cwd=folder_with_meshes)
     found = [float(x) for x in re.findall(r"exact distance ([-+0-9.]+)", out)]
     np.testing.assert_allclose(found, [-0.1, 0.0, 0.1, 0.2], atol=1e-4)
+
+
+def test_example_any_robot(tmp_path):
+    """A module as robot_descriptions has them, which would clone a repository: here of a robot that is installed."""
+    (tmp_path / "robot_descriptions").mkdir()
+    home = robots_folder()
+    (tmp_path / "robot_descriptions" / "panda_description.py").write_text(
+        f"REPOSITORY_PATH = {str(home.parent)!r}\nPACKAGE_PATH = {str(home / 'panda_description')!r}\n"
+        "URDF_PATH = PACKAGE_PATH + '/urdf/panda.urdf'\nSRDF_PATH = PACKAGE_PATH + '/srdf/panda.srdf'\n"
+    )
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    out = example("any_robot.py", "panda_description", cwd=tmp_path, PYTHONPATH=path)
+    assert "Robot('panda', 13 links, 11 with bodies, 8 joints, dof 8)" in out
+    assert 10 < int(re.search(r"of 1000 random configurations, (\d+) collide", out)[1]) < 100
 
 
 def test_example_batch(tmp_path):
