@@ -215,6 +215,8 @@ MM = '<unit name="millimeter" meter="0.001"/>'
         ({"visual": "<Node/>"}, "<visual_scene>: expected elements of Collada, found <'Node'>"),
         ({"unit": "<unit>0.01</unit>"}, "line 2: <unit>: expected elements and attributes alone, found '0.01'"),
         ({"node": "5 0 0"}, "<node>: expected elements and attributes alone, found '5 0 0'"),
+        ({"geometry": "<brep/>"}, "<geometry>: expected a mesh alone, found another shape"),
+        ({"extra": '<library_lights meter="1"/>'}, "<library_lights>: expected attributes of Collada, found 'meter'"),
         ({"names": "XXY"}, "<param>: expected X, Y and Z"),
         ({"names": ["X", "", "Z"]}, "<param>: expected X, Y and Z"),
     ],
@@ -231,8 +233,18 @@ def test_collada_that_states_the_same_elsewhere(tmp_path):
         unit=MM, geometry=f"<asset>{MM}</asset>", extra='<extra><technique><unit meter="9"/></technique></extra>'
     )
     assert load(tmp_path, "part.dae", same)[0] == (12, [0, 0, 0], [0.001] * 3)
+    profile = '<library_lights><light id="l"><technique profile="x"><node scale="2">5</node></technique></light>'
+    assert load(tmp_path, "part.dae", dae(extra=f"{profile}</library_lights>")) == (WHOLE, [])
     nodes = "<translate>5 0 0</translate><instance_light url='#l'/><extra/><node/>"
     assert load(tmp_path, "part.dae", dae(node=nodes))[0][1] == [5, 0, 0]
+
+
+def test_a_unit_that_contradicts_its_name_is_told(tmp_path):
+    """The number counts."""
+    found, told = load(tmp_path, "part.dae", dae(unit='<unit name="millimeter" meter="1"/>'))
+    assert found == WHOLE
+    assert len(told) == 1
+    assert "expected 0.001 m as a millimeter, found meter=1, which counts" in told[0]
 
 
 @pytest.mark.parametrize("names", ["XYZ", "xyz", ["", "", ""], "ZYX", "YZX"])

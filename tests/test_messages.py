@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -278,6 +279,49 @@ def test_every_part_is_proven_with_what_it_carries(written, capsys):
     assert [part["verdict"] for part in answer["parts"]] == ["FREE", "FREE", "FREE", "COLLIDING"]
     assert answer["parts"][3]["pair"] == ["cart", "can"]
     assert answer["parts"][2]["carried"] == {"can": "cart"}
+
+
+def test_values_that_nothing_gives_and_values_beyond_limits_are_told(written, capsys):
+    """The lift keeps 0, as neither the points nor a state names it; the slide leaves its limits."""
+    written(CAN, "s.yaml")
+    name = written(moved((0, 0.0), (1, 3.5)))
+    status, out, _ = audit(capsys, name, "--scene", "s.yaml")
+    assert status == 0
+    assert "assumed   lift: the file has no values of these" in out
+    assert "limits    slide is 0 .. 3.5, outside its limits 0 .. 3\n" in out
+    answer = json.loads(audit(capsys, name, "--scene", "s.yaml", "--json")[1])
+    assert answer["assumed"] == ["lift"]
+    assert answer["beyond_limits"] == [{"value": "slide", "range": [0.0, 3.5], "limits": [0.0, 3.0], "hard": True}]
+    answer = json.loads(audit(capsys, name, "--scene", "s.yaml", "--others", "0.5,0", "--json")[1])
+    assert "assumed" not in answer
+
+
+def test_values_between_soft_and_hard_limits_are_told(written, capsys):
+    """They are outside the limits for planning alone."""
+    written(CAN, "s.yaml")
+    name = written(moved((0, 0.0, 0.0), (1, 2.5, 0.0), names=("slide", "lift")))
+    soft = '<safety_controller soft_lower_limit="0" soft_upper_limit="2" k_velocity="1"/></joint></robot>'
+    Path("r.urdf").write_text(CART.replace("</joint></robot>", soft))
+    out = audit(capsys, name, "--scene", "s.yaml")[1]
+    assert "limits    slide is 0 .. 2.5, outside its limits for planning 0 .. 2\n" in out
+
+
+@pytest.mark.parametrize(("second", "told"), [(-1.5, False), (0.5, True)])
+def test_a_state_that_contradicts_a_mimic_is_told(second, told, written):
+    """The value of the joint that mimics is not used, and follows from the other one."""
+    text = CART.replace(
+        "</robot>",
+        """<link name="flap"/><joint name="tilt" type="revolute"><parent link="cart"/>
+    <child link="flap"/><limit lower="-9" upper="9"/><mimic joint="lift" multiplier="-2" offset="-0.5"/></joint></robot>""",
+    )
+    state = {"joint_state": {"name": ["lift", "tilt"], "position": [0.5, second]}}
+    moving = of_joints((0, 0.0), (1, 1.0))
+    name = written({"trajectory_start": state, "trajectory": moving})
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        ControllerPoints.load(name, robot=Robot.from_urdf(text=text))
+    assert len(found) == told
+    assert all("expected tilt = -1.5, since it mimics lift = 0.5, found 0.5" in str(one.message) for one in found)
 
 
 def test_a_second_trajectory_is_not_dropped(written, capsys):

@@ -442,3 +442,17 @@ def test_replicas_within_the_limits_are_read(tmp_path):
     """A row of twenty balls is twenty bodies."""
     replica = '<replicate count="20" offset="1 0 0"><body><joint/><geom size="0.1"/></body></replicate>'
     assert Robot.from_mjcf(model_file(tmp_path, f"<worldbody>{replica}</worldbody>")).dof == 20
+
+
+def test_limits_in_degrees_are_doubted(tmp_path):
+    """A file whose compiler takes radians, with limits of a right angle."""
+    text = """<mujoco><compiler angle="{}"/><worldbody><body><joint name="j" range="-90 90"/><geom size="0.1"/></body>
+    </worldbody></mujoco>"""
+    for angle, told in (("radian", 1), ("degree", 0)):
+        (tmp_path / "arm.xml").write_text(text.format(angle))
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            robot = Robot.from_mjcf(tmp_path / "arm.xml")
+        assert len(found) == told
+        assert all("joint 'j': expected limits in radians, found -90 .. 90" in str(one.message) for one in found)
+    assert robot.upper[0] == np.pi / 2

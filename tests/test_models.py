@@ -105,7 +105,7 @@ def test_roboplan_reads_alike(name):
     assert len(words) == len(ROBOPLAN[name]), words
     assert all(reason in word for reason, word in zip(ROBOPLAN[name], words, strict=True)), words
     assert robot.bodies
-    compare_with_pinocchio(without_shapes(expanded(path, {}, packages) if xacro else text))
+    compare_with_pinocchio(without_shapes(expanded(path, {}, packages, set()) if xacro else text))
 
 
 def test_the_page_lists_the_models_that_warn():

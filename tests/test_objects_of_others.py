@@ -49,7 +49,7 @@ def test_the_unit_and_the_transforms_of_a_scene_count():
 @pytest.mark.parametrize("units", [("mm", "m"), ("m", "mm"), ("mm", None)])
 def test_a_scene_of_several_units_is_refused(units):
     """Trimesh would join the meshes with the numbers of each: a mesh of metres would be a thousandth as large."""
-    with pytest.raises(GeometryError, match="one unit of length, found .*mm.*convert_units"):
+    with pytest.raises(GeometryError, match="one unit of length, found .*mm.*convert_units|known unit of length"):
         Body.from_surface(scene_of(*map(box, units)))
 
 
@@ -68,6 +68,9 @@ def test_polygons_that_are_no_triangles_are_refused():
         lambda x: Body.from_points(np.stack([x, 2 * x, 3 * x, x[::-1] ** 2]).view(Quantity)),
         lambda x: Robot.from_urdf(text=SLIDE).forward_kinematics(x[:1]),
         lambda x: loewner.Ellipsoids.from_semi_axes(np.zeros(3), x),
+        lambda x: Body.from_points([x, 2 * x, 3 * x, (x[::-1] ** 2)]),
+        lambda x: Body.sphere(x[0:1].reshape(())),
+        lambda x: Robot.from_urdf(text=SLIDE).forward_kinematics([x[0:1].reshape(())]),
         lambda x: loewner.Scene().add("a", Body.sphere(1.0), np.eye(4).view(Quantity)),
     ],
 )
@@ -84,3 +87,12 @@ def test_numbers_without_a_unit_are_numbers():
         unit = None
 
     assert Body.box(np.ones(3).view(Plain)).outer.volume[0] > 1
+
+
+def test_a_column_of_that_name_is_no_unit():
+    """A table of pandas has its columns as attributes."""
+
+    class Table(np.ndarray):
+        unit = property(lambda self: np.zeros(3))
+
+    assert Body.box(np.ones(3).view(Table)).outer.volume[0] > 1

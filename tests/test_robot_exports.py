@@ -67,6 +67,11 @@ def expect_same_back(robot, folder):
         checkers = [CollisionChecker(one) for one in (robot, back)]
         pairs = [{frozenset(pair) for pair in checker.checked_pairs} for checker in checkers]
         assert pairs[0] == pairs[1]
+        if len(back.link_names) == len(robot.link_names):  # no link "world", through which others are adjacent
+            for skip in (True, False):
+                of = [CollisionChecker(one, skip_adjacent=skip).checked_pairs for one in (robot, back)]
+                assert {frozenset(pair) for pair in of[0]} >= {frozenset(pair) for pair in of[1]}
+                assert skip or not robot._lists_pairs or {*map(frozenset, of[0])} == {*map(frozenset, of[1])}
         np.testing.assert_array_equal(*(checker.collide(Q) for checker in checkers))
     return back
 
@@ -213,3 +218,59 @@ def test_meshes_keep_their_names_in_a_package(tmp_path):
     back = Robot.from_urdf(tmp_path / "robot.urdf", srdf=tmp_path / "robot.srdf", package_dirs=tmp_path)
     found, expected = (np.unique(one.bodies["lump"].pieces[0].vertices, axis=0) for one in (back, robot))
     np.testing.assert_array_equal(found, expected)
+
+
+def test_names_of_fixed_joints_give_way_to_moving_ones(tmp_path):
+    """A flange on a fixed joint of that name that is followed by a door called so, and the like."""
+    text = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
+    <joint name="flange" type="fixed"><parent link="a"/><child link="b"/><origin xyz="1 2 3"/></joint>
+    <joint name="j" type="continuous"><parent link="b"/><child link="c"/></joint></robot>"""
+    robot = Robot.from_urdf(text=text)
+    ball = Body.sphere(0.1)
+    expect_same_back(robot.with_body("flange", ball, joint="revolute", limits=(0, 1), parent="c"), tmp_path)
+    expect_same_back(robot.with_body("j", ball, joint="fixed", parent="c"), tmp_path)
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text("""<mujoco model="arm"><worldbody><geom name="arm" type="box" size="1 1 1"/>
+      <body name="hand"><joint name="hand" pos="0.1 0 0"/><geom size="0.1"/></body></worldbody></mujoco>""")
+    expect_same_back(Robot.from_mjcf(tmp_path / "arm.xml"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("mimic", "limits"),
+    [
+        ('multiplier="1e-6" offset="1e5"', (-1, 2)),
+        ('multiplier="1e-12" offset="1"', (-1, 2)),
+        ('multiplier="1" offset="1e7"', (-1, 2)),
+        ('multiplier="0" offset="0.5"', (-1, 2)),
+        ('multiplier="-3" offset="0.5"', (0.1, 0.7)),
+    ],
+)
+def test_limits_of_mimicking_joints_leave_the_others_alone(mimic, limits, tmp_path):
+    """Their limits are not kept, and what is written instead narrows nothing by rounding."""
+    text = f"""<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
+    <joint name="j" type="revolute"><parent link="a"/><child link="b"/>
+    <limit lower="{limits[0]}" upper="{limits[1]}"/></joint>
+    <joint name="k" type="continuous"><parent link="b"/><child link="c"/><mimic joint="j" {mimic}/></joint></robot>"""
+    robot = Robot.from_urdf(text=text)
+    assert (robot.lower[0], robot.upper[0]) == limits
+    expect_same_back(robot, tmp_path)
+
+
+@pytest.mark.parametrize("name", [" d", "d ", "${1+1}", "$(find d)"])
+def test_names_that_readers_change_are_refused(name, tmp_path):
+    """Spaces at the ends, which readers strip, and expressions of xacro."""
+    with pytest.raises(InputError, match="without '\\$' and without spaces"):
+        on_a_link(Body.sphere(0.1)).with_body(name, Body.sphere(0.1), parent="dot").to_urdf(tmp_path / "robot.urdf")
+    with pytest.raises(InputError, match="expected the path of a URDF"):
+        on_a_link(Body.sphere(0.1)).to_urdf(tmp_path / "robot.urdf.xacro")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_could_not_be_read_is_not_written(tmp_path):
+    """Limits of MJCF beyond the ones that URDF files may have."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text("""<mujoco model="arm"><worldbody><body name="arm">
+      <joint name="lift" type="slide" range="2e6 3e6"/><geom size="0.1"/></body></worldbody></mujoco>""")
+    with pytest.raises(InputError, match="express, found one that is refused: .*lift"):
+        Robot.from_mjcf(tmp_path / "arm.xml").to_urdf(tmp_path / "robot.urdf")
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]

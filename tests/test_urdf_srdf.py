@@ -473,3 +473,62 @@ def test_known_srdf_files_have_no_unknown_parts():
         except Exception:  # for another robot
             continue
         assert not any("does not define them" in one for one in words), (path, words)
+
+
+# -- rules on pairs -------------------------------------------------------------------------------
+
+BALL = '<collision><geometry><sphere radius="1"/></geometry></collision>'
+THREE = f"""<robot name="r"><link name="a">{BALL}</link><link name="b">{BALL}</link><link name="c">{BALL}</link>
+<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint>
+<joint name="k" type="continuous"><parent link="b"/><child link="c"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("rules", "pairs"),
+    [
+        ("", ["ac"]),
+        ('<enable_collisions link1="a" link2="b"/>', ["ab", "ac", "bc"]),
+        ('<disable_default_collisions link="a"/><enable_collisions link1="a" link2="b"/>'
+         '<enable_collisions link1="a" link2="c"/>', ["ab", "ac", "bc"]),
+        ('<disable_collisions link1="a" link2="c"/>', ["ab", "bc"]),
+        ('<disable_collisions link1="a" link2="camera"/>', ["ab", "ac", "bc"]),
+        ('<disable_collisions link1="a" link2="a"/>', ["ab", "ac", "bc"]),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.* left out what names:UserWarning")
+def test_adjacent_links_are_checked_where_there_are_rules(rules, pairs, tmp_path):
+    """A rule that disables nothing, or names a link that the robot lacks, exempts no other pair."""
+    (tmp_path / "r.srdf").write_text(
+        f'<robot name="r"><group name="g"><joint name="j"/></group>{rules}</robot>', encoding="utf-8"
+    )
+    robot = Robot.from_urdf(text=THREE, srdf=tmp_path / "r.srdf")
+    for one in (robot, robot.placed(np.eye(4)), robot.disabling([]), pickle.loads(pickle.dumps(robot))):
+        assert sorted("".join(sorted(pair)) for pair in CollisionChecker(one).checked_pairs) == pairs
+    two = Robot.join({"x": robot, "y": Robot.from_urdf(text=THREE)})
+    within = [pair for pair in CollisionChecker(two).checked_pairs if pair[0][0] == pair[1][0] == "x"]
+    assert sorted("".join(sorted(name[-1] for name in pair)) for pair in within) == pairs
+
+
+def test_states_that_would_overwrite_each_other_are_refused(tmp_path):
+    """The name of a state is unique in its group; "g/s" stands for the second state "s"."""
+    joint = '<joint name="j" value="{}"/>'
+    states = [("g/s", "h", 1), ("s", "h", 2), ("s", "g", 3)]
+    (tmp_path / "r.srdf").write_text(
+        '<robot name="r"><group name="g"><joint name="j"/></group><group name="h"><joint name="j"/></group>'
+        + "".join(f'<group_state name="{n}" group="{g}">{joint.format(v)}</group_state>' for n, g, v in states)
+        + "</robot>"
+    )
+    with pytest.raises(InputError, match="states whose names differ, found 'g/s' twice"):
+        Robot.from_urdf(text=THREE, srdf=tmp_path / "r.srdf")
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-14, 1e-12, 1e-9, 8.742278e-08, 1e-7, 1e-6, 1e-3, 1.0])
+def test_planar_joints_whose_axis_is_nearly_downwards(tilt):
+    """They slide along perpendicular unit vectors, perpendicular to the axis."""
+    text = f"""<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="planar"><parent link="a"/>
+    <child link="b"/><axis xyz="{tilt} {0.3 * tilt} -1"/></joint></robot>"""
+    robot = Robot.from_urdf(text=text)
+    origin, x, y = robot.forward_kinematics([[0, 0, 0], [1, 0, 0], [0, 1, 0]])[:, 1, :3, 3]
+    axis = np.array([tilt, 0.3 * tilt, -1.0]) / np.linalg.norm([tilt, 0.3 * tilt, -1.0])
+    frame = np.array([x - origin, y - origin, axis])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), rtol=0, atol=2e-15 if tilt > 1e-12 else 1e-12)

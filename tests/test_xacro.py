@@ -18,6 +18,10 @@ PARTS = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name=
 <joint name="${name}_joint" type="prismatic"><parent link="base"/><child link="${name}"/>
 <limit lower="0" upper="${way}"/></joint></xacro:macro></robot>"""
 
+SEMANTICS = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="apart" default="true"/>
+<xacro:if value="$(arg apart)"><disable_collisions link1="base" link2="lift"/></xacro:if>
+<group name="all"><joint name="lift_joint"/></group></robot>"""
+
 BOX = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (
     "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
 )
@@ -70,7 +74,7 @@ def test_files_that_xacro_cannot_expand_are_refused(text, words, tmp_path):
     pytest.importorskip("xacro")
     folders = () if "$(find" in text and text == FILE else tmp_path / "packages"
     for _ in range(2):
-        with pytest.raises(FileError, match=f"(?s)r.urdf.xacro: expected a file that xacro can expand, .*{words}"):
+        with pytest.raises(FileError, match=f"(?s)r.urdf.xacro: (expected a file that xacro can expand, .*)?{words}"):
             Robot.from_urdf(written(tmp_path, text=text), package_dirs=folders)
     assert Robot.from_urdf(written(tmp_path), package_dirs=tmp_path / "packages").dof == 1
 
@@ -96,3 +100,27 @@ def test_a_text_has_no_arguments(tmp_path):
         Robot.from_urdf(text=FILE, xacro_args={"reach": 1})
     with pytest.raises(FileError, match="expected a xacro file, but there is no such file"):
         Robot.from_urdf(tmp_path / "none.xacro")
+
+
+def test_arguments_that_no_file_declares_are_refused(tmp_path):
+    """A misspelt name would leave the default; an argument of the SRDF alone is declared there."""
+    pytest.importorskip("xacro")
+    path = written(tmp_path)
+    (tmp_path / "r.srdf.xacro").write_text(SEMANTICS)
+    options = {"package_dirs": tmp_path / "packages", "srdf": tmp_path / "r.srdf.xacro"}
+    with pytest.raises(InputError, match=r"xacro_args: expected arguments .*reach, short\), found 'reech'"):
+        Robot.from_urdf(path, xacro_args={"reech": 5.0}, package_dirs=tmp_path / "packages")
+    assert Robot.from_urdf(path, **options).disabled_pairs == {("base", "lift")}
+    given = Robot.from_urdf(path, xacro_args={"reach": 5.0, "apart": False}, **options)
+    assert (given.disabled_pairs, given.upper.tolist()) == (frozenset(), [2.5])
+
+
+def test_folders_of_packages_may_be_relative(tmp_path, monkeypatch):
+    """From the working directory, not from the folder of the file."""
+    pytest.importorskip("xacro")
+    (tmp_path / "robots").mkdir()
+    path = written(tmp_path)
+    path = path.rename(tmp_path / "robots" / path.name)
+    monkeypatch.chdir(tmp_path)
+    for folder in ("packages", "./packages", "packages/parts"):
+        assert Robot.from_urdf("robots/r.urdf.xacro", package_dirs=[folder]).dof == 1

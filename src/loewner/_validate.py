@@ -55,6 +55,9 @@ LONGEST = 120
 # Largest array that the repr of a result writes out, in entries.
 FEW = 6
 
+# Nesting of lists that is looked through for quantities; NumPy has no more axes.
+MOST_AXES = 64
+
 IDENTITY: Floats = np.eye(4)  # writable: for Numba a read-only array is another type, which needs another compilation
 
 
@@ -94,8 +97,7 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
                 raise InputError(f"{name}: expected numbers only, found masked entries")
-    if type(x) not in (np.ndarray, list, tuple) and (unit := _unit_of(x)):
-        raise InputError(f"{name}: expected plain numbers in metres or radians, found a quantity in {short(unit)}")
+    _refuse_quantity(x, name)
     if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert the last one to an array of its bytes
         raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
     try:
@@ -109,13 +111,25 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
         ) from None
 
 
-def _unit_of(x: Any) -> str:
-    """Return the unit of a quantity, as astropy, pint and xarray have them; empty for numbers without one."""
+def _refuse_quantity(x: Any, name: str) -> None:
+    """Refuse numbers with a unit, as astropy, pint and xarray have them; the first entry of a list decides."""
+    for _ in range(MOST_AXES):
+        if not (isinstance(x, (list, tuple)) and x):
+            break
+        x = x[0]
+    if type(x) in (np.ndarray, list, tuple, float, int, str):
+        return
     try:
-        units = [getattr(x, key, None) for key in ("unit", "units")]
-        return next((str(unit) for unit in units if unit is not None and not callable(unit)), "")
+        # A table may have a column of that name, which is no unit.
+        units = (getattr(x, key, None) for key in ("unit", "units"))
+        stated = [
+            str(unit) for unit in units if isinstance(unit, str) or not (callable(unit) or hasattr(unit, "__len__"))
+        ]
+        unit = next((unit for unit in stated if unit not in ("None", "", "dimensionless")), "")
     except Exception:  # the caller's object may raise any error
-        return ""
+        return
+    if unit:
+        raise InputError(f"{name}: expected plain numbers in metres or radians, found a quantity in {short(unit)}")
 
 
 def _numbers(objects: NDArray[np.object_], name: str) -> Floats:
@@ -190,6 +204,7 @@ def real(x: Any, name: str, *, least: str = "") -> float:
     InputError
         If `x` is not a number, or is not finite, or exceeds the range of a float.
     """
+    _refuse_quantity(x, name)
     if isinstance(x, (bool, np.bool_, str, bytes, bytearray)) or not _maybe_a_number(x):
         raise InputError(f"{name}: expected a number, found {short(x)}")
     try:

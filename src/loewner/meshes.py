@@ -177,10 +177,11 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
 
 def _expect_one_unit(scene: Any) -> None:
     """Refuse a scene of meshes with different units: trimesh joins them without converting any."""
-    units = {str(getattr(mesh, "units", None)) for mesh in getattr(scene, "geometry", {}).values()}
+    shapes = [mesh for mesh in getattr(scene, "geometry", {}).values() if hasattr(mesh, "faces")]
+    units = {_metres(mesh): str(getattr(mesh, "units", None)) for mesh in shapes}
     if len(units) > 1:
         raise GeometryError(
-            f"mesh: expected a scene with one unit of length, found {', '.join(sorted(units))}; convert its meshes "
+            f"mesh: expected a scene with one unit of length, found {', '.join(units.values())}; convert its meshes "
             "first (mesh.convert_units)"
         )
 

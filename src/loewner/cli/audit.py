@@ -12,6 +12,7 @@ import numpy as np
 import loewner
 from loewner import Verdict, _validate, planners, plots
 from loewner._matrices import image, product
+from loewner._nodes import some
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
@@ -25,6 +26,9 @@ MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
 # Distances within which a piece's pair is sought, one after the other [m].
 WITHIN = np.geomspace(1e-3, 1e9, 13)
+
+# How far outside its limits a value is reported: above the rounding of decimals in files.
+ROUNDED = 1e-9
 
 DRAWN = (".png", ".svg")
 CONTROLLERS = ("linear", "cubic", "quintic")
@@ -50,6 +54,9 @@ attach: in the parts that are named, or in all, the body of the scene is carried
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
   this curve at every real time.
+
+limits: values outside the limits of the robot, or of its file, at the sampled times are listed; neither they nor
+  velocities change the verdict.
 
 exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous
 """
@@ -306,6 +313,7 @@ def _answer(
         "checked_pairs": len(checker.checked_pairs),
         "proof": str(written) if found.proof is not None else None,
         "moving": list(checker.scene.following),
+        "beyond_limits": _beyond_limits(checker.robot, Q),
         **_told_by_a_message(given),
     }
 
@@ -318,7 +326,25 @@ def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, A
     sources = {column: origin.sources[column] for column in origin.stated}
     stated = {"stated": origin.stated, "stated_in": sources} if origin.stated else {}
     carried = {"carried": given.carried} if given.carried else {}
-    return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **carried}
+    assumed = {"assumed": list(origin.assumed)} if origin.assumed else {}
+    return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **assumed, **carried}
+
+
+def _beyond_limits(robot: loewner.Robot, Q: Floats) -> list[dict[str, Any]]:
+    """Return the values that are outside the limits of the robot, or of its file, at some of the sampled times."""
+    least, most = Q.min(axis=0), Q.max(axis=0)
+    hard = (least < robot.hard_lower - ROUNDED) | (most > robot.hard_upper + ROUNDED)
+    outside = hard | (least < robot.lower - ROUNDED) | (most > robot.upper + ROUNDED)
+    return [
+        {
+            "value": robot.configuration_names[k],
+            "range": [float(least[k]), float(most[k])],
+            "limits": [float(one[k]) for one in ((robot.hard_lower if hard[k] else robot.lower),
+                                                 (robot.hard_upper if hard[k] else robot.upper))],
+            "hard": bool(hard[k]),
+        }
+        for k in np.flatnonzero(outside).tolist()
+    ]  # fmt: skip
 
 
 def _nearest_of(
@@ -390,6 +416,15 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"curve     straight between the configurations of the file, numbered from 0; it has no times{error}")
     for column, value in answer.get("stated", {}).items():
         print(f"state     {column} = {value:.9g}, from {answer['stated_in'][column]}; the points do not name it")
+    if answer.get("assumed"):
+        print(
+            f"assumed   {some(answer['assumed'])}: the file has no values of these, which keep the robot's defaults, "
+            "mostly 0 (--others)"
+        )
+    for one in answer["beyond_limits"]:
+        (lower, upper), (least, most) = one["limits"], one["range"]
+        kind = "limits" if one["hard"] else "limits for planning"
+        print(f"limits    {one['value']} is {least:.6g} .. {most:.6g}, outside its {kind} {lower:.6g} .. {upper:.6g}")
     if answer.get("first_point_due", 0.0) > 0:
         print(
             f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from where the "

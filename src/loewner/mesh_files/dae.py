@@ -69,8 +69,12 @@ _PARTS_OF_POINTS = {
     }.items()
 }
 
+_NAMES = frozenset(["@id", "@name"])
 _OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_array")
 
+
+# Metres of units whose names exporters write.
+_USUAL = {"meter": 1.0, "decimeter": 0.1, "centimeter": 0.01, "millimeter": 0.001, "inch": 0.0254, "foot": 0.3048}
 
 # Cuts polygons, given as for `fans`.
 _Cut = Callable[[Ints, Ints], Triangles]
@@ -134,6 +138,11 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     if up is not None and axis != "Z_UP":
         tell(f"expected <up_axis> Z_UP, found {quoted(axis)}, which is not applied: z stays up", f"line {up.line}")
     metres = 1.0 if unit is None else _metres(unit)
+    if unit is not None:
+        name = (unit.get("name") or "").lower().rstrip("s")
+        usual = _USUAL.get(name.replace("metre", "meter"), metres)
+        if abs(usual - metres) > 0.01 * usual:
+            tell(f"expected {usual:g} m as a {name}, found meter={metres:g}, which counts", f"line {unit.line}")
     vertices, triangles = joined(_Scene(root, metres, tell).meshes())
     return vertices * metres, triangles
 
@@ -182,7 +191,9 @@ class _Scene:
                 found = _metres(element)
                 right = found == metres
                 expect(right, f"<unit>: expected the file's unit, {metres:g} m, found {found:g} m", element.line)
-            if element.tag != "extra":  # another program's, by the standard
+            if element.tag.startswith("library_") or element.tag == "mesh":
+                _check_attributes(element, _NAMES)
+            if element.tag not in ("extra", "technique"):  # another program's, by the standard
                 waiting += element.children
         self.made: dict[str, tuple[Floats, Triangles]] = {}
         self.points: dict[str, Floats] = {}
@@ -225,7 +236,10 @@ class _Scene:
 
     def geometry(self, name: str, line: int) -> tuple[Floats, Triangles]:
         if name not in self.made:
-            mesh = self.find("geometry", name, line).the("mesh")
+            geometry = self.find("geometry", name, line)
+            mesh = geometry.the("mesh")
+            other = [child for child in geometry.children if child.tag in ("brep", "convex_mesh", "spline")]
+            expect(not other, "<geometry>: expected a mesh alone, found another shape", geometry.line)
             parts = []
             for child in mesh.children:
                 if child.tag in _PRIMITIVES:
@@ -282,6 +296,11 @@ class _Scene:
         count, stride = accessor.number("count"), accessor.number("stride", 1)
         offset = accessor.number("offset", 0)
         params = accessor.all("param")
+        if len(params) > 3:  # the standard's way to skip a value
+            expect(
+                not any(param.get("name") for param in params[3:]), "<accessor>: expected three params", accessor.line
+            )
+            params = params[:3]
         expect(len(params) == 3 <= stride, "<accessor>: expected three params and stride", accessor.line)
         needed = offset + count * stride
         expect(needed <= len(numbers), f"<accessor>: expected {needed} numbers, found {len(numbers)}", accessor.line)
@@ -296,10 +315,14 @@ def _check_parts(element: _Element, known: frozenset[str]) -> None:
     for child in element.children:
         wrong = f"<{element.tag}>: expected elements of Collada, found <{quoted(child.tag)}>"
         expect(child.tag in known or (element.tag == "COLLADA" and child.tag[:8] == "library_"), wrong, child.line)
+    _check_attributes(element, known)
+
+
+def _check_attributes(element: _Element, known: frozenset[str]) -> None:
+    """Refuse attributes that Collada does not have; one in a namespace of its own is another program's."""
     for name in element.attributes:
         wrong = f"<{element.tag}>: expected attributes of Collada, found {quoted(name)}"
-        known_or_extension = "@" + name in known or "}" in name  # a namespace of its own: another program's
-        expect(known_or_extension, wrong, element.line)
+        expect("@" + name in known or "}" in name, wrong, element.line)
 
 
 def _axes(params: list[_Element]) -> list[int]:

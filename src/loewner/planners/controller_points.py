@@ -27,6 +27,7 @@ from loewner.planners.trajectories import RATES, SAVED_KEYS
 from loewner.robots import Robot
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of
+from loewner.robots.robot import joints_above
 
 # Endings of files with points, and the largest file [bytes].
 ENDINGS = (".csv", ".json", ".yaml", ".yml")
@@ -64,6 +65,8 @@ class Origin:
         Values, by columns, that come from the message's start state.
     sources : dict
         Where these values come from, by the columns: keys of the message.
+    assumed : tuple of str
+        Columns for which neither the file nor `others` has values: they keep the robot's defaults, mostly 0.
     touching : dict
         Links that a carried body may touch, by its name.
     free : tuple of str
@@ -78,6 +81,7 @@ class Origin:
     sources: dict[str, str] = field(default_factory=dict)
     free: tuple[str, ...] = ()
     touching: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
     straight: tuple[str, ...] = ()
 
 
@@ -358,7 +362,9 @@ class ControllerPoints:
         names = [*self.names, *(robot.configuration_names[k] for k in missing)]
         made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
         used = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
-        made.carried, made.origin = self.carried, replace(self.origin, stated=used)
+        added = names[len(self.names) :]
+        assumed = tuple(n for n in added if n not in used) if others is None else ()
+        made.carried, made.origin = self.carried, replace(self.origin, stated=used, assumed=assumed)
         return made
 
     def __repr__(self) -> str:
@@ -562,6 +568,7 @@ def _stated(
     if robot is None:
         _refuse_beside(beside, places, start.sources, name)
         return {}, {}
+    _doubt_mimics(start.joints, robot, name)
     known = set(robot.configuration_names)
     alone = [joint for joint in beside if joint in mimics]
     if alone:
@@ -588,6 +595,19 @@ def _stated(
         stated |= {column: float(value[0]) for column, value in columns.items() if column not in named}
         sources |= dict.fromkeys(columns, start.sources.get(joint, ""))
     return stated, sources
+
+
+def _doubt_mimics(state: dict[str, float], robot: Robot, name: str) -> None:
+    """Warn if a state has values of a joint and of one that mimics it that do not fit together."""
+    tree, rows = robot.tree, {joint: k for k, joint in enumerate(joints_above(robot))}
+    for joint, (followed, factor) in robot.mimics.items():
+        if joint in state and followed in state:
+            expected = factor * state[followed] + float(tree.offset[rows[joint]])
+            if not abs(state[joint] - expected) <= START_TOLERANCE:
+                warn(
+                    f"{name}: expected {joint} = {expected:g}, since it mimics {followed} = {state[followed]:g}, found "
+                    f"{state[joint]:g}, which is not used"
+                )
 
 
 def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources: dict[str, str], name: str) -> None:

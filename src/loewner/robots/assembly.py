@@ -103,8 +103,8 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
     placed: dict[str, Any] = dict(parts)
     placed |= {name: placed[name].placed(T) for name, T in (poses or {}).items()}
     made = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
-    if any(robot.disabled_pairs for robot in placed.values()):
-        left = [(f"{name}/", robot) for name, robot in placed.items() if not robot.disabled_pairs]
+    if any(robot._lists_pairs for robot in placed.values()):
+        left = [(f"{name}/", robot) for name, robot in placed.items() if not robot._lists_pairs]
         more = {(prefix + a, prefix + b) for prefix, robot in left for a, b in robot.adjacent_pairs}
         made = replace(made, disabled_pairs=made.disabled_pairs | more)
     at, of_parts = 0, dict(made._parts)
@@ -408,6 +408,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
             for p, shift in zip(pieces, first, strict=False) for joint, at in p.robot._columns.items()
         },
         _above={link: above for piece in pieces for link, above in _above(piece).items()},
+        _ruled=any(robot._ruled for robot in robots),
         _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
         _watch=Watch(name, configuration_names, limits["hard_lower"], limits["hard_upper"], turns, free),
         _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),

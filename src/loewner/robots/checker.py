@@ -121,7 +121,7 @@ class CollisionChecker:
         self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
         skip_adjacent = None if skip_adjacent is None else _validate.flag(skip_adjacent, "skip_adjacent")
-        if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
+        if skip_adjacent or (skip_adjacent is None and not robot._lists_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared = UNPREPARED

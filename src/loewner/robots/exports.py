@@ -14,11 +14,15 @@ from loewner import _validate
 from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._matrices import image, product
+from loewner._plausible import FARTHEST_LIMIT, told_to
 from loewner._validate import Floats
 from loewner.bodies import packed_of
 from loewner.bodies.exports import add_collisions, add_origin, enlarged, numbers, save_texts, text_of
-from loewner.errors import InputError
-from loewner.robots.urdf import VALUES
+from loewner.errors import InputError, LoewnerError
+from loewner.robots.srdf import read_srdf
+from loewner.robots.tree import adjacent_pairs
+from loewner.robots.urdf import LEAST_CUT, VALUES, read_urdf
+from loewner.robots.xacro_files import SUFFIX
 
 # Kinds of joints by the kernels' names; joints that turn are "continuous" if they have no limits.
 KINDS = {
@@ -49,14 +53,49 @@ class _Joint(NamedTuple):
 def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
     """Write the meshes of a robot beside a URDF, then the URDF, and an SRDF of the same stem."""
     semantics = path.with_suffix(".srdf")
-    if semantics == path:
-        raise InputError(f"path: expected the path of a URDF, found {path}, which is that of its SRDF")
-    for name in (robot.name, *robot.link_names, *robot.joint_names, *robot.mimics, *robot.groups, *robot.states):
-        if not name.isprintable():
-            raise InputError(f"expected names that can be printed, found {_validate.short(name)}")
-    exempt = robot.disabled_pairs or robot.adjacent_pairs
+    if path.suffix.lower() in (".srdf", SUFFIX):
+        raise InputError(f"path: expected the path of a URDF, found {path}, which is read as another format")
+    for name in (
+        path.name,
+        robot.name,
+        *robot.link_names,
+        *robot.joint_names,
+        *robot.mimics,
+        *robot.groups,
+        *robot.states,
+    ):
+        if not name.isprintable() or name != name.strip() or "$" in name:
+            raise InputError(
+                "expected names that can be printed, without '$' and without spaces at their ends, found "
+                f"{_validate.short(name)}"
+            )
+    listed = robot.disabled_pairs if robot._lists_pairs else robot.adjacent_pairs
     bare = [link for link in robot.link_names if link not in robot.bodies]
-    top = _top(robot, needed=len(robot.bodies) > 1 and not exempt and not bare)
+    top = _top(robot, needed=len(robot.bodies) > 1 and not listed and not bare)
+    urdf, meshes = _description(robot, top, path, mesh_prefix)
+    try:
+        with told_to([]):
+            described = read_urdf(path, urdf)
+            alike = not robot._lists_pairs and adjacent_pairs(described) == robot.adjacent_pairs
+            if alike and (robot.groups or robot.states):  # an SRDF that names nothing would cause a warning
+                srdf = _semantics(robot, (), "")
+            else:
+                # Without any rule, adjacent links would be exempt. A rule on a link without a body, or on the only
+                # link, exempts no pair that could collide.
+                srdf = _semantics(robot, listed, "" if listed else top or (*bare, *robot.link_names)[0])
+            read_srdf(semantics, described, srdf)
+    except LoewnerError as error:
+        raise InputError(
+            f"expected a robot that URDF and SRDF can express, found one that is refused: {error}"
+        ) from None
+    with replacing(path) as new_urdf, replacing(semantics) as new_srdf:
+        save_texts(meshes)
+        new_srdf.write_text(srdf, encoding="utf-8")
+        new_urdf.write_text(urdf, encoding="utf-8")
+
+
+def _description(robot: Any, top: str | None, path: Path, mesh_prefix: str) -> tuple[str, dict[Path, str]]:
+    """Return the text of the URDF, with the root link `top` if it is not None, and the contents of its mesh files."""
     root = ElementTree.Element("robot", name=robot.name)
     meshes: dict[Path, str] = {}
     if top is not None:
@@ -71,13 +110,7 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
         _add_joint(root, joint)
     if any({"acceleration", "jerk"} & joint.limits.keys() for joint in joints):
         root.set("version", "1.2")
-    # Without any rule, adjacent links would be exempt. A rule on a link without a body, or on the only link, exempts no
-    # pair that could collide.
-    alone = "" if exempt else top or (*bare, *robot.link_names)[0]
-    with replacing(path) as urdf, replacing(semantics) as srdf:
-        save_texts(meshes)
-        srdf.write_text(_semantics(robot, exempt, alone), encoding="utf-8")
-        urdf.write_text(text_of(root), encoding="utf-8")
+    return text_of(root), meshes
 
 
 def _top(robot: Any, *, needed: bool) -> str | None:
@@ -123,10 +156,10 @@ def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
         name, parent = robot._above.get(child, ("", None))
         if parent is None and top is None:
             continue
-        if not name:
-            name = _unused(child, taken)
-            taken.add(name)
         kind = int(tree.kind[k])
+        if kind == columns.FIXED:  # a robot has no names for such joints
+            name = _unused(name or child, taken)
+            taken.add(name)
         if kind not in KINDS:
             raise InputError(f"expected joints that URDF has, found the ball joint {name!r}")
         rotation, axis = _rotation_and_axis(tree.constants[k], kind)
@@ -182,9 +215,14 @@ def _limits(
 ) -> tuple[dict[str, float], tuple[float, float] | None]:
     """Return limits and rates of a joint of one value, and the limits for planning if they are narrower."""
     hard = float(robot.hard_lower[column]), float(robot.hard_upper[column])
-    if mimic is not None:  # values at which the joint that it mimics is within its limits
+    if mimic is not None:
         _, multiplier, offset = mimic
         lower, upper = sorted(multiplier * end + offset for end in hard) if multiplier else (offset, offset)
+        # No limits, if these values, which the joint has within the other one's limits, would narrow that one's.
+        back = sorted((end - offset) / multiplier for end in (lower, upper)) if multiplier else hard
+        rounded = abs(back[0] - hard[0]) > LEAST_CUT / 2 or abs(back[1] - hard[1]) > LEAST_CUT / 2
+        if rounded or max(-lower, upper) > FARTHEST_LIMIT:
+            lower, upper = -math.inf, math.inf
         return {"lower": lower, "upper": upper}, None
     soft = float(robot.lower[column]), float(robot.upper[column])
     rates = {name: float(getattr(robot, name)[column]) for name in ("velocity", "acceleration", "jerk")}

@@ -62,7 +62,7 @@ def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
             state[1][joint] = values[0] if width == 1 else values
             at += width
         states[name] = state
-    return Semantics(states=states, disabled_pairs=model.related_pairs | model.excluded_pairs)
+    return Semantics(states=states, disabled_pairs=model.related_pairs | model.excluded_pairs, ruled=True)
 
 
 def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:

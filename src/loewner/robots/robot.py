@@ -34,9 +34,9 @@ from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
-from loewner.robots.urdf import VALUES, Description, Joint, read_urdf
+from loewner.robots.urdf import VALUES, Description, Joint, doubt_limits, read_urdf
 from loewner.robots.watch import LARGEST_VALUE, Watch
-from loewner.robots.xacro_files import SUFFIX, expanded
+from loewner.robots.xacro_files import SUFFIX, expanded, refuse_unused
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
@@ -52,9 +52,16 @@ LEAST_SHARE = 1024
 
 
 def _text_of(
-    path: str | os.PathLike[str] | None, text: str | None, xacro_args: Mapping[str, object] | None, places: list[Path]
+    path: str | os.PathLike[str] | None,
+    text: str | None,
+    xacro_args: Mapping[str, object] | None,
+    places: list[Path],
+    used: set[str],
 ) -> str | None:
-    """Return the text of a URDF that is given as a string or as a xacro file; None for other files."""
+    """Return the text of a URDF that is given as a string or as a xacro file; None for other files.
+
+    Names of arguments that the file declares are added to `used`.
+    """
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
@@ -70,15 +77,7 @@ def _text_of(
     named = _validate.path(path, "path", wanted="a path to a URDF")
     if xacro_args is None and not str(named).lower().endswith(SUFFIX):
         return None
-    return expanded(named, xacro_args or {}, places)
-
-
-def _expanded_srdf(
-    path: str | os.PathLike[str], xacro_args: Mapping[str, object] | None, places: list[Path]
-) -> str | None:
-    """Return the text of an SRDF that is a xacro file by its name; None for other files."""
-    file = _validate.path(path, "srdf", wanted="a path to an SRDF")
-    return expanded(file, xacro_args or {}, places) if str(file).lower().endswith(SUFFIX) else None
+    return expanded(named, xacro_args or {}, places, used)
 
 
 def _model(meshes: str, decompose: bool) -> str:
@@ -185,6 +184,8 @@ class Robot(KeepsReadOnly):
     # Descriptions, and the robots that were joined.
     _sources: tuple[Source, ...] = field(repr=False)
     _parts: dict[str, Part[Robot]] = field(repr=False)
+    # Whether an SRDF or an MJCF has rules on pairs: then no adjacent pair is exempt by default.
+    _ruled: bool = field(repr=False)
     # Bodies that were added in the world, which the robot's pose does not move.
     _in_world: tuple[str, ...] = field(repr=False)
 
@@ -273,9 +274,14 @@ class Robot(KeepsReadOnly):
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
-        text = _text_of(path, text, xacro_args, places)
+        used: set[str] = set()
+        text = _text_of(path, text, xacro_args, places, used)
+        rules = None
+        if srdf is not None and str(_validate.path(srdf, "srdf", wanted="a path to an SRDF")).lower().endswith(SUFFIX):
+            rules = expanded(srdf, xacro_args or {}, places, used)
+        refuse_unused(xacro_args or {}, used)
         robot = read_urdf("URDF text" if path is None else path, text)
-        semantics = Semantics() if srdf is None else read_srdf(srdf, robot, _expanded_srdf(srdf, xacro_args, places))
+        semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
         return cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
 
@@ -331,6 +337,7 @@ class Robot(KeepsReadOnly):
             _rooted=tree,
             _sources=(Source("", format, path, text, package_dirs),),
             _parts={},
+            _ruled=semantics.ruled,
             _in_world=(),
         )
 
@@ -370,7 +377,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the file has flexible bodies, which are ignored.
+            If the file has parts with which MuJoCo computes and that are not read, such as flexible bodies and
+            constraints; if limits of hinges are probably not in radians after MuJoCo's conversion.
 
         Examples
         --------
@@ -387,15 +395,18 @@ class Robot(KeepsReadOnly):
         """
         model = read_mjcf(path, checked_tolerance(tol))
         robot, bodies = description_of(model)
+        doubt_limits(robot.path, robot.joints)
         return cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), "MJCF", None)
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
         """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.
 
-        Together the files describe the same kinematics, limits, rates, groups, states, shapes and checked pairs, up to
-        the rounding of poses. A root link "world" is added if the robot has several roots, or is placed. Visual
-        geometry, masses and efforts are not written. Limits that are narrower than `hard_lower` and `hard_upper` become
-        soft limits. Without the SRDF, other pairs are checked: pass it to `from_urdf`, too.
+        Together the files describe the same kinematics, limits, rates, groups, states and shapes, up to the rounding of
+        poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added before the others if the
+        robot has several roots, or is placed; links fixed to it can be adjacent through it, so do not give
+        ``skip_adjacent=True`` then. Visual geometry, masses and efforts are not written. Limits that are narrower than
+        `hard_lower` and `hard_upper` become soft limits. Without the SRDF, pairs may be exempt that this robot checks:
+        pass it to `from_urdf`, too. Existing files are replaced.
 
         Parameters
         ----------
@@ -425,6 +436,11 @@ class Robot(KeepsReadOnly):
         from loewner.robots.exports import save_urdf
 
         save_urdf(self, _validate.path(path, "path"), prefix(mesh_prefix))
+
+    @property
+    def _lists_pairs(self) -> bool:
+        """Whether the exempt pairs are listed; otherwise, adjacent pairs are exempt by default."""
+        return self._ruled or bool(self.disabled_pairs)
 
     @property
     def dof(self) -> int:
@@ -1081,6 +1097,11 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
             f"{name}: expected shape (..., {robot.dof}), one column each for {', '.join(robot.configuration_names)}; "
             f"found {_validate.shape_text(shape)}"
         )
+
+
+def joints_above(robot: Robot) -> tuple[str, ...]:
+    """Return the name of the joint above each link, in the order of the links; empty where it has none."""
+    return tuple(robot._above.get(link, ("", None))[0] for link in robot.link_names)
 
 
 def sources_of(robot: Robot) -> tuple[Source, ...]:

@@ -51,11 +51,14 @@ class Semantics:
         State name to (group, {driven joint: value or tuple of values}).
     disabled_pairs : frozenset
         Sorted pairs of links that need no check.
+    ruled : bool
+        Whether there are rules on pairs; then adjacent pairs are checked unless a rule disables them.
     """
 
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     states: dict[str, State] = field(default_factory=dict)
     disabled_pairs: frozenset[Pair] = frozenset()
+    ruled: bool = False
 
 
 class _Names:
@@ -145,7 +148,8 @@ def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None
         warn(f"{root.path}: {fault}")
     settle(root, "SRDF", HARMLESS)
     groups = {name: tuple(joint for joint in joints if joint not in passive) for name, joints in groups.items()}
-    return Semantics(groups, states, disabled)
+    ruled = any(root.all(tag) for tag in ("disable_collisions", "enable_collisions", "disable_default_collisions"))
+    return Semantics(groups, states, disabled, ruled)
 
 
 def _oddities(root: Element, names: _Names) -> Iterator[str]:
@@ -323,7 +327,10 @@ def _states(
                 numbers = [*numbers[:3], numbers[6], *numbers[3:6]]
             values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
         # The name of a state is unique only within its group.
-        states[f"{group}/{name}" if name in states else name] = (group, values)
+        key = f"{group}/{name}" if name in states else name
+        if key in states:
+            element.fault("states whose names differ", f"{key!r} twice: as a name, and as a group and a name")
+        states[key] = (group, values)
     return states, _of_states(bases, outside)
 
 

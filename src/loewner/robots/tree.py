@@ -143,7 +143,9 @@ def _joint_constants(joint: Joint, T: Floats) -> Floats:
 def _from_z(axis: Floats) -> Floats:
     """Compute the smallest rotation that takes the z axis to a unit vector."""
     x, y, z = axis
-    if z < 0 and x * x + y * y < 1e-24:  # half a turn about any perpendicular axis: x
+    across = x * x + y * y
+    if z < 0 and across < 1e-24:  # half a turn about any perpendicular axis: x
         return np.diag([1.0, -1.0, -1.0])
     cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
-    return np.asarray(np.eye(3) + cross + product(cross, cross) / (1 + z))
+    above = 1 + z if z >= 0 else across / (1 - z)  # 1 + z, without cancellation
+    return np.asarray(np.eye(3) + cross + product(cross, cross) / above)

@@ -259,7 +259,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
         if link.has("origin") and not np.array_equal(_origin(link, version), np.eye(4)):
             link.disown("origin")  # a link has none, but its shapes; the identity does no harm
     _doubt_angles(root)
-    _doubt_limits(root.path, joints)
+    doubt_limits(root.path, joints)
     _warn_of_extensions(root, joints)
     settle(root, "URDF", HARMLESS)
     return Description(
@@ -590,13 +590,14 @@ def _doubt_angles(root: Element) -> None:
             return
 
 
-def _doubt_limits(path: Path, joints: dict[str, Joint]) -> None:
+def doubt_limits(path: Path, joints: dict[str, Joint]) -> None:
     """Warn, once for all revolute joints, if their limits seem to be in degrees."""
     doubts = {j: doubt_about_limits(j.lower, j.upper) for j in joints.values() if j.kind == "revolute"}
     doubtful = [joint for joint, doubt in doubts.items() if doubt]
     if doubtful:
         joint, more = doubtful[0], f" ({len(doubtful) - 1} more like it)" if len(doubtful) > 1 else ""
-        warn(f"{path}, line {joint.line}: joint {joint.name!r}: expected {doubts[joint]}{more}")
+        line = f", line {joint.line}" if joint.line else ""
+        warn(f"{path}{line}: joint {joint.name!r}: expected {doubts[joint]}{more}")
 
 
 def _origin(element: Element, version: tuple[int, int]) -> Floats:

@@ -24,10 +24,29 @@ SUFFIX = ".xacro"
 _alone = threading.RLock()
 
 
+class _Arguments(dict[str, str]):
+    """Arguments of a file; the names that the file declares or reads are added to `used`."""
+
+    def __init__(self, given: Mapping[str, str], used: set[str]) -> None:
+        super().__init__(given)
+        self.used = used
+
+    def __contains__(self, name: object) -> bool:
+        self.used.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.used.add(name)
+        return super().__getitem__(name)
+
+
 def expanded(
-    path: str | os.PathLike[str], arguments: Mapping[str, object], folders: Sequence[str | os.PathLike[str]]
+    path: str | os.PathLike[str],
+    arguments: Mapping[str, object],
+    folders: Sequence[str | os.PathLike[str]],
+    used: set[str],
 ) -> str:
-    """Return the text of the URDF that a xacro file describes.
+    """Return the text of the URDF or SRDF that a xacro file describes.
 
     Parameters
     ----------
@@ -36,6 +55,8 @@ def expanded(
         Values of ``<xacro:arg>``.
     folders : sequence of paths
         Packages, and folders that contain packages, for ``$(find package)``.
+    used : set of str
+        Names of arguments that the file declares or reads are added.
 
     Raises
     ------
@@ -57,11 +78,30 @@ def expanded(
     with _alone, _finding(substitution, file, folders):
         try:
             return str(
-                xacro.process_file(str(file), mappings=given, verbosity=0).documentElement.toprettyxml(indent="  ")
+                xacro.process_file(
+                    str(file), mappings=_Arguments(given, used), verbosity=0
+                ).documentElement.toprettyxml(indent="  ")
             )
         except Exception as error:  # its expressions raise any error
+            if isinstance(getattr(error, "exc", None), FileError):
+                raise error.exc from None  # type: ignore[attr-defined]
             named = str(error) or type(error).__name__
             raise FileError(f"{path}: expected a file that xacro can expand, found that it cannot: {named}") from None
+
+
+def refuse_unused(arguments: Mapping[str, object], used: set[str]) -> None:
+    """Refuse arguments that no file declares or reads: most are misspelt.
+
+    Raises
+    ------
+    InputError
+    """
+    unused = [name for name in arguments if name not in used]
+    if unused:
+        raise InputError(
+            f"xacro_args: expected arguments that the file declares ({', '.join(sorted(used)) or 'none'}), found "
+            f"{_validate.short(', '.join(map(str, unused)))}"
+        )
 
 
 def _text(name: object, value: object) -> str:
@@ -79,7 +119,7 @@ def _finding(substitution: Any, file: Path, folders: Sequence[str | os.PathLike[
     """Let ``$(find package)`` look where meshes of packages are looked for; xacro itself has to have ROS for it."""
 
     def find(package: str) -> str:
-        return str(package_folder(package, file, folders))
+        return str(package_folder(package, file, folders).absolute())  # xacro resolves paths from the file's folder
 
     names = vars(substitution)
     before = names["_eval_find"]
