@@ -309,11 +309,9 @@ def test_values_between_soft_and_hard_limits_are_told(written, capsys):
 @pytest.mark.parametrize(("second", "told"), [(-1.5, False), (0.5, True)])
 def test_a_state_that_contradicts_a_mimic_is_told(second, told, written):
     """The value of the joint that mimics is not used, and follows from the other one."""
-    text = CART.replace(
-        "</robot>",
-        """<link name="flap"/><joint name="tilt" type="revolute"><parent link="cart"/>
-    <child link="flap"/><limit lower="-9" upper="9"/><mimic joint="lift" multiplier="-2" offset="-0.5"/></joint></robot>""",
-    )
+    flap = """<link name="flap"/><joint name="tilt" type="revolute"><parent link="cart"/><child link="flap"/>
+    <limit lower="-9" upper="9"/><mimic joint="lift" multiplier="-2" offset="-0.5"/></joint></robot>"""
+    text = CART.replace("</robot>", flap)
     state = {"joint_state": {"name": ["lift", "tilt"], "position": [0.5, second]}}
     moving = of_joints((0, 0.0), (1, 1.0))
     name = written({"trajectory_start": state, "trajectory": moving})

@@ -1,6 +1,7 @@
 """MJCF: robots and scenes as MuJoCo has them; what cannot be read is refused."""
 
 import os
+import warnings
 from pathlib import Path
 
 import mujoco
