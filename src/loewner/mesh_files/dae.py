@@ -310,19 +310,24 @@ class _Scene:
 
 def _check_parts(element: _Element, known: frozenset[str]) -> None:
     """Refuse children and attributes that Collada does not have, and text between children."""
-    text = "" if element.tag in _OF_NUMBERS else "".join(element.texts).strip()
-    expect(not text, f"<{element.tag}>: expected elements and attributes alone, found {quoted(text)}", element.line)
+    if element.tag not in _OF_NUMBERS and element.texts:
+        text = "".join(element.texts).strip()
+        expect(not text, f"<{element.tag}>: expected elements and attributes alone, found {quoted(text)}", element.line)
     for child in element.children:
-        wrong = f"<{element.tag}>: expected elements of Collada, found <{quoted(child.tag)}>"
-        expect(child.tag in known or (element.tag == "COLLADA" and child.tag[:8] == "library_"), wrong, child.line)
+        if child.tag not in known and not (element.tag == "COLLADA" and child.tag[:8] == "library_"):
+            listed = ", ".join(sorted(name for name in known if name[0] != "@")) or "none"
+            found = f"<{quoted(child.tag)}>"
+            raise Refusal(f"<{element.tag}>: expected elements of Collada ({listed}), found {found}", child.line)
     _check_attributes(element, known)
 
 
 def _check_attributes(element: _Element, known: frozenset[str]) -> None:
     """Refuse attributes that Collada does not have; one in a namespace of its own is another program's."""
     for name in element.attributes:
-        wrong = f"<{element.tag}>: expected attributes of Collada, found {quoted(name)}"
-        expect("@" + name in known or "}" in name, wrong, element.line)
+        if "@" + name not in known and "}" not in name:
+            listed = ", ".join(sorted(one[1:] for one in known if one[0] == "@")) or "none"
+            found = quoted(name)
+            raise Refusal(f"<{element.tag}>: expected attributes of Collada ({listed}), found {found}", element.line)
 
 
 def _axes(params: list[_Element]) -> list[int]:
