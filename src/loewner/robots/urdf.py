@@ -52,7 +52,7 @@ SHORTEST_AXIS = 1e-9
 HARMLESS = {
     "robot": frozenset((
         "gazebo*",  # plugins, friction and sensors of a simulator
-        "material",  # colours
+        "material*",  # colours
         "ros2_control",  # hardware; `_warn_of_extensions` reports its limits and mimics
         "self_collision_checking", "drake:collision_filter_group",  # exempt pairs: without them, more is checked
         "sensor*",  # where cameras look
@@ -61,7 +61,7 @@ HARMLESS = {
     "link": frozenset((
         "@type",  # has no meaning in any reader
         "collision_checking", "self_filter",  # shapes for other programs' purposes
-        "contact", "gravity", "inertial*", "kinematic", "surface",  # dynamics
+        "contact*", "gravity*", "inertial*", "kinematic*", "surface*",  # dynamics
         "visual*",  # looks; read by `read_visuals`
     )),
     "collision": frozenset((
@@ -77,7 +77,7 @@ HARMLESS = {
     "cylinder": frozenset(("@name",)), "capsule": frozenset(("@name",)),
     "joint": frozenset((
         "@dont_collapse",  # whether a simulator merges links
-        "calibration", "dynamics",  # where encoders switch; friction
+        "calibration*", "dynamics*",  # where encoders switch; friction
     )),
     "limit": frozenset(("@command_effort", "@current", "@effort", "@gear_velocity")),  # motors
     "safety_controller": frozenset(("@k_position", "@k_velocity")),  # gains
