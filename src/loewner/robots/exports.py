@@ -55,20 +55,7 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
     semantics = path.with_suffix(".srdf")
     if path.suffix.lower() in (".srdf", SUFFIX):
         raise InputError(f"path: expected the path of a URDF, found {path}, which is read as another format")
-    for name in (
-        path.name,
-        robot.name,
-        *robot.link_names,
-        *robot.joint_names,
-        *robot.mimics,
-        *robot.groups,
-        *robot.states,
-    ):
-        if not name.isprintable() or name != name.strip() or "$" in name:
-            raise InputError(
-                "expected names that can be printed, without '$' and without spaces at their ends, found "
-                f"{_validate.short(name)}"
-            )
+    _expect_plain_names(path.name, robot)
     listed = robot.disabled_pairs if robot._lists_pairs else robot.adjacent_pairs
     bare = [link for link in robot.link_names if link not in robot.bodies]
     top = _top(robot, needed=len(robot.bodies) > 1 and not listed and not bare)
@@ -92,6 +79,17 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
         save_texts(meshes)
         new_srdf.write_text(srdf, encoding="utf-8")
         new_urdf.write_text(urdf, encoding="utf-8")
+
+
+def _expect_plain_names(stem: str, robot: Any) -> None:
+    """Refuse names that readers would change: they strip spaces, and xacro evaluates expressions."""
+    of_robot = (*robot.link_names, *robot.joint_names, *robot.mimics, *robot.groups, *robot.states)
+    for name in (stem, robot.name, *of_robot):
+        if not name.isprintable() or name != name.strip() or "$" in name:
+            raise InputError(
+                "expected names that can be printed, without '$' and without spaces at their ends, found "
+                f"{_validate.short(name)}"
+            )
 
 
 def _description(robot: Any, top: str | None, path: Path, mesh_prefix: str) -> tuple[str, dict[Path, str]]:
