@@ -436,6 +436,65 @@ FORMATS = MESSAGES | {
 }  # fmt: skip
 
 
+# Further samples: files in ROS's parameters, problems of several groups, shapes from files, strips without indices.
+LIMITS_OF_ROS = {
+    "/**": {
+        "ros__parameters": {
+            "robot_description_planning": {"joint_limits": {"j": {"has_velocity_limits": False, "max_velocity": 2.0}}}
+        }
+    }
+}
+SPHERE = {"name": "s", "position": [1.0, 0.0, 0.0], "radius": 0.5}
+MORE_PROBLEMS = {
+    "robot": "r",
+    "joints": ["j", "k"],
+    "problems": {
+        "g": [{"index": 2, "start": [0.0, 1.0], "goals": [[1.0, 0.0], [2.0, 0.0]], "sphere": [SPHERE]}],
+        "h": [{"index": 1, "start": [0.0, 1.0], "goals": [], "cylinder": []}],
+    },
+}
+SCENE_OF_FILES = {
+    "bodies": {
+        "a": {"cloud": {"file": "points.npy", "radius": 0.1}},
+        "b": {"voxels": {"file": "voxels.npy", "size": 0.1, "origin": [0.0, 1.0, 0.0]}, "pose": np.eye(4).tolist()},
+        "c": {"height_field": {"file": "heights.npy", "spacing": [0.1, 0.2], "base": -1.0}},
+        "d": {"mesh": "part.obj", "scale": [1.0, 1.0, 2.0], "model": "surface", "radius": 0.01, "solid": False},
+        "e": {"mesh": "part.obj", "decompose": False},
+        "f": {"points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]},
+        "g": {"spheres": [[0, 0, 0, 1]]},
+        "h": {"boxes": [[0, 0, 0, 1, 1, 1]]},
+        "i": {"ellipsoid": [1.0, 2.0, 3.0]},
+        "k": {"cone": {"radius": 0.1, "length": 0.2}},
+        "l": {"capsule": {"radius": 0.1, "length": 0.2}},
+    },
+    "leave": [["a", "e"]],
+    "reach": [["b", "e"]],
+}
+STRIPS = {
+    "asset": {"version": "2.0"},
+    "extensionsUsed": ["KHR_materials_unlit"],
+    "scenes": [{"nodes": [0]}],
+    "nodes": [{"matrix": [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 1, 0, 0, 1], "mesh": 0}],
+    "meshes": [
+        {"primitives": [{"attributes": {"POSITION": 0}, "mode": 5}, {"attributes": {"POSITION": 0}, "mode": 6}]}
+    ],
+    "accessors": [
+        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]}
+    ],
+    "bufferViews": [{"buffer": 0, "byteLength": 48}],
+    "buffers": [{"byteLength": 72, "uri": f"data:application/octet-stream;base64,{base64.b64encode(DATA).decode()}"}],
+}
+
+
+def scene_with_files(path: Path) -> object:
+    """Read a scene beside the files that it names."""
+    np.save(path.with_name("points.npy"), np.eye(3))
+    np.save(path.with_name("voxels.npy"), np.ones((1, 1, 2), dtype=bool))
+    np.save(path.with_name("heights.npy"), np.zeros((2, 2)))
+    path.with_name("part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    return as_named("s.yaml", load_scene)(path)
+
+
 COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>
 <contributor><author>a</author></contributor><created>c</created><unit name="cm" meter="0.01"/><up_axis>Z_UP</up_axis>
 </asset><library_materials><material id="m"/></library_materials>
@@ -465,6 +524,20 @@ MJCF = """<mujoco model="m"><compiler angle="radian"/><option gravity="0 0 -1"/>
 <keyframe><key name="home" qpos="0.5 0.1"/></keyframe></mujoco>"""
 
 FORMATS |= {
+    "joint_limits.yaml of ROS": Format(
+        json.dumps(LIMITS_OF_ROS), as_named("l.yaml", limits), json_mutants,
+        (), named=("**", "**/ros__parameters", "**/ros__parameters/robot_description_planning"),
+    ),
+    "MotionBenchMaker of two groups": Format(
+        json.dumps(MORE_PROBLEMS), read_motion_bench_maker, json_mutants, (), named=("problems/g", "problems/h")
+    ),
+    "scene of files": Format(
+        json.dumps(SCENE_OF_FILES), scene_with_files, json_mutants, (),
+        named=tuple(f"bodies/{name}" for name in SCENE_OF_FILES["bodies"]),
+    ),
+    "glTF of strips": Format(
+        json.dumps(STRIPS), as_named("m.gltf", meshes.load), json_mutants, ("meshes/primitives/attributes/stranger",)
+    ),
     "Collada": Format(
         COLLADA, as_named("m.dae", meshes.load), xml_mutants,
         # Objects are found by their identifiers, in whatever library.
