@@ -140,10 +140,11 @@ class ControllerPoints:
         self.carried: dict[str, str] = {}
         self.origin = Origin()
         self.times = _validate.finite_array(times, "times", ("n",))
-        if len(self.times) < 2 or not (np.diff(self.times) > 0).all():
-            raise InputError(
-                f"times: expected two or more that increase, found {_validate.shape_text(self.times.shape)}"
-            )
+        if len(self.times) < 2:
+            raise InputError(f"times: expected two or more, found {len(self.times)}")
+        for k in np.flatnonzero(~(np.diff(self.times) > 0))[:1].tolist():
+            before, after = self.times[k : k + 2].tolist()
+            raise InputError(f"times: expected times that increase, found {before:.9g} and then {after:.9g} at {k + 1}")
         if accelerations is not None and velocities is None:
             raise InputError("accelerations: expected velocities with them, found none")
         texts = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)
