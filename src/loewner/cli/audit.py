@@ -335,16 +335,16 @@ def _beyond_limits(robot: loewner.Robot, Q: Floats) -> list[dict[str, Any]]:
     least, most = Q.min(axis=0), Q.max(axis=0)
     hard = (least < robot.hard_lower - ROUNDED) | (most > robot.hard_upper + ROUNDED)
     outside = hard | (least < robot.lower - ROUNDED) | (most > robot.upper + ROUNDED)
+    lower, upper = np.where(hard, robot.hard_lower, robot.lower), np.where(hard, robot.hard_upper, robot.upper)
     return [
         {
             "value": robot.configuration_names[k],
             "range": [float(least[k]), float(most[k])],
-            "limits": [float(one[k]) for one in ((robot.hard_lower if hard[k] else robot.lower),
-                                                 (robot.hard_upper if hard[k] else robot.upper))],
+            "limits": [float(end) if np.isfinite(end) else None for end in (lower[k], upper[k])],  # for JSON
             "hard": bool(hard[k]),
         }
         for k in np.flatnonzero(outside).tolist()
-    ]  # fmt: skip
+    ]
 
 
 def _nearest_of(
@@ -422,9 +422,9 @@ def _print_answer(answer: dict[str, Any]) -> None:
             "mostly 0 (--others)"
         )
     for one in answer["beyond_limits"]:
-        (lower, upper), (least, most) = one["limits"], one["range"]
         kind = "limits" if one["hard"] else "limits for planning"
-        print(f"limits    {one['value']} is {least:.6g} .. {most:.6g}, outside its {kind} {lower:.6g} .. {upper:.6g}")
+        (least, most), ends = one["range"], ["none" if end is None else f"{end:.6g}" for end in one["limits"]]
+        print(f"limits    {one['value']} is {least:.6g} .. {most:.6g}, outside its {kind} {' .. '.join(ends)}")
     if answer.get("first_point_due", 0.0) > 0:
         print(
             f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from where the "

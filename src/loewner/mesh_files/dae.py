@@ -72,7 +72,6 @@ _PARTS_OF_POINTS = {
 _NAMES = frozenset(["@id", "@name"])
 _OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_array")
 
-
 # Metres of units whose names exporters write.
 _USUAL = {"meter": 1.0, "decimeter": 0.1, "centimeter": 0.01, "millimeter": 0.001, "inch": 0.0254, "foot": 0.3048}
 
