@@ -48,6 +48,14 @@ def image(M: Floats, x: Floats) -> Floats:
     return total
 
 
+def in_frame(T_world_frame: Floats, T_world_body: Floats) -> Floats:
+    """Return the pose of a body in a frame; the shapes are (4, 4)."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T_world_frame[:3, :3].T
+    inverse[:3, 3] = -image(inverse[:3, :3], T_world_frame[:3, 3])
+    return product(inverse, T_world_body)
+
+
 def dot(a: Floats, b: Floats) -> Floats:
     """Multiply vectors, shape (..., k), with a small k; the products are added from the first to the last."""
     total: Floats = 0.0 + a[..., 0] * b[..., 0]

@@ -97,7 +97,8 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
                 raise InputError(f"{name}: expected numbers only, found masked entries")
-    _refuse_quantity(x, name)
+    if type(x) is not np.ndarray:
+        _refuse_quantity(x, name)
     if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert the last one to an array of its bytes
         raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
     try:

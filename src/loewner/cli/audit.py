@@ -11,7 +11,7 @@ import numpy as np
 
 import loewner
 from loewner import Verdict, _validate, planners, plots
-from loewner._matrices import image, product
+from loewner._matrices import in_frame, product
 from loewner._nodes import some
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
@@ -209,7 +209,7 @@ def _carry(
     for body, link in carrying.items():
         if body in scene.attachments or body in scene.following:
             raise InputError(f"--attach {body}={link}: expected a body that stands in the scene, found one that moves")
-        T_link_body = _in_frame(links[robot.link_names.index(link)], scene.pose(body))
+        T_link_body = in_frame(links[robot.link_names.index(link)], scene.pose(body))
         scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()))
 
 
@@ -231,14 +231,6 @@ def _end(robot: loewner.Robot, part: planners.ControllerPoints | Floats, row: in
         rows = part if isinstance(part, np.ndarray) else part.positions
         return np.asarray(rows[row])
     return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
-
-
-def _in_frame(T_world_link: Floats, T_world_body: Floats) -> Floats:
-    """Return the pose of a body in the frame of a link."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = T_world_link[:3, :3].T
-    inverse[:3, 3] = -image(inverse[:3, :3], T_world_link[:3, 3])
-    return product(inverse, T_world_body)
 
 
 def _numbered(file: Path | None, number: int, count: int) -> Path | None:

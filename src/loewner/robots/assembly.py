@@ -18,7 +18,7 @@ from loewner._validate import Floats, Named
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots.srdf import Semantics
-from loewner.robots.tree import placed_tree
+from loewner.robots.tree import constant_pose, placed_tree
 from loewner.robots.urdf import SHORTEST_AXIS, VALUES, Description, Joint
 from loewner.robots.watch import Watch
 
@@ -456,7 +456,7 @@ def _tree(pieces: Sequence[_Piece], first_column: Sequence[int]) -> Tree:
             above = numbers[piece.on]
             before = Tree(*(np.concatenate(arrays) for arrays in zip(*trees, strict=True)))
             if before.kind[above] == columns.FIXED:
-                tree, above = placed_tree(tree, _constant_pose(before.constants[above])), int(before.parent[above])
+                tree, above = placed_tree(tree, constant_pose(before.constants[above])), int(before.parent[above])
         skip = int(piece.without_root)
         parent = np.where(tree.parent < skip, above, tree.parent + count - skip)
         tree = tree._replace(parent=parent, column=np.where(tree.kind == columns.FIXED, 0, tree.column + column))
@@ -464,11 +464,3 @@ def _tree(pieces: Sequence[_Piece], first_column: Sequence[int]) -> Tree:
         for name in piece.robot.link_names[skip:]:
             numbers[piece.prefix + name] = len(numbers)
     return Tree(*(np.ascontiguousarray(np.concatenate(arrays)) for arrays in zip(*trees, strict=True)))
-
-
-def _constant_pose(constants: Floats) -> Floats:
-    """Return the pose of a fixed link in the frame of its parent."""
-    T = np.eye(4)
-    T[:3, :3] = constants[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
-    T[:3, 3] = constants[columns.TRANSLATION : columns.TRANSLATION + 3]
-    return T

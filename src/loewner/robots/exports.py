@@ -13,25 +13,19 @@ import numpy as np
 from loewner import _validate
 from loewner._files import replacing
 from loewner._kernels import columns
-from loewner._matrices import image, product
+from loewner._matrices import image, in_frame, product
 from loewner._plausible import FARTHEST_LIMIT, told_to
 from loewner._validate import Floats
 from loewner.bodies import packed_of
 from loewner.bodies.exports import add_collisions, add_origin, enlarged, numbers, save_texts, text_of
 from loewner.errors import InputError, LoewnerError
 from loewner.robots.srdf import read_srdf
-from loewner.robots.tree import adjacent_pairs
+from loewner.robots.tree import KINDS, adjacent_pairs, constant_pose
 from loewner.robots.urdf import LEAST_CUT, VALUES, read_urdf
 from loewner.robots.xacro_files import SUFFIX
 
-# Kinds of joints by the kernels' names; joints that turn are "continuous" if they have no limits.
-KINDS = {
-    columns.FIXED: "fixed",
-    columns.REVOLUTE: "revolute",
-    columns.PRISMATIC: "prismatic",
-    columns.PLANAR: "planar",
-    columns.FLOATING: "floating",
-}
+# Kinds of joints by the kernels' numbers; joints that turn are "continuous" if they have no limits.
+NAMES = {number: name for name, number in KINDS.items() if name not in ("continuous", "ball")}
 ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
 
 
@@ -42,8 +36,7 @@ class _Joint(NamedTuple):
     kind: str
     parent: str
     child: str
-    rotation: Floats
-    center: Floats
+    pose: Floats
     axis: Floats
     limits: dict[str, float]
     soft: tuple[float, float] | None
@@ -114,8 +107,7 @@ def _description(robot: Any, top: str | None, path: Path, mesh_prefix: str) -> t
 def _top(robot: Any, *, needed: bool) -> str | None:
     """Return the name of a new root link, which is the world; None if the robot's own root link can be the root."""
     roots = [link for link in robot.link_names if robot._above.get(link, ("", None))[1] is None]
-    first = robot.tree.constants[0, : columns.SINE]
-    if not needed and len(roots) == 1 and np.array_equal(first, [1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]):
+    if not needed and len(roots) == 1 and np.array_equal(constant_pose(robot.tree.constants[0]), np.eye(4)):
         return None
     return _unused("world", robot.link_names)
 
@@ -158,22 +150,14 @@ def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
         if kind == columns.FIXED:  # a robot has no names for such joints
             name = _unused(name or child, taken)
             taken.add(name)
-        if kind not in KINDS:
+        if kind not in NAMES:
             raise InputError(f"expected joints that URDF has, found the ball joint {name!r}")
-        rotation, axis = _rotation_and_axis(tree.constants[k], kind)
-        center = tree.constants[k, columns.TRANSLATION : columns.TRANSLATION + 3]
         offset, mimic = float(tree.offset[k]), None
         if name in robot.mimics:
             mimic = driven[int(tree.column[k])], float(tree.multiplier[k]), offset
-        elif offset and kind == columns.REVOLUTE:  # the child is at the origin of its joint at another value than 0
-            rotation = _turned(tree.constants[k], offset)
-        elif offset:
-            center = center + offset * image(rotation, axis)
+        pose, axis = _pose_and_axis(tree.constants[k], kind, 0.0 if mimic else offset)
         if parent is not None and tree.kind[number[parent]] == columns.FIXED:  # it is a frame of its rigid group
-            frame = tree.constants[number[parent]]
-            R = _matrix(frame, columns.ROTATION)
-            shift = center - frame[columns.TRANSLATION : columns.TRANSLATION + 3]
-            rotation, center = product(R.T, rotation), image(R.T, shift)
+            pose = in_frame(constant_pose(tree.constants[number[parent]]), pose)
         limits: dict[str, float] = {}
         soft = None
         if kind in ONE_VALUE:
@@ -181,31 +165,27 @@ def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
         elif kind != columns.FIXED:
             _refuse_bounds(robot, name)
         endless = limits.get("lower") == -math.inf and limits.get("upper") == math.inf and soft is None
-        name_of_kind = "continuous" if endless and kind == columns.REVOLUTE else KINDS[kind]
-        yield _Joint(name, name_of_kind, parent or top or "", child, rotation, center, axis, limits, soft, mimic)
+        name_of_kind = "continuous" if endless and kind == columns.REVOLUTE else NAMES[kind]
+        yield _Joint(name, name_of_kind, parent or top or "", child, pose, axis, limits, soft, mimic)
 
 
-def _matrix(constants: Floats, first: int) -> Floats:
-    return constants[first : first + 9].reshape(3, 3)
+def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
+    """Return the pose of a joint, and its axis in its own frame; see `tree.tree_of`.
 
-
-def _turned(constants: Floats, angle: float) -> Floats:
-    """Return the rotation of a link on a turning joint, in the frame of its parent."""
-    sine, cosine = math.sin(angle), math.cos(angle)
-    rotation, of_sine, of_cosine = (_matrix(constants, at) for at in (columns.ROTATION, columns.SINE, columns.COSINE))
-    return rotation + sine * of_sine + cosine * of_cosine
-
-
-def _rotation_and_axis(constants: Floats, kind: int) -> tuple[Floats, Floats]:
-    """Return the rotation of a joint's frame, and its axis in that frame; see `tree.tree_of`."""
-    rotation = _matrix(constants, columns.ROTATION)
+    The child of a joint from MJCF is at the origin of the joint at another value than 0, by `offset`.
+    """
+    pose, axis = constant_pose(constants), np.array([1.0, 0.0, 0.0])
     if kind == columns.PRISMATIC:
-        return rotation, image(rotation.T, constants[columns.ACROSS : columns.ACROSS + 3])
+        across = constants[columns.ACROSS : columns.ACROSS + 3]
+        axis = image(pose[:3, :3].T, across)
+        pose[:3, 3] += offset * across
     if kind in (columns.REVOLUTE, columns.PLANAR):
-        rotation = _turned(constants, 0.0)
-        cross = product(rotation.T, _matrix(constants, columns.SINE))
-        return rotation, np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
-    return rotation, np.array([1.0, 0.0, 0.0])
+        sine, cosine = (constants[at : at + 9].reshape(3, 3) for at in (columns.SINE, columns.COSINE))
+        at_zero = pose[:3, :3] + cosine
+        cross = product(at_zero.T, sine)
+        axis = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+        pose[:3, :3] += math.sin(offset) * sine + math.cos(offset) * cosine
+    return pose, axis
 
 
 def _limits(
@@ -240,7 +220,7 @@ def _add_joint(root: ElementTree.Element, joint: _Joint) -> None:
     element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
     ElementTree.SubElement(element, "parent", link=joint.parent)
     ElementTree.SubElement(element, "child", link=joint.child)
-    add_origin(element, joint.rotation, joint.center)
+    add_origin(element, joint.pose[:3, :3], joint.pose[:3, 3])
     if joint.kind not in ("fixed", "floating"):
         ElementTree.SubElement(element, "axis", xyz=numbers(joint.axis))
     if joint.limits:

@@ -420,8 +420,9 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
-            ellipsoid, a surface, a height field or a cloud of points. If a name has characters that cannot be printed,
-            or the path ends in ``.srdf``.
+            ellipsoid, a surface, a height field or a cloud of points. If readers would change a name, since it has
+            characters that cannot be printed, a dollar sign, or spaces at its ends; or if the path ends in ``.srdf`` or
+            ``.xacro``.
         FileError
             If a file cannot be written.
 

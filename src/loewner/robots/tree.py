@@ -110,6 +110,14 @@ def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
     return Tree(parent, kind, column, multiplier, offset, constants)
 
 
+def constant_pose(constants: Floats) -> Floats:
+    """Return the pose of a fixed link in the frame of its parent."""
+    T = np.eye(4)
+    T[:3, :3] = constants[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
+    T[:3, 3] = constants[columns.TRANSLATION : columns.TRANSLATION + 3]
+    return T
+
+
 def placed_tree(tree: Tree, T: Floats) -> Tree:
     """Place the root link of a tree at the pose T instead of the world's origin."""
     constants = tree.constants.copy()

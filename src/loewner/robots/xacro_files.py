@@ -77,11 +77,8 @@ def expanded(
         raise MissingExtraError(f"reading {file.name} needs the package xacro: {installing('xacro')}") from None
     with _alone, _finding(substitution, file, folders):
         try:
-            return str(
-                xacro.process_file(
-                    str(file), mappings=_Arguments(given, used), verbosity=0
-                ).documentElement.toprettyxml(indent="  ")
-            )
+            document = xacro.process_file(str(file), mappings=_Arguments(given, used), verbosity=0)
+            return str(document.documentElement.toprettyxml(indent="  "))
         except Exception as error:  # its expressions raise any error
             if isinstance(getattr(error, "exc", None), FileError):
                 raise error.exc from None  # type: ignore[attr-defined]
