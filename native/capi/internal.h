@@ -54,6 +54,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(memory_of_clearances, "i i i", "i")                                                                              \
     X(pair_gradients, "i i F2 i i i cI2 cF2 cF2 F2", "")                                                               \
     X(link_poses, "I1 I1 I1 F1 F1 F2 F2 i i F4", "")                                                                   \
+    X(elementary, "i F1 F1 F1", "")                                                                                  \
     X(measure_moving, "i i i", "")                                                                                     \
     X(place_static, "i i F1 F2", "i")
 

@@ -419,14 +419,27 @@ void straight(const loewner_checker *checker, const double *a, const double *b, 
     }
 }
 
+/* An elementary function of a number, with the bits that it has in Python. */
+static double elementary(int64_t function, double x)
+{
+    double result;
+    const struct {
+        int64_t function;
+        Array1 x, y, result;
+    } asked = {function, {&x, 1}, {&x, 1}, {&result, 1}};
+    kernels()->elementary((const int64_t *)&asked, NULL);
+    return result;
+}
+
 /* An orientation on the shorter arc from p to q, as `Robot.between` has it. */
 static void slerp(const double *p, const double *q, double t, double *made)
 {
-    double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0), angle = acos(cosine);
-    double sine = fmax(sin(angle), 1e-12), of_p = 1 - t, of_q = t, norm = 0;
+    double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0);
+    double angle = elementary(CODE_ARC_COSINE, cosine), of_p = 1 - t, of_q = t, norm = 0;
     if (angle >= 1e-6) {
-        of_p = sin((1 - t) * angle) / sine;
-        of_q = sin(t * angle) / sine;
+        double sine = fmax(elementary(CODE_SINE_OF, angle), 1e-12);
+        of_p = elementary(CODE_SINE_OF, (1 - t) * angle) / sine;
+        of_q = elementary(CODE_SINE_OF, t * angle) / sine;
     }
     for (int k = 0; k < 4; k++)
         made[k] = of_p * p[k] + of_q * q[k];

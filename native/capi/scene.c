@@ -275,15 +275,17 @@ static int64_t depth_of(const State *state, int64_t link)
 /* How far the product of all rotations departs from orthonormality, see `motion_tables.py`. */
 static double bend_of(const Tree *tree)
 {
+    const double diagonal = sqrt(0.5); /* of eighths of a turn */
+    const double cosines[8] = {1, diagonal, 0, -diagonal, -1, -diagonal, 0, diagonal};
     double total = 0;
     for (int64_t link = 0; link < tree->links; link++) {
         const double *row = tree->constants + LINK_CONSTANTS * link;
         int turns = tree->kind[link] == REVOLUTE || tree->kind[link] == PLANAR;
         double worst = 0;
         for (int step = 0; step < 8; step++) {
-            double angle = turns ? step * (M_PI / 4) : 0, R[9], squares = 0;
+            double sine = turns ? cosines[(step + 6) % 8] : 0, cosine = turns ? cosines[step] : 1, R[9], squares = 0;
             for (int k = 0; k < 9; k++)
-                R[k] = row[k] + sin(angle) * row[SINE + k] + cos(angle) * row[COSINE + k];
+                R[k] = row[k] + sine * row[SINE + k] + cosine * row[COSINE + k];
             for (int a = 0; a < 3; a++)
                 for (int b = 0; b < 3; b++) {
                     double off = R[a] * R[b] + R[3 + a] * R[3 + b] + R[6 + a] * R[6 + b] - (a == b);

@@ -3,8 +3,7 @@
 BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether a product is fused with it, to suit the
 processor. NumPy's sums and products of whole arrays round every entry by itself, as IEEE 754 demands. What two machines
 compare, such as the hash of a robot's model, is therefore computed by these functions, in the order in which C would
-compute it. Functions of `math` are taken for each number by itself, because NumPy's wide sines and powers differ from
-the C library's in the last bit.
+compute it. Sines and logarithms are in `_elementary`.
 """
 
 import math
@@ -75,11 +74,6 @@ def power(x: Floats, exponent: int) -> Floats:
     for _ in range(exponent):
         raised = raised * x
     return raised
-
-
-def each(function: Callable[[float], float], x: Floats) -> Floats:
-    """Apply a function of `math` to each number."""
-    return np.array([function(value) for value in x.ravel().tolist()]).reshape(x.shape)
 
 
 def singular_values(A: Floats) -> Floats:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._matrices import lengths
 from loewner._validate import Floats
 from loewner.errors import PoseError
@@ -21,7 +22,7 @@ def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
     PoseError
         If the length is not within `QUATERNION_TOLERANCE` of 1.
     """
-    length = math.hypot(*wxyz)
+    length = math.sqrt(sum(x * x for x in wxyz))
     if not abs(length - 1) <= QUATERNION_TOLERANCE:
         raise PoseError(f"{name}: expected a unit quaternion qw qx qy qz, found one of length {length:.4g}")
     return rotations_of(np.array(wxyz) / length)
@@ -40,7 +41,8 @@ def rotations_of(wxyz: Floats) -> Floats:
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
     """Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3): turns about fixed axes x, then y, then z, as in URDF; radians."""
-    (cr, cp, cy), (sr, sp, sy) = ([f(angle) for angle in (roll, pitch, yaw)] for f in (math.cos, math.sin))
+    angles = np.array([roll, pitch, yaw])
+    (cr, cp, cy), (sr, sp, sy) = _elementary.cos(angles).tolist(), _elementary.sin(angles).tolist()
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -52,11 +54,11 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 def to_rpy(R: Floats) -> tuple[float, float, float]:
     """Roll, pitch and yaw of a rotation matrix, such that `from_rpy` restores it, also at gimbal lock."""
-    yaw = math.atan2(R[1, 0], R[0, 0])
-    s, c = math.sin(yaw), math.cos(yaw)
+    yaw = _elementary.arctan2(R[1, 0], R[0, 0])
+    s, c = _elementary.sin(yaw), _elementary.cos(yaw)
     # The remaining rotation without the yaw, which is arbitrary if the pitch is a right angle.
-    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return roll, math.atan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw
+    roll = _elementary.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return roll, _elementary.arctan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw
 
 
 def quaternions_of(rotations: Floats) -> Floats:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._validate import Floats, Ints
 from loewner.protrusion import Solid
 
@@ -109,10 +110,10 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     axis /= max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     arms = vertices[triangles[of, (corner + 2) % 3]] - vertices[low]
-    angle = np.arctan2(arms @ np.cross(axis, side), arms @ side)
+    angle = _elementary.arctan2(arms @ np.cross(axis, side), arms @ side)
     # Counter-clockwise about the edge, the solid begins at a triangle that runs backward along it and ends at one that
     # runs forward; where two coincide, ends come before beginnings.
-    rank = np.argsort(angle)
+    rank = np.argsort(angle, kind="stable")
     place = np.empty(len(of), dtype=np.int64)
     place[rank] = np.cumsum(np.r_[0, np.diff(angle[rank]) > SAME_ANGLE])
     if angle.min() + 2 * np.pi - angle.max() <= SAME_ANGLE:

@@ -18,7 +18,7 @@ from loewner.errors import FileError
 
 # Modules below `loewner._kernels`, or prefixes of their names, by the part to which their entries belong.
 _MODULES = {
-    "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pieces.rigid"),
+    "verdicts": ("elementary", "pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pieces.rigid"),
     "crowds": ("trees.boxes",),
     "robots": ("robots.",),
     "fits": ("fits.", "ellipsoids.", "pieces.directions"),

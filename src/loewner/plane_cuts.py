@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._matrices import dot, image, lengths, principal_axes, product
 from loewner._validate import Floats, Progress
 from loewner.errors import GeometryError
@@ -257,13 +258,13 @@ def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]
         across /= lengths(across)
         up = np.cross(out, across)
         angles = [math.pi * k / TURNS for k in range(TURNS)]
-        normals = [*(math.cos(angle) * across + math.sin(angle) * up for angle in angles), *normals]
+        normals = [*(_elementary.cos(angle) * across + _elementary.sin(angle) * up for angle in angles), *normals]
     planes = [(n, float(dot(n, deepest))) for n in normals]
     planes += [(n, float(dot(n, middle))) for n in (*np.eye(3), *principal)]
     faces = unit_normals(cell.triangles)
     squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles)
     chosen: list[Floats] = []
-    for k in np.argsort(squared):
+    for k in np.argsort(squared, kind="stable"):
         if len(chosen) == FACES:
             break
         if faces[k].any() and all(abs(dot(faces[k], other)) < 0.999 for other in chosen):

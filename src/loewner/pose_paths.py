@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._kept import kept
-from loewner._matrices import each, product
+from loewner._matrices import product
 from loewner._native import entries
 from loewner._read_only import KeepsReadOnly
 from loewner._rotations import quaternions_of, rotations_of
@@ -104,7 +104,7 @@ class PosePath(KeepsReadOnly):
     def arcs(self) -> Floats:
         """Angles between successive quaternions [rad]: half of the turns."""
         chords = np.linalg.norm(np.diff(self.quaternions, axis=0), axis=1)
-        return np.asarray(2.0 * np.arcsin(np.minimum(chords / 2.0, 1.0)))
+        return np.asarray(2.0 * _elementary.arcsin(np.minimum(chords / 2.0, 1.0)))
 
     @kept
     def _fine(self) -> Floats:
@@ -194,7 +194,7 @@ def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Flo
         half, T = (made - at[0])[:, None] * (speed / 2.0), np.tile(first, (len(made), 1, 1))
         axis = rates[3:] / speed if speed else np.zeros(3)
         T[:, :3, :3] = product(
-            rotations_of(np.concatenate([each(math.cos, half), each(math.sin, half) * axis], axis=1)), first[:3, :3]
+            rotations_of(np.concatenate([_elementary.cos(half), _elementary.sin(half) * axis], axis=1)), first[:3, :3]
         )
         T[:, :3, 3] += (made - at[0])[:, None] * rates[:3]
     return made, T

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._kept import kept
 from loewner._kernels import records
 from loewner._kernels.codes import UNCOUNTED
@@ -159,7 +161,7 @@ class Solid:
         la, lb, lc = length.T
         volume = dot(a, np.cross(b, c))
         dots = [dot(*pair) for pair in ((a, b), (b, c), (c, a))]
-        angles = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+        angles = 2 * _elementary.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
         return round(float(angles.sum()) / (4 * np.pi))
 
 
@@ -243,7 +245,7 @@ def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
     Parts that touch or contain one another would interfere, so each part is placed far from the others.
     """
     size = max(float(lengths(np.ptp(hull.vertices, axis=0))) for hull in hulls)
-    edge = round(np.ceil(len(parts) ** (1 / 3)))
+    edge = next(count for count in itertools.count(1) if count**3 >= len(parts))
     places = 3 * size * np.stack(np.unravel_index(np.arange(len(parts)), (edge, edge, edge)), axis=1)
     shifts = places - [hull.vertices.mean(axis=0) for hull in hulls]
     solid = Solid(np.concatenate([part + shift for part, shift in zip(parts, shifts, strict=True)]), True, size)
@@ -275,7 +277,7 @@ class _Search:
         while len(cells) and work < WORK:
             now, later = np.arange(len(cells)), np.empty(0, dtype=np.int64)
             if len(cells) > AT_ONCE:
-                order = np.argpartition(-limit, AT_ONCE)
+                order = np.argsort(-limit, kind="stable")
                 now, later = order[:AT_ONCE], order[AT_ONCE:]
             work += len(now)
             parts, origin, bound = look(cells[now], owner[now], limit[now], work)

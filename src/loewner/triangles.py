@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner._matrices import dot, lengths
+from loewner._matrices import dot, lengths, power
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 
@@ -32,7 +32,7 @@ def unit_normals(triangles: Floats) -> Floats:
     a, b, c = triangles.transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     length = lengths(normals)
-    sound = length > SLIVER * longest_edges(triangles)[0] ** 2
+    sound = length > SLIVER * power(longest_edges(triangles)[0], 2)
     return np.where(sound[:, None], normals / np.where(sound, length, 1.0)[:, None], 0.0)
 
 

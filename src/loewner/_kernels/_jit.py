@@ -34,8 +34,8 @@ _config: Any = numba.config  # its settings are made at run time and have no typ
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
-# Contraction (fused multiply-add) drops roundings and adds none, so every error bound stays valid. Options that reorder
-# operations, or assume that there is no NaN, are not allowed here.
+# The flag by which `_fused` recognises products and sums. Fusing drops a rounding and adds none, so every error bound
+# stays valid. Options that reorder operations, or assume that there is no NaN, are not allowed here.
 FASTMATH = {"contract"}
 
 
@@ -192,7 +192,7 @@ class _Callable(CPUDispatcher):
     """The form of a kernel that Python calls, by way of the kernel."""
 
     def __init__(self, kernel: _Kernel, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        super().__init__(function, targetoptions=options)
+        super().__init__(function, targetoptions=options, pipeline_class=_parts.CallableCompiler)
         self._kernel = kernel
         self._cache = _KernelCache(function, "entry")
 
@@ -217,7 +217,7 @@ def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel: NumPy's error model, contraction only, cached under `CACHE_FOLDER`."""
+    """Compile a kernel: NumPy's error model, products fused, cached under `CACHE_FOLDER`."""
     return lambda function: _compiled(function, **options)
 
 

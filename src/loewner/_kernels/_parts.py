@@ -13,6 +13,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult, compile_result
 from numba.core.compiler_machinery import PassManager
 
+from loewner._kernels import _fused
+
 # Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before they are typed,
 # literals as types. A kernel that needed one would not compile.
 NOT_NEEDED = {
@@ -30,7 +32,17 @@ NOT_NEEDED = {
 }
 
 
-class _PartLibrary(JITCodeLibrary):
+class _FusedLibrary(JITCodeLibrary):
+    """Code in which products are fused with sums before anything is linked with it."""
+
+    def add_llvm_module(self, ll_module: Any) -> None:
+        """Run the passes over each function, fuse its products, and add the module."""
+        self._optimize_functions(ll_module)
+        _, cpu, features = self._codegen.magic_tuple()
+        self._final_module.link_in(_fused.fused(ll_module, _fused.can_fuse(cpu, features)))
+
+
+class _PartLibrary(_FusedLibrary):
     """Intermediate code of a part, to which only cheap passes were applied."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -96,6 +108,16 @@ class PartCompiler(Compiler):
         context = self.state.targetctx  # a copy made for this function
         context.get_executable = _key
         self.state.library = self.library_class(context.codegen(), func.__qualname__)
+        return super().compile_extra(func)
+
+
+class CallableCompiler(Compiler):
+    """Numba's compiler, for functions that Python calls."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function with products that are fused as in parts."""
+        self.state.library = _FusedLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library.enable_object_caching()
         return super().compile_extra(func)
 
 

@@ -47,3 +47,6 @@ MET, SPENT, FULL = 0, 1, 2
 # Outcome of following a line: all of it; a turn by half a turn, or a line that is too long; no further, because of the
 # tolerances or because of a kept axis.
 FOLLOWED, HALF_TURN, TOO_FAR, STOPPED, TILTED = 0, 1, 2, 3, 4
+
+# Elementary functions, for Python and C.
+SINE_OF, COSINE_OF, ARC_TANGENT, ARC_COSINE, ARC_SINE, EXPONENTIAL, LOGARITHM, CUBE_ROOT = 0, 1, 2, 3, 4, 5, 6, 7

@@ -65,6 +65,8 @@ ENTRIES = {
         # -- ellipsoids
         Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),
         Entry("ellipsoids.near_points", "near_points_of_pairs", "i F2 F3 F3 f F2 F2 F1 I1 I1", ""),
+        # -- elementary functions
+        Entry("elementary", "elementary", "i F1 F1 F1", ""),
         # -- poses, crowds, trees
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),

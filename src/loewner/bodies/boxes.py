@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._validate import Floats
 
 # Largest number of triangles that suggest orientations.
@@ -13,7 +14,7 @@ MOST_ASKED = 512
 MOST_EDGES = 8
 
 # The farthest points in these directions, shape (2, k), approximate a hull: importing a library for it takes longer.
-_LOOKS = np.stack([function(np.arange(64) * (np.pi / 32)) for function in (np.cos, np.sin)])
+LOOKS = np.arange(64) * (np.pi / 32)
 
 # Thickness assumed for a flat box, relative to its longest side, so that the shorter of two equal areas is chosen.
 THICKNESS = 0.01
@@ -65,7 +66,7 @@ def _turns(triangles: Floats) -> Floats:
 
 def _directions(points: Floats) -> Floats:
     """Find unit vectors, shape (k, 2), along the longest edges of an approximate hull of points in a plane."""
-    rim = points[(points @ _LOOKS).argmax(axis=0)]
+    rim = points[(points @ np.stack([_elementary.cos(LOOKS), _elementary.sin(LOOKS)])).argmax(axis=0)]
     edges = np.roll(rim, -1, axis=0) - rim
     lengths = np.linalg.norm(edges, axis=1)
     longest = lengths.argsort(kind="stable")[-MOST_EDGES:]

@@ -35,6 +35,6 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     one, other = order[:-1][same] // 3, order[1:][same] // 3
     squares = (normals**2).sum(axis=1)
     bend = (np.cross(normals[one], normals[other]) ** 2).sum(axis=1)
-    flat = bend <= FLAT**2 * squares[one] * squares[other]
+    flat = bend <= FLAT * FLAT * squares[one] * squares[other]
     graph = coo_array((np.ones(flat.sum(), dtype=np.int8), (one[flat], other[flat])), shape=(len(triangles),) * 2)
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import combinations
@@ -9,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
 
@@ -21,8 +23,10 @@ Fit = Callable[[Floats, Floats], tuple[Floats, Floats | float]]
 SEGMENTS = 48
 
 # A unit icosahedron: the corners of three golden rectangles, and triangles counter-clockwise from outside.
-_GOLDEN = (1 + 5**0.5) / 2
-_CORNERS = np.array([[-1, _GOLDEN, 0], [1, _GOLDEN, 0], [-1, -_GOLDEN, 0], [1, -_GOLDEN, 0]]) / np.hypot(1, _GOLDEN)
+_GOLDEN = (1 + math.sqrt(5.0)) / 2
+_CORNERS = np.array([[-1, _GOLDEN, 0], [1, _GOLDEN, 0], [-1, -_GOLDEN, 0], [1, -_GOLDEN, 0]]) / math.sqrt(
+    1.0 + _GOLDEN * _GOLDEN
+)
 _ICOSAHEDRON = np.vstack([_CORNERS, np.roll(_CORNERS, 1, axis=1), np.roll(_CORNERS, 2, axis=1)])
 
 
@@ -76,7 +80,7 @@ def _faces(corners: Floats) -> Ints:
 def revolved(*profile: tuple[float, float]) -> Mesh:
     """Triangulate a solid of revolution about the third axis, from radii and heights, the lowest first."""
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    circle = np.column_stack([_elementary.cos(angle), _elementary.sin(angle)])
     rings = [np.column_stack([r * circle, np.full(SEGMENTS, float(z))]) for r, z in profile]
     at = np.arange(SEGMENTS * (len(profile) - 1))
     after = at - at % SEGMENTS + (at + 1) % SEGMENTS
@@ -115,18 +119,21 @@ def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
     half = lengths[:, 2]
     unit = np.maximum(radius, half)
     x, y = radius / unit, half / unit
-    k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
+    k = y * (y + np.sqrt(y * y + 3.0 * x * x))
     grow = np.sqrt(1 + y * y / k)
     a, b = radius * grow, unit * grow * np.sqrt(x * x + k)
     return np.column_stack([a, a, b]), 0.0
 
 
 _UNIT = _image((1.0, 1.0, 1.0))
-_AROUND_CYLINDER = _image((1.5**0.5, 1.5**0.5, 3.0**0.5))
+_AROUND_CYLINDER = _image((math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)))
 # Across, 1 / √2 and 3 / √8 times the radius.
-_IN_CONE = _image((1.0, 1.0, 0.5), -0.5, (2.0**0.5, 2.0**0.5, 1.0))
-_AROUND_CONE = _image((3.0, 3.0, 1.5), -0.5, (8.0**0.5, 8.0**0.5, 1.0))
-_POLYGON = float(np.cos(np.pi / SEGMENTS))  # inradius of a polygon inscribed in the unit circle
+_IN_CONE = _image((1.0, 1.0, 0.5), -0.5, (math.sqrt(2.0), math.sqrt(2.0), 1.0))
+_AROUND_CONE = _image((3.0, 3.0, 1.5), -0.5, (math.sqrt(8.0), math.sqrt(8.0), 1.0))
+# Inradius of a polygon inscribed in the unit circle: the cosine of π / 48, by halving π / 3 four times.
+_POLYGON = 0.5
+for _ in range(4):
+    _POLYGON = math.sqrt((1.0 + _POLYGON) / 2.0)
 
 # Indexed by the numbers used in kernels and files.
 CURVED = {

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from loewner import _memory, _validate
+from loewner import _elementary, _memory, _validate
 from loewner._kernels import columns, records
-from loewner._matrices import each, image, lengths, product, singular_values
+from loewner._matrices import image, lengths, product, singular_values
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import (
     ARRAYS,
@@ -281,6 +280,6 @@ def moved(p: Packed, T: Floats) -> Packed:
         inner_factor=factors * shrink[:, None, None],
         outer_center=image(R, p.outer_center) + t,
         outer_factor=product(R, p.outer_factor) * grow[:, None, None],
-        gaps=p.gaps + 3 * np.column_stack([-each(math.log, shrink), each(math.log, grow)]),
+        gaps=p.gaps + 3 * np.column_stack([-_elementary.log(shrink), _elementary.log(grow)]),
     )
     return Packed.of(PieceArrays(**arrays))

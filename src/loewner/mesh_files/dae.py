@@ -6,6 +6,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._matrices import product
 from loewner._validate import Floats, Ints
 from loewner._xml import Element, XmlError, parse
@@ -428,7 +429,7 @@ def _rotate(element: _Element) -> Floats:
     x, y, z = np.array(axis) / length
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     T = np.eye(4)
-    T[:3, :3] += math.sin(math.radians(angle)) * K + (1 - math.cos(math.radians(angle))) * product(K, K)
+    T[:3, :3] += _elementary.sin(math.radians(angle)) * K + (1 - _elementary.cos(math.radians(angle))) * product(K, K)
     return T
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _tables, _validate
+from loewner import _elementary, _tables, _validate
 from loewner._files import read_regular, shown
 from loewner._kernels import columns
 from loewner._matrices import image, product
@@ -501,7 +501,7 @@ def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Flo
         _expect_upright(joint, name, robot)
         if np.abs(T[:, [2, 3, 4]]).max() > IN_PLANE:
             raise FileError(f"{name}: expected motions of the planar joint {joint} in its plane, found others")
-        theta = np.unwrap(2 * np.arctan2(T[:, 5], T[:, 6]))
+        theta = np.unwrap(2 * _elementary.arctan2(T[:, 5], T[:, 6]))
         return {f"{joint}/x": T[:, 0], f"{joint}/y": T[:, 1], f"{joint}/theta": theta}
     raise FileError(
         f"{name}: expected joints of {robot.name!r} with a position and an orientation (floating or planar), found a "

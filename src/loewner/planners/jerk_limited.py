@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from loewner import _elementary
 from loewner._kernels import tolerances
 from loewner._validate import Bools, Floats
 from loewner.errors import InputError
@@ -55,16 +56,18 @@ class JerkLimited(NamedTuple):
             ways = np.abs(straights.full), np.abs(np.diff(straights.full, axis=0))
             gains, jerks = ([smallest(limit / way) for way in ways] for limit in (strongest, jerk))
             lengths = straights.lengths
-            stopping = lengths + 2 * np.sqrt(lengths / gains[0]) + np.cbrt(32 * lengths / jerks[0])
+            stopping = lengths + 2 * np.sqrt(lengths / gains[0]) + _elementary.cbrt(32 * lengths / jerks[0])
             # No corner, and no motion between two corners, can be passed at a higher share of full speed.
             shorter = np.minimum(lengths[:-1], lengths[1:])
-            at = np.minimum(np.sqrt(gains[1] * shorter), np.cbrt(jerks[1] * shorter**2))
+            at = np.minimum(np.sqrt(gains[1] * shorter), _elementary.cbrt(jerks[1] * shorter**2))
             at = np.minimum(np.maximum(np.append(0.0, at), np.append(at, 0.0)), 1.0)[: len(lengths)]
-            top = np.minimum(np.sqrt(at**2 + 2 * gains[0] * lengths), np.cbrt(at**3 + jerks[0] * lengths**2))
+            top = np.minimum(
+                np.sqrt(at**2 + 2 * gains[0] * lengths), _elementary.cbrt(at * at * at + jerks[0] * lengths**2)
+            )
             speeds = np.minimum(top, 1.0)[:, None] * ways[0]
             covered = speeds.max(axis=0, initial=0.0) * stopping.sum()
             noise = NOISE / TO_ROUNDING * (np.abs(rows).max(axis=0) + covered)
-            leasts = [noise / fastest, np.sqrt(noise / strongest), np.cbrt(noise / jerk)]
+            leasts = [noise / fastest, np.sqrt(noise / strongest), _elementary.cbrt(noise / jerk)]
         least, lowest = float(np.max(leasts)), float(np.concatenate(jerks).min(initial=np.inf))
         if not (lowest > 1 / LARGEST_RATIO and least < LARGEST_RATIO):
             raise InputError(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._kernels.records import KeptAxis as Record
 from loewner._kernels.records import table_of
 from loewner._native import entries
@@ -73,7 +73,8 @@ class KeptAxis:
         refuse_unsteady(chain, link)
         numbers = np.zeros((3, 9))
         numbers[0, :8] = (
-            np.cos(self.angle), *self.axis, *self.direction, np.sqrt(2) * np.sin(SHARE * self.angle / 2)
+            _elementary.cos(self.angle), *self.axis, *self.direction,
+            np.sqrt(2) * _elementary.sin(SHARE * self.angle / 2),
         )  # fmt: skip
         numbers[1] = _completed(self.axis).T.ravel()
         numbers[2] = _completed(self.direction).ravel()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._guard import guarded
 from loewner._kernels import codes, columns
 from loewner._native import entries
@@ -110,9 +110,9 @@ def straight(
     refuse_far(chain, target, q)
     chain = _from_start(robot, chain, q, link)
     judge = Judge.of(checker, 0.0)
-    wanted = np.array([position, 2 * np.sqrt(2) * np.sin(rotation / 2), -np.inf, *np.zeros(6)])
+    wanted = np.array([position, 2 * np.sqrt(2) * _elementary.sin(rotation / 2), -np.inf, *np.zeros(6)])
     if kept is not None:
-        wanted[2:] = np.cos(kept.angle), *kept.axis, *kept.direction
+        wanted[2:] = _elementary.cos(kept.angle), *kept.axis, *kept.direction
     outcome, rows = entries.follow_line(*chain[:3], q[chain.columns], target, wanted)
     if outcome != codes.FOLLOWED:
         raise _unfollowed(robot, chain, outcome, rows, q, link, kept)

@@ -436,7 +436,7 @@ class Trajectory(KeepsReadOnly):
     def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
         """Return positions on cubic pieces, from the nearer end, for which rounding leaves a straight line least."""
         m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
-        near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z**3
+        near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z * z * z
         a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)
         way = (far + away) * (b - a)
         from_a, from_b = a + ((near * first - far * last) + way), b - ((near * last - far * first) + way)
@@ -789,9 +789,9 @@ def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[flo
     gains = straights.gains.tolist()
     speeds = [0.0, *np.minimum(limits, 1.0).tolist(), 0.0]
     for k in range(len(left)):
-        speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + 2 * gains[k] * left[k]))
+        speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] * speeds[k] + 2 * gains[k] * left[k]))
     for k in range(len(left) - 1, -1, -1):
-        speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] ** 2 + 2 * gains[k] * left[k]))
+        speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] * speeds[k + 1] + 2 * gains[k] * left[k]))
     return speeds, left
 
 

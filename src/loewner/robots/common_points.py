@@ -181,14 +181,14 @@ class _Piece:
         # The ray from a vertex through the point leaves the hull through a triangle. The best such tetrahedron has its
         # faces far from the point.
         rated = []
-        for apex in np.argsort(-((self.points - point) ** 2).sum(axis=1))[:APEXES].tolist():
+        for apex in np.argsort(-((self.points - point) ** 2).sum(axis=1), kind="stable")[:APEXES].tolist():
             a, b, c = (self.points[self.triangles] - self.points[apex]).transpose(1, 0, 2)
             normals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
             volume = (a * normals[0]).sum(axis=1)
             weights = normals @ (point - self.points[apex]) / np.where(volume == 0.0, 1.0, volume)
             least = np.minimum(weights.min(axis=0), 1.0 - weights.sum(axis=0))
             least[volume == 0.0] = -np.inf
-            rated += [(float(least[k]), apex, k) for k in np.argsort(-least)[:TRIANGLES].tolist()]
+            rated += [(float(least[k]), apex, k) for k in np.argsort(-least, kind="stable")[:TRIANGLES].tolist()]
         for _, apex, k in sorted(rated, reverse=True)[: APEXES * TRIANGLES // 2]:
             yield (apex, *self.triangles[k].tolist())
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
 from loewner._kernels import codes
+from loewner._matrices import power
 from loewner._pictures import pictured, verdicts
 from loewner._validate import Floats, Ints, Pair
 from loewner.errors import InputError
@@ -389,7 +390,7 @@ def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> N
             f"{name}: expected {robot.dof} values at each of {len(t)} times, found {type(error).__name__}: {error}"
         ) from error
     share = (t - begin[segments, 0]) / (end - begin)[segments, 0]
-    weights = [comb(degree, k) * share**k * (1 - share) ** (degree - k) for k in range(degree + 1)]
+    weights = [comb(degree, k) * power(share, k) * power(1 - share, degree - k) for k in range(degree + 1)]
     wanted = np.einsum("kn,nkc->nc", np.array(weights), courses[segments])
     rates = degree * np.abs(np.diff(courses, axis=1)).max(axis=1, initial=0.0) / (end - begin)
     # A periodic curve subtracts whole periods from the times, which rounds them.
@@ -404,9 +405,8 @@ def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> N
 def _of_powers(times: Floats, powers: Floats) -> Curve:
     """Make a curve from coefficients, shape (degree + 1, n, ...), of powers of the time since each segment began."""
     degree = len(powers) - 1
-    terms = powers * np.diff(times).reshape(-1, *[1] * (powers.ndim - 2)) ** np.arange(degree + 1).reshape(
-        -1, *[1] * (powers.ndim - 1)
-    )
+    steps = np.diff(times).reshape(-1, *[1] * (powers.ndim - 2))
+    terms = np.stack([powers[k] * power(steps, k) for k in range(degree + 1)])
     points = [sum(comb(i, j) / comb(degree, j) * terms[j] for j in range(i + 1)) for i in range(degree + 1)]
     return Curve(None, times, np.stack(points, axis=1), CURVE_ROUNDINGS * np.abs(terms).sum(axis=0))
 

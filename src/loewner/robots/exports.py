@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._matrices import image, in_frame, product
@@ -184,7 +184,7 @@ def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats,
         at_zero = pose[:3, :3] + cosine
         cross = product(at_zero.T, sine)
         axis = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
-        pose[:3, :3] += math.sin(offset) * sine + math.cos(offset) * cosine
+        pose[:3, :3] += _elementary.sin(offset) * sine + _elementary.cos(offset) * cosine
     return pose, axis
 
 

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._kernels import codes, tolerances
+from loewner._matrices import power
 from loewner._validate import Floats, Ints
 from loewner.pose_paths import PackedPaths
 from loewner.robots import motions, verdicts
@@ -165,11 +166,11 @@ def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:
     if points <= 3:  # motions of degree 1 turn at a constant rate, and in others of so few points nothing turns
         out[:, 1:-1, :, 3:] = q[:, None]
         return 0.0
-    arc = 2.0 * np.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
-    cosine, third = np.cos(arc), np.where(arc < 1e-6, 1.0, arc / np.maximum(np.sin(arc), 1e-12)) / 3.0
+    arc = 2.0 * _elementary.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
+    cosine, third = _elementary.cos(arc), np.where(arc < 1e-6, 1.0, arc / np.maximum(_elementary.sin(arc), 1e-12)) / 3.0
     cubic = np.stack([p, p + third * (q - cosine * p), q + third * (p - cosine * q), q], axis=1)
     out[..., 3:] = elevated(cubic.reshape(len(a), 4, 4 * a.shape[1]), points - 4).reshape(len(a), points, *p.shape[1:])
-    error: Floats = ARC_ERROR * (1.0 + 1e-9) * arc[..., 0] ** 4
+    error: Floats = ARC_ERROR * (1.0 + 1e-9) * power(arc[..., 0], 4)
     return error
 
 

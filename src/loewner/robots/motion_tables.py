@@ -25,9 +25,10 @@ STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
 # Pairs in a group.
 LANES = 8
 
-# Angles at which a joint's rotation is compared with an orthonormal one. The difference is a sum of waves of up to
-# twice the angle, and its maximum is less than twice the largest of eight samples.
-ANGLES = np.arange(8) * (np.pi / 4)
+# Cosines of eighths of a turn, at which a joint's rotation is compared with an orthonormal one. The difference is a sum
+# of waves of up to twice the angle, and its maximum is less than twice the largest of eight samples.
+DIAGONAL = math.sqrt(0.5)
+COSINES = np.array([1.0, DIAGONAL, 0.0, -DIAGONAL, -1.0, -DIAGONAL, 0.0, DIAGONAL])
 
 
 class Chains(NamedTuple):
@@ -106,8 +107,8 @@ def _bend(tree: Tree) -> float:
     Sums have the order that they have in C (`bend_of`), so that both give the same bits.
     """
     turns = np.isin(tree.kind, (columns.REVOLUTE, columns.PLANAR))[:, None]
-    sine = np.where(turns, [math.sin(angle) for angle in ANGLES], 0.0)
-    cosine = np.where(turns, [math.cos(angle) for angle in ANGLES], 1.0)
+    sine = np.where(turns, np.roll(COSINES, 2), 0.0)
+    cosine = np.where(turns, COSINES, 1.0)
     fixed, with_sine, with_cosine = (
         tree.constants[:, first : first + 9].T[..., None] for first in (columns.ROTATION, columns.SINE, columns.COSINE)
     )

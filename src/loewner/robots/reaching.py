@@ -9,10 +9,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._low_discrepancy import points
+from loewner._matrices import lengths as lengths_of
+from loewner._matrices import product
 from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
@@ -184,7 +186,7 @@ def _set_ranges(ranges: Floats, kind: int, limits: Floats, wraps: Bools) -> None
 def _axis(constants: Floats) -> Floats:
     """Axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0."""
     blocks = [constants[k : k + 9].reshape(3, 3) for k in (columns.ROTATION, columns.COSINE, columns.SINE)]
-    skew = (blocks[0] + blocks[1]).T @ blocks[2]
+    skew = product((blocks[0] + blocks[1]).T, blocks[2])
     return np.asarray(skew[[2, 0, 1], [1, 2, 0]])
 
 
@@ -202,7 +204,9 @@ def seeded(chain: Chain, count: int) -> Floats:
     for first in np.flatnonzero(how == columns.TURNS):  # Shoemake: Uniform random rotations, 1992
         u, v, w = drawn[:, first : first + 3].T * np.array([[1.0], [2 * np.pi], [2 * np.pi]])
         a, b = np.sqrt(1 - u), np.sqrt(u)
-        seeds[:, first : first + 4] = np.stack([a * np.sin(v), a * np.cos(v), b * np.sin(w), b * np.cos(w)], axis=-1)
+        seeds[:, first : first + 4] = np.stack(
+            [a * _elementary.sin(v), a * _elementary.cos(v), b * _elementary.sin(w), b * _elementary.cos(w)], axis=-1
+        )
     if count <= KEPT:
         chain.kept[count] = seeds
     return seeds
@@ -216,7 +220,7 @@ def checked_tolerance(tolerance: ArrayLike) -> Floats:
             "tolerance: expected six numbers >= 0 or infinity (x, y, z [m], tilt about x and y, spin about z [rad]), "
             f"found {_validate.short(tolerance)}"
         )
-    checked = np.where(given >= np.pi, np.inf, 2 * np.sin(np.minimum(given, np.pi) / 2))
+    checked = np.where(given >= np.pi, np.inf, 2 * _elementary.sin(np.minimum(given, np.pi) / 2))
     checked[:3] = given[:3]
     return checked
 
@@ -225,11 +229,11 @@ def targets_of(T: Floats) -> Floats:
     """Make rotations orthonormal up to rounding, of poses that may be off by `tolerances.ROTATION_TOLERANCE`."""
     for _ in range(3):
         R = T[..., :3, :3]
-        square = R.swapaxes(-1, -2) @ R
+        square = product(R.swapaxes(-1, -2), R)
         if np.abs(square - IDENTITY).max(initial=0.0) < 1e-14:
             return T
         T = T.copy()
-        T[..., :3, :3] = 1.5 * R - 0.5 * R @ square
+        T[..., :3, :3] = 1.5 * R - product(0.5 * R, square)
     return T
 
 
@@ -261,8 +265,8 @@ class Answers(NamedTuple):
 
     def residual(self, values: int) -> Floats:
         """Metres and radians by which the nearest configurations miss the tolerance, shape (n, 2)."""
-        angles = 2 * np.arcsin(np.minimum(self.nearest[:, values + 1 :] / 2, 1.0))
-        return np.stack([self.nearest[:, values], np.hypot(angles[:, 0], angles[:, 1])], axis=-1)
+        angles = 2 * _elementary.arcsin(np.minimum(self.nearest[:, values + 1 :] / 2, 1.0))
+        return np.stack([self.nearest[:, values], lengths_of(angles[:, :2])], axis=-1)
 
 
 def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tolerance: Floats) -> Answers:

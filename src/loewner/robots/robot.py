@@ -12,12 +12,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner import _elementary, _validate
 from loewner._guard import guarded
 from loewner._kept import kept
 from loewner._kernels import columns as kernel_columns
 from loewner._kernels.records import Tree
-from loewner._matrices import dot, each, lengths
+from loewner._matrices import dot, lengths, power
 from loewner._native import entries
 from loewner._pictures import LINKS, Shape, bodies, pictured
 from loewner._plausible import FARTHEST_LIMIT
@@ -1000,7 +1000,7 @@ class Robot(KeepsReadOnly):
                 p, q = np.broadcast_arrays(a[..., quaternion], b[..., quaternion])
                 chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
                 squares[..., quaternion] = 0.0
-                squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
+                squares[..., quaternion.start] = power(4 * _elementary.arcsin(np.minimum(chord / 2, 1.0)), 2)
             return np.sqrt(squares.sum(axis=-1))
 
     @kept
@@ -1124,12 +1124,12 @@ def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
     for quaternion in robot._quaternions.values():
         p = a[..., quaternion]
         q, cosine = _nearer(p, b[..., quaternion])
-        angle = each(math.acos, np.minimum(cosine, 1.0))
+        angle = _elementary.arccos(np.minimum(cosine, 1.0))
         # For a small angle the chord is the arc.
-        sine = np.maximum(each(math.sin, angle), 1e-12)
+        sine = np.maximum(_elementary.sin(angle), 1e-12)
         straight = angle < 1e-6
-        of_p = np.where(straight, 1 - at, each(math.sin, (1 - at) * angle) / sine)
-        of_q = np.where(straight, at, each(math.sin, at * angle) / sine)
+        of_p = np.where(straight, 1 - at, _elementary.sin((1 - at) * angle) / sine)
+        of_q = np.where(straight, at, _elementary.sin(at * angle) / sine)
         mixed = of_p * p + of_q * q
         Q[..., quaternion] = mixed / lengths(mixed)[..., None]
     return np.ascontiguousarray(Q)

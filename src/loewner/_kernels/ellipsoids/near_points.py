@@ -16,7 +16,9 @@ import math
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import CENTER_LINE, LIN_HAN, OVERLAP, SEPARATE, UNCONVERGED
+from loewner._kernels.elementary import arc_cosine, arc_tangent
 from loewner._kernels.linalg3 import across, along, apply, apply_transposed, dot, matrix, minus
+from loewner._kernels.simd.trig import sine_cosine
 
 # Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder pairs take 5 to 30
 # steps; after this number a Newton iteration takes over.
@@ -84,8 +86,8 @@ def largest_eigenvalue(G):
         return m * (1.0 + 4.0 * EPS)
     a, b, c, d, e, f = (a - m) / p, (b - m) / p, (c - m) / p, d / p, e / p, f / p
     half = 0.5 * (a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f))
-    angle = math.acos(min(1.0, max(-1.0, half))) / 3.0
-    return m + 2.0 * p * math.cos(angle)
+    angle = arc_cosine(min(1.0, max(-1.0, half))) / 3.0
+    return m + 2.0 * p * sine_cosine(angle)[1]
 
 
 @inline
@@ -94,7 +96,7 @@ def between(a, b):
     x = a[1] * b[2] - a[2] * b[1]
     y = a[2] * b[0] - a[0] * b[2]
     z = a[0] * b[1] - a[1] * b[0]
-    return math.atan2(math.sqrt(x * x + y * y + z * z), dot(a, b))
+    return arc_tangent(math.sqrt(x * x + y * y + z * z), dot(a, b))
 
 
 # -- rays ------------------------------------------------------------------------------------------

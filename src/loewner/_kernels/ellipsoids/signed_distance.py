@@ -33,6 +33,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING
+from loewner._kernels.elementary import exponential
 from loewner._kernels.linalg3 import across, along, apply, dot, minus, plus, scaled, selected, shape_matrix, trace
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import rotation_of
@@ -468,7 +469,7 @@ def global_minimum(FA, FB, c, n, size):
         near_depth, other = enclosing_depth(1.0 + 1.0 / near, 1.0 + near, P, Q, c, V)
         away = np.sqrt(8.0 * PROOF_GAP)
         while near != end and top < _STACK // 2:
-            far = middle * np.exp(side * away)
+            far = middle * exponential(side * away)
             if side * (far - end) >= 0.0 or top == _STACK // 2 - 1:
                 far = end
             far_depth, other = enclosing_depth(1.0 + 1.0 / far, 1.0 + far, P, Q, c, V)

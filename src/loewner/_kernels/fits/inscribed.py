@@ -14,9 +14,11 @@ All lengths are relative: coordinates are moved and scaled so that the mesh's bo
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.elementary import cube_root
 from loewner._kernels.fits.dense import multiply_lower
 from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.linalg3 import along, cross, dot, minus, plus, scaled
+from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 # Number of triangles that share a box. They are near each other in space, and most queries concern few boxes.
@@ -638,9 +640,10 @@ def spread(centers, factors, total, count, chosen):
     for i in range(POINTS):
         z = 2.0 * (i + 0.5) / POINTS - 1.0
         turn = 2.0 * np.pi * ((0.6180339887498949 * i) % 1.0)
-        r = ((0.5 + 0.7548776662466927 * i) % 1.0) ** (1.0 / 3.0)
-        points[i, 0] = r * np.sqrt(1.0 - z * z) * np.cos(turn)
-        points[i, 1] = r * np.sqrt(1.0 - z * z) * np.sin(turn)
+        r = cube_root((0.5 + 0.7548776662466927 * i) % 1.0)
+        sine, cosine = sine_cosine(turn)
+        points[i, 0] = r * np.sqrt(1.0 - z * z) * cosine
+        points[i, 1] = r * np.sqrt(1.0 - z * z) * sine
         points[i, 2] = r * z
     free = np.ones((total, POINTS), np.bool_)
     left = np.full(total, POINTS)

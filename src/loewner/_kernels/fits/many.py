@@ -20,6 +20,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import DEEPEST
+from loewner._kernels.elementary import exponential
 from loewner._kernels.fits.dense import invert_lower
 from loewner._kernels.fits.mvce import ROUNDING, condition, to_frame
 from loewner._kernels.fits.mvie import solve_primal_dual
@@ -162,7 +163,7 @@ def solve_with_few(A, tol, x, low, lam):
         iterations += steps
         if not gap < np.inf:
             break
-        if _sticking_in(A, x, low, np.exp(0.25 * tol / n), best, best_at) == 0:
+        if _sticking_in(A, x, low, exponential(0.25 * tol / n), best, best_at) == 0:
             for i in range(m):
                 lam[i] = 0.0
             for a in range(count):

@@ -27,6 +27,7 @@ import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import FLAT, STALLED
+from loewner._kernels.elementary import exponential, logarithm
 from loewner._kernels.fits.dense import (
     Counts,
     cholesky,
@@ -143,7 +144,7 @@ def _iterate(place, X, n, tol, u, center, low):
         if not is_definite:
             return np.inf, iteration
         kappa = total * largest - 1.0
-        gap = 0.5 * n * np.log(kappa / n)
+        gap = 0.5 * n * logarithm(kappa / n)
         if gap < best:
             best = gap
             since_best = 0
@@ -483,8 +484,8 @@ def outer_gap(points, index, u, count, center, factor, error):
         return np.inf
     log_det = 0.0
     for j in range(n):
-        log_det += 2.0 * np.log(S[j, j])
-    return -0.5 * log_det - 0.5 * n * np.log(n) + 2.0 * n * error
+        log_det += 2.0 * logarithm(S[j, j])
+    return -0.5 * log_det - 0.5 * n * logarithm(n) + 2.0 * n * error
 
 
 @njit()
@@ -545,7 +546,7 @@ def fit_outer(points, tol, flatness, center, factor):
         if direct:
             break
         # Points this far out cost half the tolerance; farther ones join.
-        reach = farthest_by_sector(points, center, factor, np.exp(tol / n), far, far_at)
+        reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):
             known = far_at[j] < 0
@@ -560,7 +561,7 @@ def fit_outer(points, tol, flatness, center, factor):
                 break
             inner_tol = max(0.25 * tol, 0.01 * inner_tol)
             continue
-        inner_tol = max(0.25 * tol, min(inner_tol, 0.1 * n * np.log(reach)))
+        inner_tol = max(0.25 * tol, min(inner_tol, 0.1 * n * logarithm(reach)))
         kept = 0
         for a in range(count):
             inside = 0.0

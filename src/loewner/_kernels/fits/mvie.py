@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import borrowed, njit
+from loewner._kernels.elementary import logarithm
 from loewner._kernels.fits.dense import (
     Counts,
     cholesky,
@@ -82,8 +83,8 @@ def balanced_gap(rows, slack, lam, m, n):
         return np.inf
     log_det = 0.0
     for j in range(n):
-        log_det += 2.0 * np.log(M[j, j])
-    return n * np.log(total / n) - log_det
+        log_det += 2.0 * logarithm(M[j, j])
+    return n * logarithm(total / n) - log_det
 
 
 class _Memory(NamedTuple):
@@ -189,7 +190,7 @@ def _iterate(place, A, tol, x, low, lam, careful):
         # Certificate of shrink * E, in its own coordinates (λ scales freely).
         for i in range(m):
             lam[i] = y[i] * h[i]
-        gap = balanced_gap(work.T, work.d, lam, m, n) - n * np.log(shrink)
+        gap = balanced_gap(work.T, work.d, lam, m, n) - n * logarithm(shrink)
         if gap < best:
             best = gap
             since_best = 0

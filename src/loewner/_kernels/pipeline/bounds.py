@@ -3,9 +3,7 @@
 All distances are signed: negative is the penetration depth.
 
 Each stage goes through the whole queue, and stages meet in memory only. A stage is a chain in which every step waits
-for the one before; eight pairs in registers from the first stage to the last took half as long again. And which
-products LLVM fuses with sums depends on the rest of the function: with less in each, a bound has the same bits however
-its pair was queued.
+for the one before; eight pairs in registers from the first stage to the last took half as long again.
 """
 
 from typing import Any, NamedTuple

@@ -10,6 +10,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, NEAREST, OVERLAPPING, TOUCHING
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, REACH
+from loewner._kernels.elementary import arc_tangent
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
 from loewner._kernels.linalg3 import (
     apply,
@@ -36,6 +37,7 @@ from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import placed_support, radius, rotation_of
 from loewner._kernels.pipeline.verdicts import row_of
 from loewner._kernels.simd.memory import Arena, floats, integers, raw
+from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
@@ -123,8 +125,8 @@ def write_motion(first, last, poses, row, motion):
         return False
     axis, angle = (0.0, 0.0, 1.0), 0.0
     if sine > 0.0 and not same:
-        # The tangent of a quarter of the angle; the two-argument arc tangent is not from the C library in Numba.
-        axis, angle = scaled(1.0 / sine, v), 4.0 * np.arctan(sine / (w + np.sqrt(sine * sine + w * w)))
+        # The tangent of a quarter of the angle.
+        axis, angle = scaled(1.0 / sine, v), 4.0 * arc_tangent(sine, w + np.sqrt(sine * sine + w * w))
     # R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k')
     k, Rk = axis, apply(R, axis)
     rest = (
@@ -154,7 +156,8 @@ def _place(motions, t, poses):
 def _place_one(motion, t, poses, row):
     angle = t * motion[ANGLE]
     if motion[ANGLE] != 0.0:
-        R = turned(_nine(motion, REST), np.sin(angle), _nine(motion, SINE), np.cos(angle), _nine(motion, COSINE))
+        sine, cosine = sine_cosine(angle)
+        R = turned(_nine(motion, REST), sine, _nine(motion, SINE), cosine, _nine(motion, COSINE))
         for c in range(3):
             poses[row, 0, c], poses[row, 1, c], poses[row, 2, c] = R[c], R[3 + c], R[6 + c]
     for c in range(3):

@@ -13,6 +13,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, OUTER_SIGMA, REACH
+from loewner._kernels.elementary import exponential, logarithm
 from loewner._kernels.ellipsoids.contact_gap import contact_gap, contact_gap_wrench, contact_parameter
 from loewner._kernels.linalg3 import (
     apply,
@@ -264,7 +265,7 @@ def _exponentials(to, x):
     """The exponential of eight numbers."""
     store(to.totals, _SCRATCH, x)
     for lane in range(LANES):
-        to.totals[_SCRATCH + lane] = math.exp(to.totals[_SCRATCH + lane])
+        to.totals[_SCRATCH + lane] = exponential(to.totals[_SCRATCH + lane])
     return load(to.totals, _SCRATCH)
 
 
@@ -372,7 +373,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
             # This is not above the least gap: the logarithm of a sum with a term of 1 is not negative.
-            lower[first + lane] = to.totals[_LEAST + lane] - softness * math.log(total)
+            lower[first + lane] = to.totals[_LEAST + lane] - softness * logarithm(total)
             if gradient:
                 for k in range(dof):
                     slopes[first + lane, k] = to.slopes[k * LANES + lane] / total

@@ -31,6 +31,7 @@ from loewner._kernels.columns import (
     ROTATION,
     TRANSLATION,
 )
+from loewner._kernels.elementary import arc_tangent
 from loewner._kernels.linalg3 import apply, cross, dot, minus, plus, product, scaled
 from loewner._kernels.pieces.pack import kept_axis_of
 from loewner._kernels.robots.kinematics import by_quaternion, nine, triple_of, turned_by
@@ -214,7 +215,7 @@ def line_between(R0, t0, R1, t1):
     yz, zy = dot(images[1], rows[2]), dot(images[2], rows[1])
     axis = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
     sine, cosine = np.sqrt(dot(axis, axis)), 0.5 * (xx + yy + zz - 1.0)
-    angle = np.arctan2(sine, cosine)
+    angle = arc_tangent(sine, cosine)
     if cosine < 0.0:  # near half a turn this axis is short, and the columns of E + Eᵀ - 2 cos are long
         if xx >= yy and xx >= zz:
             column, sign = (2.0 * (xx - cosine), xy + yx, xz + zx), axis[0]

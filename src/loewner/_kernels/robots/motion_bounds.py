@@ -18,6 +18,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import BALL, FIXED, FLOATING, PLANAR, PRISMATIC
+from loewner._kernels.elementary import arc_sine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Rounding of a position by forward kinematics, for each joint of the chain, in units of the chain's length.
@@ -153,7 +154,7 @@ def _arc(ends, at):
         a, b = ends[0, at + k] / p, ends[1, at + k] / q
         squares += (a - b) * (a - b)
         same = same and ends[0, at + k] == ends[1, at + k]
-    angle = 0.0 if same else 4.0 * np.arcsin(min(np.sqrt(squares) / 2.0, 1.0)) * UPWARD + SMALLEST_TURN
+    angle = 0.0 if same else 4.0 * arc_sine(min(np.sqrt(squares) / 2.0, 1.0)) * UPWARD + SMALLEST_TURN
     return angle, max(abs(p - 1.0), abs(q - 1.0))
 
 

@@ -8,11 +8,11 @@ Control points bound a curve and its derivatives: a polynomial stays within the 
 the control points of its derivative are the differences of neighbours times d.
 """
 
-import numpy as np
-
 from loewner._kernels._jit import apart, inline, njit
+from loewner._kernels.elementary import arc_cosine
 from loewner._kernels.robots.kinematics import quaternion_of
-from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sines, sqrt, store
+from loewner._kernels.simd.trig import sine_of
+from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sqrt, store
 
 SMALL_ANGLE = 1e-6  # rad; below it the chord equals the arc
 SMALL_COSINE = 1.0 - 4e-13  # of an angle that is certainly below it
@@ -42,11 +42,11 @@ def _quaternion(course, at, t):
         cosine = 0.0
         for k in range(at, at + 4):
             cosine += course[0, k] * course[1, k]
-        angle = np.arccos(cosine) if cosine < SMALL_COSINE else 0.0
+        angle = arc_cosine(cosine) if cosine < SMALL_COSINE else 0.0
         of_p, of_q = 1.0 - t, t
         if angle >= SMALL_ANGLE:
-            sine = max(np.sin(angle), SMALLEST_SINE)
-            of_p, of_q = sines((1.0 - t) * angle) / sine, sines(t * angle) / sine
+            sine = max(sine_of(angle), SMALLEST_SINE)
+            of_p, of_q = sine_of((1.0 - t) * angle) / sine, sine_of(t * angle) / sine
         w, x = of_p * course[0, at] + of_q * course[1, at], of_p * course[0, at + 1] + of_q * course[1, at + 1]
         y, z = of_p * course[0, at + 2] + of_q * course[1, at + 2], of_p * course[0, at + 3] + of_q * course[1, at + 3]
     else:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from loewner._kernels._jit import njit
+from loewner._kernels.simd.trig import sine_of
 
 SMALL_ARC = 1e-6  # rad; for a smaller angle the chord is the arc
 
@@ -42,7 +43,7 @@ def pose_values(start, times, rows, arcs, periods, t, out):
                 out[n, body, k] = of_p * rows[low, k] + of_q * rows[high, k]
             arc = arcs[low]
             if arc >= SMALL_ARC:
-                of_p, of_q = np.sin(of_p * arc) / np.sin(arc), np.sin(of_q * arc) / np.sin(arc)
+                of_p, of_q = sine_of(of_p * arc) / sine_of(arc), sine_of(of_q * arc) / sine_of(arc)
             squares = 0.0
             for k in range(3, 7):
                 out[n, body, k] = of_p * rows[low, k] + of_q * rows[high, k]

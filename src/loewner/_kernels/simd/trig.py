@@ -1,7 +1,7 @@
-"""Sine and cosine of eight angles side by side, within two units in the last place, and on one lane."""
+"""Sine and cosine of a number or of eight, within two units in the last place, and of a float on one lane."""
 
 from loewner._kernels._jit import inline
-from loewner._kernels.simd.vectors import ALL, absolute, cosines, floor, movemask, round_to_even, select, sines
+from loewner._kernels.simd.vectors import absolute, cosines, everywhere, floor, round_to_even, select, sines
 
 # π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so their products with a whole
 # number below 2^20 are exact; the error of the sum is below 2^-119.
@@ -18,24 +18,27 @@ LARGEST = 1e6
 
 @inline
 def sine_cosine(x):
-    """Sine and cosine of eight angles.
+    """Sine and cosine of an angle, or of eight side by side.
 
     The remainder after whole quarter turns, within ±π/4, is the argument of the Taylor series, which is truncated where
     the next term is below 2^-56 of the result. NaN and infinity give NaN.
 
     Parameters
     ----------
-    x : vector
-        Angles [rad]; beyond ±1e6 the mathematics library computes them, more slowly.
+    x : float or vector
+        Angles [rad]; beyond ±1e6 the C library computes them, whose last bits differ between systems.
 
     Returns
     -------
-    sine, cosine : vector
+    sine, cosine : float or vector
     """
-    if movemask(absolute(x) <= LARGEST) != ALL:
+    if not everywhere(absolute(x) <= LARGEST):
         return sines(x), cosines(x)
     k = round_to_even(x * TURNS_PER_RADIAN)
-    r = ((x - k * QUARTER_TURN[0]) - k * QUARTER_TURN[1]) - k * QUARTER_TURN[2]
+    # Every step before the last sum is exact, or its error is tiny beside r.
+    most, second = x - k * QUARTER_TURN[0], k * QUARTER_TURN[1]
+    r = most - second
+    r = r + (((most - r) - second) - k * QUARTER_TURN[2])
     z = r * r
     p = 1.0 / 355687428096000.0 * z - 1.0 / 1307674368000.0  # 1/17!, 1/15!, ...
     p = p * z + 1.0 / 6227020800.0
@@ -51,12 +54,20 @@ def sine_cosine(x):
     p = p * z + 1.0 / 40320.0
     p = p * z - 1.0 / 720.0
     p = p * z + 1.0 / 24.0
-    c = (1.0 - 0.5 * z) + z * z * p
+    half = 0.5 * z
+    rough = 1.0 - half
+    c = rough + (((1.0 - rough) - half) + z * z * p)
     quadrant = k - 4.0 * floor(0.25 * k)
     crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # 1 or 3
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)
+
+
+@inline
+def sine_of(x):
+    """Sine of an angle [rad], or of eight."""
+    return sine_cosine(x)[0]
 
 
 # π/2 as a sum of three floats, the first two with twelve bits, so their products with a whole number below 2^12 are

@@ -240,10 +240,13 @@ def _both(builder, sig, args):
 
 @intrinsic
 def rounded_product(typingctx, x, y):
-    """x * y, rounded separately and never fused with an addition, so that it equals NumPy's product."""
+    """x * y, rounded separately and never fused with an addition, so that it equals NumPy's product.
+
+    Numba marks all products of a function as ones that may be fused; the fence keeps the sum from seeing this one.
+    """
 
     def generate(context, builder, sig, args):
-        return builder.fmul(*_both(builder, sig, args))
+        return _call(builder, "arithmetic.fence", builder.fmul(*_both(builder, sig, args)))
 
     return signature(_result((x, y)), x, y), generate
 
@@ -382,6 +385,19 @@ def share_of_roots(typingctx, x, y):
         return builder.fdiv(one, builder.fadd(one, apart))
 
     return signature(x, x, y), generate
+
+
+@intrinsic
+def everywhere(typingctx, m):
+    """Whether a comparison holds, in all lanes of vectors."""
+
+    def generate(context, builder, sig, args):
+        if m == types.boolean:
+            return args[0]
+        bits = ir.IntType(m.count)
+        return builder.icmp_unsigned("==", builder.bitcast(args[0], bits), ir.Constant(bits, -1))
+
+    return signature(types.boolean, m), generate
 
 
 @intrinsic

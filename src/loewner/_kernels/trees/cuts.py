@@ -14,6 +14,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.linalg3 import across, adjugate, apply_symmetric, cross, dot, minus, plus, rotated_shape, scaled
+from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum, movemask, store
 from loewner._kernels.trees.triangle_tree import principal
 
@@ -258,7 +259,7 @@ def _along_faces(some, count, middle, least, best):
     rim = np.empty((LOOKS + 1, 2))
     for look in range(LOOKS):
         angle = look * (2.0 * np.pi / LOOKS)
-        x, y, farthest = np.cos(angle), np.sin(angle), -np.inf
+        (y, x), farthest = sine_cosine(angle), -np.inf
         for k in range(count):
             for corner in range(3):
                 r = minus(_corner(some, count, k, corner), middle)

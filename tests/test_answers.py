@@ -1,0 +1,71 @@
+"""Answers have the bits of one committed table: at every level, from the library and from Numba, with any C library."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+import answers
+import other_machines
+from loewner._native import library
+
+# Checks of bounds divide a function's blocks, and so leave more products apart; processors before AVX2 fuse none.
+needs_the_same_products = pytest.mark.skipif(
+    bool(numba.config.BOUNDSCHECK) or (library.level() is None and not library.levels()),
+    reason="other products are fused here",
+)
+pytestmark = needs_the_same_products
+
+
+def expected() -> list[str]:
+    return answers.TABLE.read_text(encoding="utf-8").splitlines()
+
+
+def printed(switches: dict[str, str]) -> list[str]:
+    """The table as a process with these switches prints it."""
+    command = [sys.executable, "-W", "ignore", str(Path(answers.__file__))]
+    environment = other_machines.environment(switches)
+    return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout.splitlines()
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", answers.questions())
+def test_the_bits_are_those_of_the_table(name: str):
+    """A change that is not meant to alter an answer alters no bit of any; if it is meant to, write the table anew."""
+    assert f"{answers.digest(answers.questions()[name]())}  {name}" in expected()
+
+
+def test_the_table_has_a_line_for_each_question():
+    """No question is left out of the table, and none is listed that is not asked."""
+    assert [line.split("  ")[1] for line in expected()] == list(answers.questions())
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("machine", other_machines.machines())
+def test_other_processors_answer_the_same(machine: str):
+    """With the routines of NumPy and OpenBLAS, and the kernels, of other processors."""
+    assert printed(other_machines.machines()[machine]) == expected()
+
+
+@pytest.mark.verify
+@pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="needs cc and LD_PRELOAD")
+def test_another_c_library_answers_the_same(tmp_path: Path):
+    """With sines, powers and logarithms that are one unit in the last place off."""
+    source, to = Path(__file__).with_name("another_libm.c"), tmp_path / "libm.so"
+    subprocess.run(["cc", "-O2", "-fno-builtin", "-shared", "-fPIC", "-o", to, source, "-ldl"], check=True)
+    probe = [sys.executable, "-c", "import math; print(math.sin(1.0).hex())"]
+    off = subprocess.run(probe, env={**os.environ, "LD_PRELOAD": str(to)}, capture_output=True, text=True, check=True)
+    own = subprocess.run(probe, capture_output=True, text=True, check=True)
+    assert off.stdout != own.stdout, "the other library must be in use, or nothing is tested"
+    assert printed({"LD_PRELOAD": str(to)}) == expected()
+
+
+@pytest.mark.verify
+def test_numba_answers_the_same(tmp_path: Path):
+    """Compiled by Numba for this processor, and for an older one."""
+    for switches in ({}, {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+fma,+avx2"}):
+        assert printed({"LOEWNER_JIT": "1", "LOEWNER_CACHE_DIR": str(tmp_path), **switches}) == expected()
