@@ -98,6 +98,9 @@ class Steady:
     def normal(self, *, size: tuple[int, ...] | int) -> np.ndarray:
         return steady(self._rng.normal(size=size))
 
+    def rotation(self) -> np.ndarray:
+        return random_poses(self, 1, 0.0)[0, :3, :3]
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._rng, name)
 
@@ -253,7 +256,7 @@ def of_robot(seed: int) -> list:
         measured = [checker.distance(few, exact=True, gradient=True), checker.clearance(few, gradient=True)]
     ends = zip(Q[:PATHS], Q[PATHS : 2 * PATHS], strict=True)
     return [
-        robot.forward_kinematics(Q[:50]), end, robot.distances(Q[:50], Q[50:100]), checker.classify(Q),
+        robot.forward_kinematics(Q[:50]), end, robot.distances(Q[:30], Q[-30:]), checker.classify(Q),
         checker.collide(Q), checker.valid_edges(start, Q[1 : MOTIONS + 1], 0.05), proven, *measured,
         *(attempted(lambda a=a, b=b: planners.plan(checker, a, b, max_iterations=500)) for a, b in ends),
     ]  # fmt: skip

@@ -1,6 +1,5 @@
 """Equal files and equal seeds give equal plans and hashes on every processor, as far as one processor can tell."""
 
-import math
 import subprocess
 import sys
 from fractions import Fraction
@@ -68,8 +67,8 @@ told("pieces of a mesh", *[piece.vertices for piece in body.pieces])
 
 answers.PAIRS, answers.CONFIGURATIONS, answers.MOTIONS = 40, 40, 20
 answers.HULLS, answers.ROBOTS, answers.PATHS = 6, 2, 5
-for name, arrays in answers.answers():
-    told(name, *arrays)
+for line in answers.table():
+    print(line)
 """
 
 
@@ -135,7 +134,6 @@ def test_products_are_products(rng):
     assert np.allclose(_matrices.image(B, x), x @ B.T, rtol=0, atol=1e-14)
     assert np.allclose(_matrices.lengths(x), np.linalg.norm(x, axis=-1), rtol=1e-15)
     assert np.array_equal(_matrices.power(x, 2), x * x)
-    assert np.array_equal(_matrices.each(math.sin, x), [[[math.sin(v) for v in row] for row in rows] for rows in x])
     shape = A @ A.transpose(0, 2, 1) + np.eye(3)
     assert np.allclose(_matrices.cholesky(shape), np.linalg.cholesky(shape), rtol=0, atol=1e-13)
     axes = _matrices.principal_axes(x[0])
