@@ -309,7 +309,7 @@ CHUNK = 32  # modules linked at a time
 def in_one(modules: list[llvm.ModuleRef]) -> llvm.ModuleRef:
     """Link modules in chunks, then restore the order that linking them in a line would give their functions.
 
-    Each link takes as long as all that is linked into. The order decides what LLVM inlines, and so the last bits.
+    Each link takes as long as all that is linked into. The order decides what LLVM inlines, and so the speed.
     """
     order = dict.fromkeys(one.name for module in modules for one in module.functions if not one.is_declaration)
     while len(modules) > 1:
