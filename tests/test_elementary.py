@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from loewner import _elementary
+from loewner._kernels._jit import njit
+from loewner._kernels.elementary import decays, exponential
+from loewner._kernels.simd.vectors import load, store
 
 COUNT = 20_000
 EXTENDED = np.finfo(np.longdouble).nmant > 60
@@ -89,3 +92,34 @@ def test_numbers_and_arrays_have_the_same_bits(rng: np.random.Generator):
     np.testing.assert_array_equal(_elementary.sin(x[::2, ::2]), found[::2, ::2])
     assert isinstance(_elementary.cos(1.0), float)
     assert _elementary.log(np.empty(0)).shape == (0,)
+
+
+@njit()
+def _exponentials(x, alone, eight):
+    for i in range(0, x.size, 8):
+        store(eight, i, decays(load(x, i)))
+        for k in range(i, i + 8):
+            alone[k] = exponential(x[k])
+
+
+@pytest.mark.skipif(not EXTENDED, reason="no floats with more bits to compare with")
+def test_exponentials_of_numbers_and_of_eight(rng: np.random.Generator):
+    """Numbers over their whole range, and eight that are not positive, down to the limit below which they give zero."""
+    parts = rng.uniform(-745, 709, COUNT), rng.normal(size=COUNT), rng.uniform(-700, 0, COUNT), np.zeros(8)
+    x = np.concatenate(parts)
+    alone, eight = np.empty(len(x)), np.empty(len(x))
+    _exponentials(x, alone, eight)
+    exact = np.exp(x.astype(np.longdouble))
+    assert (np.abs(alone - exact) <= 3 * np.spacing(exact.astype(float))).all()
+    falls = (x <= 0) & (x >= -700)
+    assert (np.abs(eight - exact)[falls] <= 3 * np.spacing(exact.astype(float))[falls]).all()
+    assert (eight[x < -700] == 0).all()
+
+
+def test_exponentials_of_special_numbers():
+    """Infinities, NaN and numbers beyond the range."""
+    x = np.array([-np.inf, np.inf, np.nan, 710.0, -746.0, 0.0, -0.0, 5e-324])
+    alone, eight = np.empty(8), np.empty(8)
+    _exponentials(x, alone, eight)
+    np.testing.assert_array_equal(alone, [0, np.inf, np.nan, np.inf, 0, 1, 1, 1])
+    np.testing.assert_array_equal(eight[[0, 2, 4, 5, 6]], [0, np.nan, 0, 1, 1])

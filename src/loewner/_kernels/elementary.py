@@ -23,7 +23,7 @@ from loewner._kernels.codes import (
     SINE_OF,
 )
 from loewner._kernels.simd.trig import sine_cosine
-from loewner._kernels.simd.vectors import absolute, round_to_even, signed_one, sqrt
+from loewner._kernels.simd.vectors import absolute, power_of_two, round_to_even, select, signed_one, sqrt
 
 # log 2 as a sum of two doubles, the first with 32 bits, whose products with an exponent are exact.
 LOG_2 = float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33")
@@ -51,6 +51,8 @@ RESTS = np.array(
         )
     ]
 )  # fmt: skip
+
+PER_LOG_2 = 1.4426950408889634
 
 MANTISSA = 52  # bits
 BIAS = 1023  # of exponents
@@ -80,17 +82,8 @@ def number_of(typingctx, bits):
 
 
 @inline
-def power_of_two(exponent):
-    """2 to a whole power from -1022 to 1023, exactly."""
-    return number_of((exponent + BIAS) << MANTISSA)
-
-
-@njit()
-def exponential(x):
-    """e to the power of a number."""
-    if not UNDERFLOW < x < OVERFLOW:
-        return 0.0 if x <= UNDERFLOW else x if x != x else np.inf
-    k = round_to_even(x / (LOG_2[0] + LOG_2[1]))
+def _reduced_exponential(x, k):
+    """e^x / 2^k, for a number or for eight, where k is the whole number nearest to x / log 2."""
     r = (x - k * LOG_2[0]) - k * LOG_2[1]
     p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # 1/13!, 1/12!, ...
     p = p * r + 1.0 / 39916800.0
@@ -103,10 +96,25 @@ def exponential(x):
     p = p * r + 1.0 / 24.0
     p = p * r + 1.0 / 6.0
     p = p * r + 0.5
-    whole = int(k)
-    half = whole >> 1
+    return 1.0 + (r + r * r * p)
+
+
+@njit()
+def exponential(x):
+    """e to the power of a number."""
+    if not UNDERFLOW < x < OVERFLOW:
+        return 0.0 if x <= UNDERFLOW else x if x != x else np.inf
+    k = round_to_even(x * PER_LOG_2)
+    half = round_to_even(0.5 * k)
     # 2^k in two steps, for the largest and the smallest results.
-    return (1.0 + (r + r * r * p)) * power_of_two(half) * power_of_two(whole - half)
+    return _reduced_exponential(x, k) * power_of_two(half) * power_of_two(k - half)
+
+
+@inline
+def decays(x):
+    """e to the powers of eight numbers that are not positive; zero below -700, where it is less than 1e-304."""
+    k = round_to_even(x * PER_LOG_2)
+    return select(x < -700.0, 0.0, _reduced_exponential(x, k) * power_of_two(k))
 
 
 @njit()

@@ -13,7 +13,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, OUTER_SIGMA, REACH
-from loewner._kernels.elementary import exponential, logarithm
+from loewner._kernels.elementary import decays, logarithm
 from loewner._kernels.ellipsoids.contact_gap import contact_gap, contact_gap_wrench, contact_parameter
 from loewner._kernels.linalg3 import (
     apply,
@@ -67,7 +67,7 @@ _BODY = 7  # of a body: middle of its ellipsoids' centers, their distance from i
 _MIDDLE = 4  # vectors of a body: this middle in the world, and lengths
 _ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at which F is greatest
 _WHICH = 4  # bodies and pieces
-_LEAST, _SUM, _SCRATCH, _TOTALS = 0, LANES, 2 * LANES, 3 * LANES
+_LEAST, _SUM, _TOTALS = 0, LANES, 2 * LANES
 
 
 class _Memory(NamedTuple):
@@ -260,15 +260,6 @@ def _pieces_far(a, b, r, thinnest, cut):
     return _all_far(dot(r, r) / widths, thinnest, a.size + b.size, cut)
 
 
-@inline
-def _exponentials(to, x):
-    """The exponential of eight numbers."""
-    store(to.totals, _SCRATCH, x)
-    for lane in range(LANES):
-        to.totals[_SCRATCH + lane] = exponential(to.totals[_SCRATCH + lane])
-    return load(to.totals, _SCRATCH)
-
-
 @njit()
 def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
     """Add a run of pairs of pieces to the previous sum."""
@@ -280,7 +271,7 @@ def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
     for k in range(count):
         least = minimum(load(to.entries, k * (_ENTRY * LANES)), least)
     store(to.totals, _LEAST, least)
-    scale = _exponentials(to, (least - before) / softness)  # the previous sum is relative to the previous least gap
+    scale = decays((least - before) / softness)  # the previous sum is relative to the previous least gap
     total = load(to.totals, _SUM) * scale
     if gradient:
         for k in range(WRENCH * problem.tree.parent.size):
@@ -290,7 +281,7 @@ def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
         counts = above < FAR
         if movemask(counts) == 0:
             continue
-        weight = select(counts, _exponentials(to, -above), 0.0)
+        weight = select(counts, decays(-above), 0.0)
         total = total + weight
         if gradient:
             body_a, body_b = to.which[_WHICH * k], to.which[_WHICH * k + 1]

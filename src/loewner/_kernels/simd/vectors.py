@@ -387,6 +387,25 @@ def share_of_roots(typingctx, x, y):
     return signature(x, x, y), generate
 
 
+# Added to a whole number, it leaves the number plus the bias of exponents in the lowest bits.
+_TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
+
+
+@intrinsic
+def power_of_two(typingctx, k):
+    """2 to the power of a float64, or of eight, that is a whole number from -1022 to 1023."""
+
+    def generate(context, builder, sig, args):
+        number = args[0].type
+        word = ir.VectorType(ir.IntType(64), LANES) if k == vector else ir.IntType(64)
+        several = isinstance(number, ir.VectorType)
+        shifted = builder.fadd(args[0], ir.Constant(number, [_TO_EXPONENT] * LANES if several else _TO_EXPONENT))
+        places = ir.Constant(word, [52] * LANES if several else 52)
+        return builder.bitcast(builder.shl(builder.bitcast(shifted, word), places), number)
+
+    return signature(_result((k,)), k), generate
+
+
 @intrinsic
 def everywhere(typingctx, m):
     """Whether a comparison holds, in all lanes of vectors."""
