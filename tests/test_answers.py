@@ -66,6 +66,6 @@ def test_another_c_library_answers_the_same(tmp_path: Path):
 
 @pytest.mark.verify
 def test_numba_answers_the_same(tmp_path: Path):
-    """Compiled by Numba for this processor, and for an older one."""
-    for switches in ({}, {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+fma,+avx2"}):
-        assert printed({"LOEWNER_JIT": "1", "LOEWNER_CACHE_DIR": str(tmp_path), **switches}) == expected()
+    """Compiled by Numba, for an older processor than most."""
+    older = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+fma,+avx2"}
+    assert printed({"LOEWNER_JIT": "1", "LOEWNER_CACHE_DIR": str(tmp_path), **older}) == expected()
