@@ -39,7 +39,7 @@ from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
-from loewner._kernels import _jit, _parts
+from loewner._kernels import _fused, _jit, _parts
 from loewner._native.entries import ENTRIES, Entry, types_of
 
 SLOT = ir.IntType(64)
@@ -301,7 +301,7 @@ def machine_code(codes: list[bytes]) -> bytes:
     return machine.emit_object(module)
 
 
-FUNCTION = re.compile(r"^define .*?^\}$", re.MULTILINE | re.DOTALL)
+FUNCTION, VALUE = _fused._FUNCTION, _fused._VALUE
 NAME = re.compile(r'@(?:"([^"]*)"|([-\w.$]+))\(')
 CHUNK = 32  # modules linked at a time
 
@@ -329,7 +329,6 @@ def in_one(modules: list[llvm.ModuleRef]) -> llvm.ModuleRef:
     return llvm.parse_assembly("\n".join([rest, *(defined.pop(name) for name in order), *defined.values()]))
 
 
-VALUE = re.compile(r'%(?:[-\w.$]+|"[^"]*")')
 COUNTED = re.compile(r'  (?:tail )?call void @NRT_(?:inc|dec)ref\(ptr (%(?:[-\w.$]+|"[^"]*"))\)')
 HARMLESS = re.compile(r"  (?:%\S+ = )?(?:(?:tail )?call|icmp) ")
 

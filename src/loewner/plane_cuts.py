@@ -6,7 +6,6 @@ section lie on its surface. The pieces therefore contain the mesh without being 
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -257,8 +256,9 @@ def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]
         across = np.cross(out, principal[np.abs(image(principal, out)).argmin()])
         across /= lengths(across)
         up = np.cross(out, across)
-        angles = [math.pi * k / TURNS for k in range(TURNS)]
-        normals = [*(_elementary.cos(angle) * across + _elementary.sin(angle) * up for angle in angles), *normals]
+        angles = np.pi * np.arange(TURNS) / TURNS
+        turns = zip(_elementary.cos(angles).tolist(), _elementary.sin(angles).tolist(), strict=True)
+        normals = [*(cosine * across + sine * up for cosine, sine in turns), *normals]
     planes = [(n, float(dot(n, deepest))) for n in normals]
     planes += [(n, float(dot(n, middle))) for n in (*np.eye(3), *principal)]
     faces = unit_normals(cell.triangles)

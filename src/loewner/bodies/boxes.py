@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from loewner import _elementary
@@ -12,9 +14,6 @@ MOST_ASKED = 512
 
 # Number of edges of a hull, the longest, along which a box is tried.
 MOST_EDGES = 8
-
-# The farthest points in these directions, shape (2, k), approximate a hull: importing a library for it takes longer.
-LOOKS = np.arange(64) * (np.pi / 32)
 
 # Thickness assumed for a flat box, relative to its longest side, so that the shorter of two equal areas is chosen.
 THICKNESS = 0.01
@@ -64,9 +63,16 @@ def _turns(triangles: Floats) -> Floats:
     return np.concatenate([plain, np.stack([seen, along @ frame[:, 1:].T, across @ frame[:, 1:].T], axis=2)])
 
 
+@cache
+def _looks() -> Floats:
+    """Directions, shape (2, k), whose farthest points approximate a hull: importing a library for it takes longer."""
+    angles = np.arange(64) * (np.pi / 32)
+    return np.stack([_elementary.cos(angles), _elementary.sin(angles)])
+
+
 def _directions(points: Floats) -> Floats:
     """Find unit vectors, shape (k, 2), along the longest edges of an approximate hull of points in a plane."""
-    rim = points[(points @ np.stack([_elementary.cos(LOOKS), _elementary.sin(LOOKS)])).argmax(axis=0)]
+    rim = points[(points @ _looks()).argmax(axis=0)]
     edges = np.roll(rim, -1, axis=0) - rim
     lengths = np.linalg.norm(edges, axis=1)
     longest = lengths.argsort(kind="stable")[-MOST_EDGES:]
