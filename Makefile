@@ -34,8 +34,8 @@ PART ?= 1/1
 
 # The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
 # now; beside a library that does nothing.
-BUILD := $(BIN)/python native/build.py || \
-  echo "native library: not built; Numba compiles the kernels instead, which takes minutes" >&2
+NOT_BUILT := echo "native library: not built; Numba compiles the kernels instead, which takes minutes" >&2
+BUILD := $(BIN)/python native/build.py || $(NOT_BUILT)
 COMPILE := $(BIN)/python -m loewner compile
 
 .PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds other-machines sanitize newest bench check docs wheel sdist dist-c test-wheel clean
@@ -46,8 +46,10 @@ help:
 built_with = @{ $(BUILD); } & building=$$!; \
   { $(MAKE) --no-print-directory $(1)$(if $(2), && $(2)); }; done=$$?; wait $$building; exit $$done
 
+# The demo begins when what it needs is there; the rest of the library is built meanwhile, and after it.
 demo: $(VENV)/.compiler
-	$(call built_with,$(VENV)/.demo)
+	@$(BIN)/python native/build.py --log build/native.log || $(NOT_BUILT)
+	@$(MAKE) --no-print-directory $(VENV)/.demo
 	$(COMPILE) --only verdicts robots fits surfaces distances paper
 	$(BIN)/python examples/demo.py
 
@@ -56,7 +58,7 @@ demo: $(VENV)/.compiler
 test fuzz bounds newest test-wheel other-machines: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
-	$(call built_with,$(VENV)/.dev,$(PYTEST) -q -m light tests)
+	$(call built_with,$(VENV)/.dev,LOEWNER_JIT=1 $(PYTEST) -q -m light tests)
 	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz and not light" tests
 

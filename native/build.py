@@ -4,8 +4,10 @@
     python native/build.py --gpu               the threads' functions as PTX, too; elsewhere a GPU's first use makes it
     python native/build.py --levels all --gpu  for all levels of this architecture, as a wheel has them
     python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
+    python native/build.py --log FILE          go on in the background, and write into a file what is said
 
-It takes Numba, NumPy's headers and a C compiler.
+It takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon as
+they are compiled, and whoever asks for others waits for them (`library.py`); files for other machines are built whole.
 """
 
 import argparse
@@ -13,16 +15,21 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shlex
+import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
@@ -32,7 +39,7 @@ from loewner import _ptx  # noqa: E402
 from loewner._kernels import codes, columns  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
-from loewner._native.library import CALL, HOME, LIST  # noqa: E402
+from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner._threads import processors  # noqa: E402
 from loewner.planners import compiled as compiled_planner  # noqa: E402
@@ -48,21 +55,21 @@ LEVELS = {
 }
 CPU_OF = {"arm64": "generic"}
 
-# For estimates of the time that is left: functions that make up the entries of each half, and steps of machine code;
-# seconds of one core for the code of both halves, for a level and for GPUs, where the check of Numba takes `CHECK`.
-FUNCTIONS, STEPS = (470, 630), 3
-CODE, LEVEL, GPU, CHECK = 245.0, 71.0, 28.0, 2.3
+# Entries by module: each group becomes an object file of its own for this machine's level, so that an edit rebuilds few
+# of them, and programs can begin when theirs is there. Functions that several groups call are in each of them, so
+# groups that share much are one. What is built for other machines has one object file for each level, the smallest.
+GROUPS = {
+    "bodies": ("fits.", "pieces.", "trees.cuts", "trees.piece_tree", "trees.triangle"),
+    "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds", "elementary"),
+    "distances": ("pipeline.", "robots.nearest", "narrow.", "ellipsoids.", "trees.", "paper."),
+    "robots": ("robots.configurations", "robots.motions", "robots.planning", "robots.shortening", "robots.standing",
+               "robots.kinematics"),
+    "paths": ("robots.",),
+}  # fmt: skip
 
-# Entries that one process compiles while another compiles the rest, which takes as long. It begins with those that
-# share little: by the time that it reaches the robots, the other has compiled the searches for them.
-FIRST = (
-    "fit_range", "center_in", "fit_halfspaces", "to_unit_size", "finish_hull", "fit_outer", "enclose", "outer_gap",
-    "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond", "piece_trees", "triangle_tree",
-    "cut_up", "equal_vertices", "part_vertices", "body_boxes", "curve_order", "box_tree", "meeting_boxes",
-    "first_fault", "contact_of_pairs", "near_points_of_pairs", "link_poses", "link_jacobians", "check_configurations",
-    "check_motion", "memory_size", "certify_motions", "free_motions", "motion_memory", "connect_trees", "shorten_path",
-    "polish_path", "memory_of_clearances", "clearances", "pair_gradients", "measure_moving", "place_static",
-)  # fmt: skip
+# For estimates of the time that is left: the number of functions, and the seconds of one core for a function, for all
+# objects of a level and for GPUs, where the check of Numba takes `CHECK`.
+FUNCTIONS, FUNCTION, LEVEL, GPU, CHECK = 1100, 0.24, 80.0, 28.0, 2.3
 
 
 # What the C compiler is told of files that people get. The linker of macOS knows no -s; Windows is untried.
@@ -118,31 +125,24 @@ API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + 
 # Seconds between words on the progress, and what the first estimate counts for beside the share that is done.
 EVERY, FIRST_WEIGHT = 10.0, 0.1
 
+KEY = re.compile(r"-[0-9a-f]{32}$")  # how a line ends that names a function
+EARLY = re.compile(r"-\d+\.so$")  # how the name of a file ends that is handed out early
+
 
 class Command(NamedTuple):
-    """What is made, arguments of Python, variables of its environment, the file made, and those needed first.
-
-    The command prints how many of its `steps` are done, a number a line, and names of what it is at. `seconds` weighs
-    it against the others.
-    """
+    """What is made, arguments of Python, variables of its environment, and the file of what it says."""
 
     what: str
     arguments: list[str]
     environment: dict[str, str]
-    to: Path
-    needed: tuple[Path, ...] = ()
-    steps: int = 1
-    seconds: float = 1.0
+    said: Path
 
-    def progress(self) -> tuple[float, str]:
-        """Fraction that is done, and what the command is at."""
+    def lines(self) -> list[str]:
+        """Lines that the command has printed."""
         try:
-            lines = self.to.with_suffix(".told").read_text(encoding="utf-8", errors="replace").split()
+            return self.said.with_suffix(".told").read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
-            return 0.0, ""
-        done = [int(line) for line in lines if line.isdecimal()]
-        names = [line for line in lines if not line.isdecimal()]
-        return min(done[-1] / self.steps, 0.99) if done else 0.0, names[-1] if names else ""
+            return []
 
 
 class BuildError(Exception):
@@ -206,8 +206,10 @@ def machine_level() -> str:
     return found[0]
 
 
-def build(levels: list[str], home: Path = HOME, gpu: bool = False) -> list[Path]:
+def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False) -> list[Path]:
     """Build for these levels, and for GPUs if asked; what was there is replaced only when all is done.
+
+    With ``in_groups``, for one level, there is an object file for each group, and what is done is handed out early.
 
     Returns
     -------
@@ -234,88 +236,109 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False) -> list[Path]
             "expected a Numba with which the kernels can be built, found another or none",
         )
         slowness = (time.perf_counter() - start) / CHECK
-        # Two processes make the intermediate code of half the entries each, and hand each other what the halves share.
-        halves = FIRST, tuple(name for name in ENTRIES if name not in FIRST)
-        codes = [emission(n, "code", levels[0], half, work / f"code-{n}") for n, half in enumerate(halves)]
-        codes = [code._replace(steps=count, seconds=CODE / 2) for code, count in zip(codes, FUNCTIONS, strict=True)]
-        # Several levels keep processes busy. For one level each half becomes an object file of its own, which together
-        # are an eighth larger, since some functions are in both.
-        parts = tuple(code.to for code in codes)
-        groups = [parts] if len(levels) > 1 else [(part,) for part in parts]
-        jobs = [(level, group) for level in levels for group in groups]
-        objects = [emission(2 + n, "object", *job, work / f"{job[0]}-{n}.o") for n, job in enumerate(jobs)]
-        objects = [one._replace(steps=STEPS, seconds=LEVEL / len(groups)) for one in objects]
-        run_all([*codes, *objects, *([ptx(work / _ptx.NAME)] if gpu else [])], slowness)
+        groups = grouped(list(GROUPS) if in_groups else ["all"])
+        (work / "groups.json").write_text(json.dumps(groups), encoding="utf-8")
+        count = max(processors(), len(levels))
+        workers = [emission(work, levels[number % len(levels)], number) for number in range(count)]
+        objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
+
+        def hand_out(made: list[Path]) -> None:
+            """Link the objects that are there, for those who wait."""
+            if in_groups and len(made) < len(objects):
+                (level,) = levels
+                early = work / f"kernels-{level}-{len(made)}.so"
+                link(made, level, early)
+                done = [name for path in made for name in groups[path.stem.removeprefix(f"{level}-")]]
+                publish([early, work / CALL], home, entries=done)
+
+        functions = build_all([*workers, *([ptx(work / _ptx.NAME)] if gpu else [])], objects, hand_out, slowness)
         for library in for_c:
             library.result()
         for level in levels:
-            link(sorted(work.glob(f"{level}-*.o")), level, work / f"kernels-{level}.so")
+            link([path for path in objects if path.name.startswith(level)], level, work / f"kernels-{level}.so")
         # Processes read the sources as they need them: code of two versions may not be called code of one.
         if source_hash.__wrapped__() != before:
             raise BuildError("the kernels' sources changed while they were compiled; build again")
-        made = [*sorted(work.glob("*.so")), *work.glob(_ptx.NAME)]
-        files = {path.name: _sum(path) for path in made}
-        listed = {
-            "recipe": recipe(),
-            "sources": source_hash(),
-            "numba": version("numba"),
-            "llvmlite": version("llvmlite"),
-            "files": files,
-        }
-        (work / LIST).write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")
+        made = [*sorted(path for path in work.glob("*.so") if not EARLY.search(path.name)), *work.glob(_ptx.NAME)]
         for path in [home / LIST, home / _ptx.NAME, *home.glob("*.so")]:
             path.unlink(missing_ok=True)
-        for path in [*made, work / LIST]:
-            os.replace(path, home / path.name)
-        return [home / path.name for path in [*made, work / LIST]]
+        return [*publish(made, home, recipe=recipe(), functions=functions), home / LIST]
 
 
-def emission(number: int, what: str, level: str, given: tuple[str | Path, ...], to: Path) -> Command:
-    """Emit the code of entries, or the object file of such code; jobs of one build share a cache, and nobody else does.
+def publish(made: list[Path], home: Path, **more: Any) -> list[Path]:
+    """Copy files to where they are used, then the list of them; return their paths there."""
+    listed = {
+        "sources": source_hash(),
+        "numba": version("numba"),
+        "llvmlite": version("llvmlite"),
+        "files": {path.name: _sum(path) for path in made},
+    }
+    work = made[0].parent
+    (work / LIST).write_text(json.dumps(more | listed, indent=2) + "\n", encoding="utf-8")
+    for path in [*made, work / LIST]:
+        copied = work / f"{path.name}.copy"
+        shutil.copy2(path, copied)
+        os.replace(copied, home / path.name)
+    return [home / path.name for path in made]
 
-    Object code is only made of functions that these processes numbered.
-    """
-    environment = told(level) | {"LOEWNER_CACHE_DIR": str(to.parent / "cache")}
-    arguments = [str(HERE / "emit.py"), what, str(to), str(number), *map(str, given)]
-    if what == "code":
-        return Command(f"intermediate code of {len(given)} of {len(ENTRIES)} kernels", arguments, environment, to)
-    return Command(f"machine code for {level}", arguments, environment, to, tuple(map(Path, given)))
+
+def grouped(names: list[str]) -> dict[str, list[str]]:
+    """Divide the entries into groups; one that is not in `GROUPS` takes all."""
+    groups = dict[str, list[str]]((name, []) for name in names)
+    for entry in ENTRIES.values():
+        groups[next(name for name in names if entry.module.startswith(GROUPS.get(name, "")))].append(entry.name)
+    return groups
+
+
+def emission(folder: Path, level: str, number: int) -> Command:
+    """Emit codes and objects of a level, as one of the processes that share the work in a folder."""
+    arguments = [str(HERE / "emit.py"), str(folder), level, str(number)]
+    return Command(f"kernels for {level}", arguments, told(level), folder / f"worker-{number}")
 
 
 def ptx(to: Path) -> Command:
     """Write the threads' functions as PTX, which are the same for all processors."""
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}
-    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to, seconds=GPU)
+    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to)
 
 
-def run_all(commands: list[Command], slowness: float = 1.0) -> None:
-    """Run commands, each in a process of its own, as many at a time as there are processors.
+def build_all(
+    commands: list[Command],
+    objects: list[Path],
+    hand_out: Callable[[list[Path]], None] = lambda made: None,
+    slowness: float = 1.0,
+) -> int:
+    """Run commands, each in a process of its own, as many at a time as there are processors; count the functions.
 
-    Print what begins and, every ten seconds, what is being compiled; and how long the rest will take, at first by the
-    speed of the machine, then by what was done so far.
+    Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, what is being
+    compiled, and how long the rest will take: at first by the speed of the machine, then by what was done so far.
     """
-    start, done = time.perf_counter(), set[Path]()
+    start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
     cores = min(processors(), len(commands))
-    whole = sum(command.seconds for command in commands)
-    next_word = start + EVERY
+    whole = FUNCTIONS * FUNCTION + LEVEL * len({path.name.rpartition("-")[0] for path in objects})
+    next_word, there = start, 0
 
-    def say(what: str) -> None:
+    def functions() -> int:
+        return len({line for command in commands for line in command.lines() if KEY.search(line)})
+
+    def say() -> None:
         elapsed = time.perf_counter() - start
-        share = sum(one.seconds * (1.0 if one.to in done else one.progress()[0]) for one in commands) / whole
+        made = sum(path.exists() for path in objects) / max(len(objects), 1)
+        share = (min(functions(), FUNCTIONS) * FUNCTION + made * (whole - FUNCTIONS * FUNCTION)) / whole
         expected = (elapsed + FIRST_WEIGHT * whole * slowness / cores) / (share + FIRST_WEIGHT)
         left = f"about {max(expected - elapsed, 1):.0f} s left"
+        names = [[line for line in command.lines() if not KEY.search(line)][-1:] for command in commands]
+        what = ", ".join(name for (name,) in filter(None, names)) or "..."
         print(f"native library: {elapsed:4.0f} s, {left}: {what}", file=sys.stderr, flush=True)
 
     try:
         while waiting or running:
-            ready = [command for command in waiting if done.issuperset(command.needed)]
-            for command in ready[: processors() - len(running)]:
-                waiting.remove(command)
-                say(f"{command.what} ...")
+            while waiting and len(running) < processors():
+                command = waiting.pop(0)
                 environment = os.environ | command.environment | {"LOEWNER_QUIET": "1"}
-                told, log = (command.to.with_suffix(suffix).open("wb") for suffix in (".told", ".log"))
+                told, log = (command.said.with_suffix(suffix).open("wb") for suffix in (".told", ".log"))
                 with told, log:
                     call = [sys.executable, *command.arguments]
                     running.append((subprocess.Popen(call, env=environment, stdout=told, stderr=log), command))
@@ -323,12 +346,16 @@ def run_all(commands: list[Command], slowness: float = 1.0) -> None:
             for process, command in [one for one in running if one[0].poll() is not None]:
                 running.remove((process, command))
                 if process.returncode:
-                    said = command.to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
+                    said = command.said.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
-                done.add(command.to)
-            if time.perf_counter() > next_word:
+            made = [path for path in objects if path.exists()]
+            if len(made) > there:
+                there = len(made)
+                hand_out(made)
+            if time.perf_counter() >= next_word:
                 next_word += EVERY
-                say(", ".join(name for _, command in running if (name := command.progress()[1])) or "...")
+                say()
+        return functions()
     finally:
         for process, _ in running:
             process.kill()
@@ -392,26 +419,79 @@ def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE
         raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()[-4000:]}")
 
 
+@contextmanager
+def locked(home: Path, held: int | None) -> Iterator[int | None]:
+    """Build in one process at a time. Others wait, and find everything built.
+
+    A lock can be handed on to another process, by its number.
+    """
+    if WINDOWS or held is not None:
+        yield held
+        return
+    import fcntl
+
+    home.mkdir(parents=True, exist_ok=True)
+    with (home / LOCK).open("wb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print("native library: waiting for another build ...", file=sys.stderr, flush=True)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield file.fileno()
+
+
+def go_on_in_background(lock: int | None, log: Path) -> None:
+    """Run this command again in a process that stays, and hand the lock on to it."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, *sys.argv, *([] if lock is None else ["--lock", str(lock)])]
+    with log.open("wb") as said:
+        subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            pass_fds=() if lock is None else (lock,),
+            start_new_session=True,
+        )
+    print(f"native library: being built in the background; {log} has its progress", file=sys.stderr, flush=True)
+
+
+def time_of_processes() -> float:
+    """Processor time [s] of the processes that have ended."""
+    spent = os.times()
+    return spent.children_user + spent.children_system
+
+
 def main() -> int:
     """Build what is asked for, unless it is there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
     parser.add_argument("--gpu", action="store_true", help="code for NVIDIA's GPUs, too")
     parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="where what is built goes")
-    arguments = parser.parse_args()
-    asked, home = arguments.levels, arguments.to
+    parser.add_argument("--log", type=Path, metavar="FILE", help="go on in the background, and write to a file")
+    parser.add_argument("--lock", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # ends the processes that it began, and removes its folder
     try:
         known = LEVELS.get(architecture())
         if known is None:
             raise BuildError(f"expected one of {', '.join(LEVELS)}, found a processor of {architecture()}")
-        levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
-        if any(level not in known for level in levels):
-            raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
-        if not is_built(levels, home, arguments.gpu):
+        with locked(options.to, options.lock) if options.to == HOME else nullcontext() as lock:
+            asked = options.levels
+            levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
+            if any(level not in known for level in levels):
+                raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
+            if is_built(levels, options.to, options.gpu):
+                return 0
+            if options.log is not None and options.lock is None:
+                go_on_in_background(lock, options.log)
+                return 0
             start = time.perf_counter()
-            made = build(levels, home, arguments.gpu)
+            made = build(levels, options.to, options.gpu, in_groups=asked == "machine")
             size = sum(path.stat().st_size for path in made)
-            print(f"native library: {', '.join(levels)}, {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
+            count = json.loads(made[-1].read_text(encoding="utf-8"))["functions"]
+            took = f"{time.perf_counter() - start:.0f} s, {time_of_processes():.0f} s of processor time"
+            print(f"native library: {', '.join(levels)}, {count} functions, {size / 1e6:.1f} MB, {took}")
     except (BuildError, OSError) as error:
         print(f"native library: {error}", file=sys.stderr)
         return 1

@@ -1,127 +1,71 @@
-"""Kernels as one object file: what Numba makes of them, without Numba, Python or NumPy.
+"""Emit entries of the native library as object files, and check Numba for that.
 
 Run by `build.py`, in processes of its own:
 
-    emit.py                           check Numba itself, for this machine
-    emit.py code TO NUMBER NAMES      intermediate code of entries, which is the same for all levels of processors
-    emit.py object TO NUMBER CODES    machine code of that, for one level
+    emit.py                        check Numba itself, for this machine
+    emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
+
+The folder holds `groups.json`, which lists the entries of each group. The processes write the code of each entry
+(`ENTRY.code`), which is the same for all levels, and an object file of each group for each level (`LEVEL-GROUP.o`).
+Each takes what nobody has taken, and begins with another group or at its other end, since entries of one group share
+most of their code.
 
 Numba reads the level from the environment when it is imported. Machine code does not run there, since this machine's
 processor may be of a lower level.
 
-Processes that run at the same time share the intermediate code of the functions that several entries call: each writes
-what it compiles to a folder, the cache of the kernels, and looks there first. Numba gives functions numbers, and their
-names contain them; so each process numbers from a start of its own, and no two functions have the same name.
+All code is kept in the store (`loewner/_kernels/_store.py`): processes share the functions that several entries call,
+and after an edit only the functions that may depend on it are compiled, and only the groups that contain one of them.
 """
 
 import ctypes
 import gc
 import importlib
-import itertools
-import pickle
+import json
+import operator
+import os
 import re
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import llvmlite.binding as llvm
 import numba
 import numpy as np
 from llvmlite import ir
-from numba import njit
-from numba.core import config, types
-from numba.core.bytecode import FunctionIdentity
-from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
-from numba.core.datamodel import default_manager
-from numba.core.registry import CPUDispatcher, cpu_target
-from numba.core.runtime import rtsys
-from numba.core.types.functions import BaseFunction
+from numba import config, njit, types
 from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
-from loewner._kernels import _fused, _jit, _parts
+from loewner._kernels import _fused, _jit, _parts, _sealed, _store
+from loewner._kernels._numba import BaseContext, BaseFunction, CPUCodeLibrary, cpu_target, default_manager, rtsys
+from loewner._kernels.simd import vectors
 from loewner._native.entries import ENTRIES, Entry, types_of
 
 SLOT = ir.IntType(64)
 PREFIX = "loewner_"
 
 
-class _OwnLibrary(_parts._PartLibrary):
-    """Intermediate code of one function alone: what it calls is linked once, and optimised with all others.
-
-    Numba links copies of all that a function calls into it, and of what these call.
-    """
-
-    finished = 0  # in this process
-
-    def finalize(self):
-        self._raise_if_finalized()
-        self._finalize_final_module()
-        _OwnLibrary.finished += 1
-        report(_OwnLibrary.finished)
-
-    def serialize_using_object_code(self):
-        return self.name, "bitcode", Exchange.of_process.write(self)
-
-    @classmethod
-    def restored(cls, codegen, name, kept):
-        return Exchange.of_process.read(kept)
-
-
-class Exchange:
-    """Intermediate code that processes hand to each other: a file for each library, with the names of what it calls.
-
-    The libraries of a function's callees are stored once, however many functions call them.
-    """
-
-    of_process: "Exchange"
-
-    def __init__(self, folder: Path, number: int) -> None:
-        self._folder, self._number = folder, number
-        rtsys.initialize(cpu_target.target_context)  # its functions have the same names in all processes
-        self._names: dict[JITCodeLibrary, str] = {rtsys.library: "runtime"}
-        self._libraries: dict[str, JITCodeLibrary] = {"runtime": rtsys.library}
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def write(self, library: JITCodeLibrary) -> str:
-        """Store a library and what it calls, unless they are stored; return its name."""
-        if library not in self._names:
-            called = [self.write(one) for one in library._linking_libraries]
-            name = f"{self._number}-{len(self._names)}"
-            content = library.name, library._final_module.as_bitcode(), called
-            (self._folder / name).write_bytes(pickle.dumps(content))
-            self._names[library], self._libraries[name] = name, library
-        return self._names[library]
-
-    def read(self, name: str) -> JITCodeLibrary:
-        """Return a stored library, always the same object: its functions may be linked only once."""
-        if name not in self._libraries:
-            title, bitcode, called = pickle.loads((self._folder / name).read_bytes())
-            library = _OwnLibrary(cpu_target.target_context.codegen(), title)
-            library.load(bitcode)
-            for one in called:
-                library.add_linking_library(self.read(one))
-            self._names[library], self._libraries[name] = name, library
-        return self._libraries[name]
-
-
-def report(done: int) -> None:
-    """Print how many functions, or steps, are done; `build.py` reads this."""
-    print(done, flush=True)
-
-
 def remember_operators() -> None:
-    """Let Numba find the type of an operator's result for given numbers once; it searches anew for each ``a + b``.
+    """Let Numba find the type of an operator's result for given types once; it searches anew for each ``a + b``.
 
-    That is a tenth of the time. Calls with arrays are left alone: their search also notes what has to be linked.
+    That is a sixth of the time. Other operations are left alone, as those with slices: their search compiles what they
+    need, and notes what has to be linked.
     """
     search, known = BaseFunction.get_call_type, {}
+    plain = types.Number | types.Boolean | types.IntegerLiteral | vectors.Lanes
+    indexed = types.Array | types.BaseTuple
+
+    def is_remembered(function, args):
+        if function.key[0] in (operator.getitem, operator.setitem) and isinstance(args[0], indexed):
+            at = args[1].types if isinstance(args[1], types.BaseTuple) else args[1:2]
+            return all(isinstance(kind, types.Integer | types.IntegerLiteral) for kind in at)
+        is_operator = getattr(function.key[0], "__module__", None) == "_operator" or function.key[0] is bool
+        return is_operator and all(isinstance(kind, plain) for kind in args)
 
     def get_call_type(function, context, args, kws):
-        operator_of_numbers = getattr(function.key[0], "__module__", None) == "_operator" and all(
-            isinstance(kind, types.Number | types.Boolean) for kind in args
-        )
-        if not operator_of_numbers:
+        if not is_remembered(function, args):
             return search(function, context, args, kws)
         key = function, tuple(args)
         if key not in known:
@@ -131,12 +75,23 @@ def remember_operators() -> None:
     BaseFunction.get_call_type = get_call_type
 
 
+def remember_sizes() -> None:
+    """Let Numba ask LLVM once for the size of a type; it asks again for each variable: a twentieth of the time."""
+    measure, known = BaseContext.get_abi_sizeof, {}
+
+    def get_abi_sizeof(context, kind):
+        if id(kind) not in known:
+            known[id(kind)] = kind, measure(context, kind)  # what is kept alive keeps its identity
+        return known[id(kind)][1]
+
+    BaseContext.get_abi_sizeof = get_abi_sizeof
+
+
 def compiled(entry: Entry):
-    """Compile an entry down to intermediate code."""
+    """Compile an entry down to intermediate code, or find it in the store."""
     kernel = getattr(importlib.import_module(f"loewner._kernels.{entry.module}"), entry.name)
-    options = {**kernel.targetoptions, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    dispatcher = CPUDispatcher(kernel.py_func, targetoptions=options, pipeline_class=_parts.PartCompiler)
-    result = dispatcher._compiler.compile(types_of(entry.arguments), None)
+    kernel.compile(types_of(entry.arguments))
+    result = kernel.overloads[types_of(entry.arguments)]
     expected = list(types_of(entry.results))
     found = result.signature.return_type
     listed = [] if found == types.none else list(found) if isinstance(found, types.BaseTuple) else [found]
@@ -258,34 +213,49 @@ def check_numba() -> None:
         raise SystemExit(f"Numba {numba.__version__}: memory is described otherwise than runtime.c expects ({found})")
 
 
-def intermediate(entries: list[Entry]) -> bytes:
-    """Intermediate code of entries: names of libraries that were handed over, and the functions that call them."""
+def write_code(entry: Entry, to: Path) -> None:
+    """Write the code of an entry: the key of its part in the store, and the text of a function that calls it."""
+    result = compiled(entry)
+    if not result.library.key:
+        raise SystemExit(_jit.unwritten())
     shims = ir.Module("shims")
-    results = []
-    for entry in entries:
-        print(entry.name, flush=True)
-        results.append(compiled(entry))
-        shim(shims, entry, results[-1])
-    return pickle.dumps(([Exchange.of_process.write(result.library) for result in results], str(shims)))
+    shim(shims, entry, result)
+    put(to, json.dumps({"key": result.library.key, "shim": str(shims)}).encode())
 
 
-def machine_code(codes: list[bytes]) -> bytes:
-    """Object code of intermediate code, position-independent, for the processor that the environment names."""
+def write_object(codes: list[Path], to: Path) -> None:
+    """Write the object code of entries, from the store if nothing has changed."""
+    codegen = cpu_target.target_context.codegen()
+    read = [json.loads(path.read_text(encoding="utf-8")) for path in codes]
+    parts = _parts.everything_called(_parts.library_of(codegen, one["key"]) for one in read)
+    keys = sorted(part.key for part in parts if isinstance(part, _parts.PartLibrary))
+    made_of = keys, [one["shim"] for one in read], codegen.magic_tuple(), Path(__file__).read_bytes(), _jit.MADE_WITH
+    key = _store.key_of(to.name, made_of, frozenset())
+    try:
+        made = _store.read(key)
+    except (OSError, _sealed.DamagedFileError):
+        made = machine_code(parts, [one["shim"] for one in read])
+        with suppress(OSError):
+            _store.write(key, made)
+    put(to, made)
+
+
+def put(to: Path, content: bytes) -> None:
+    """Write a file that is whole as soon as it is there."""
+    temporary = to.with_suffix(".part")
+    temporary.write_bytes(content)
+    temporary.replace(to)
+
+
+def machine_code(parts: list[CPUCodeLibrary], shims: list[str]) -> bytes:
+    """Object code of parts and shims, position-independent, for the processor that the environment names."""
     codegen = cpu_target.target_context.codegen()
     library = codegen.create_library("loewner")
-    read = [pickle.loads(code) for code in codes]
-    print("linking", flush=True)
-    parts = parts_of([Exchange.of_process.read(name) for names, _ in read for name in names])
-    shims = [llvm.parse_assembly(shims) for _, shims in read]
-    library._final_module = in_one([part._final_module for part in parts] + shims)
-    hide(library._final_module, "linkonce_odr")
-    print("optimising", flush=True)
-    report(1)
+    linked = _parts.in_one([_parts.linked(parts), *map(llvm.parse_assembly, shims)])
+    library._final_module = module = llvm.parse_assembly(uncounted(str(linked)))
+    hide(module, "linkonce_odr")
     # The same passes that Numba runs over what Python calls, with everything linked in.
     CPUCodeLibrary._optimize_final_module(library)
-    print("instructions", flush=True)
-    report(2)
-    module = llvm.parse_assembly(uncounted(str(library._final_module)))
     hide(module, "internal")
     for variable in module.global_variables:
         if not variable.is_declaration:
@@ -303,32 +273,6 @@ def machine_code(codes: list[bytes]) -> bytes:
 
 FUNCTION, VALUE = _fused._FUNCTION, _fused._VALUE
 NAME = re.compile(r'@(?:"([^"]*)"|([-\w.$]+))\(')
-CHUNK = 32  # modules linked at a time
-
-
-def in_one(modules: list[llvm.ModuleRef]) -> llvm.ModuleRef:
-    """Link modules in chunks, then restore the order that linking them in a line would give their functions.
-
-    Each link takes as long as all that is linked into. The order decides what LLVM inlines, and so the speed.
-    """
-    order = dict.fromkeys(one.name for module in modules for one in module.functions if not one.is_declaration)
-    while len(modules) > 1:
-        chunks = [modules[at : at + CHUNK] for at in range(0, len(modules), CHUNK)]
-        for first, *others in chunks:
-            for other in others:
-                first.link_in(other)
-        modules = [chunk[0] for chunk in chunks]
-    defined = dict[str, str]()
-
-    def taken(found: re.Match[str]) -> str:
-        name = NAME.search(found[0])
-        defined[name[1] or name[2]] = found[0]
-        return ""
-
-    rest = FUNCTION.sub(taken, str(modules[0]))
-    return llvm.parse_assembly("\n".join([rest, *(defined.pop(name) for name in order), *defined.values()]))
-
-
 COUNTED = re.compile(r'  (?:tail )?call void @NRT_(?:inc|dec)ref\(ptr (%(?:[-\w.$]+|"[^"]*"))\)')
 HARMLESS = re.compile(r"  (?:%\S+ = )?(?:(?:tail )?call|icmp) ")
 
@@ -362,29 +306,50 @@ def hide(module: llvm.ModuleRef, linkage: str) -> None:
             function.add_function_attribute("nounwind")  # no exception passes; tables for unwinding are 3 % of the file
 
 
-def parts_of(libraries: list) -> list:
-    """The libraries, and all that they call, each once."""
-    found, waiting = dict.fromkeys(libraries), list(libraries)
-    while waiting:
-        for part in waiting.pop()._linking_libraries:
-            if part not in found:
-                found[part] = None
-                waiting.append(part)
-    return list(found)
+def work(folder: Path, level: str, number: int) -> None:
+    """Write what nobody has taken until all is taken: objects whose codes are there, or else codes."""
+    groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
+    objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
+    order = list(groups)
+    order.insert(0, order.pop(number % len(order)))
+    step = -1 if number % 2 else 1
+    codes = {folder / f"{name}.code": name for group in order for name in groups[group][::step]}
+    parent = os.getppid()
+    while (objects or codes) and os.getppid() == parent:  # which ends what it began, unless it is killed
+        ready = [to for to, needed in objects.items() if all(map(Path.exists, needed))]
+        if ready:
+            needed = objects.pop(ready[0])
+            if is_mine(ready[0]):
+                print(ready[0].stem, flush=True)
+                write_object(needed, ready[0])
+        elif codes:
+            to = next(iter(codes))
+            name = codes.pop(to)
+            if is_mine(to):
+                print(name, flush=True)
+                write_code(ENTRIES[name], to)
+        else:
+            time.sleep(0.05)
 
 
-def main(what: str, to: Path, number: int, arguments: list[str]) -> None:
-    """Write intermediate code, or machine code, to a file; `number` differs between processes that share a cache."""
-    FunctionIdentity._unique_ids = itertools.count(1 + number * 1_000_000)
-    Exchange.of_process = Exchange(_jit.CACHE_FOLDER / "libraries", number)
-    _parts.PartCompiler.library_class = _OwnLibrary
+def is_mine(to: Path) -> bool:
+    """Take a file that nobody has taken."""
+    try:
+        to.with_suffix(".taken").touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
+
+
+def main(folder: Path, level: str, number: int) -> None:
+    """Do a share of the work, and print the keys of the functions that are done."""
+    _parts.PartLibrary.listener = lambda key: print(key, flush=True)
+    rtsys.initialize(cpu_target.target_context)
     remember_operators()
+    remember_sizes()
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
-    if what == "code":
-        to.write_bytes(intermediate([ENTRIES[name] for name in arguments]))
-    else:
-        to.write_bytes(machine_code([Path(name).read_bytes() for name in arguments]))
+    work(folder, level, number)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), sys.argv[4:]) if sys.argv[1:] else check_numba()
+    main(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])) if sys.argv[1:] else check_numba()

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numba
 import pytest
-from numba.core.registry import cpu_target
 
 import answers
 import other_machines
 from loewner._kernels import _fused
+from loewner._kernels._numba import cpu_target
+from loewner._native import library
+from native_files import module
 
+LEVELS = module("build").LEVELS["x86_64"]
 _, CPU, FEATURES = cpu_target.target_context.codegen().magic_tuple()
 
 # Checks of bounds divide a function's blocks, and so leave more products apart; the table is of x86-64.
@@ -54,6 +57,18 @@ def test_the_table_has_a_line_for_each_question():
 def test_other_processors_answer_the_same(machine: str):
     """With the routines of NumPy and OpenBLAS, and the kernels, of other processors."""
     assert printed(other_machines.machines()[machine]) == expected()
+
+
+@pytest.mark.verify
+@pytest.mark.skipif(library.level() is None, reason="no native library here")
+@pytest.mark.parametrize(("count", "order"), [(1, 1), (1, -1), (4, 1), (4, -1)])
+def test_a_library_that_is_linked_otherwise_answers_the_same(count: int, order: int, tmp_path: Path):
+    """In one object file or in four whose functions have other neighbours, forwards and backwards."""
+    script = Path(answers.__file__).with_name("linked_otherwise.py")
+    level = {"NUMBA_CPU_NAME": library.level(), "NUMBA_CPU_FEATURES": LEVELS[library.level()]}
+    command = [sys.executable, "-W", "ignore", str(script), str(tmp_path), str(count), str(order)]
+    done = subprocess.run(command, env={**os.environ, **level}, stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout.splitlines() == expected()
 
 
 @pytest.mark.verify

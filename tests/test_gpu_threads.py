@@ -20,7 +20,7 @@ from checker_oracle import random_scene, robot_of, simple_bodies
 from families import FAMILIES, pieces, random_poses
 from gpu_stand_in import StandIn, put_in
 from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
-from loewner._kernels import _jit, _sealed, columns
+from loewner._kernels import _sealed, _store, columns
 from loewner._kernels._sources import source_hash
 from loewner._kernels.simd import scalars, trig
 from loewner._kernels.threads import configurations as threads_of_configurations
@@ -427,7 +427,7 @@ def test_ptx_is_the_same_when_it_is_made_again():
 def test_ptx_is_kept_and_made_anew_when_damaged(monkeypatch, tmp_path):
     """Where none was built, it is kept in a sealed file; one that is damaged is not used."""
     monkeypatch.setattr(library, "shipped", lambda name: None)
-    monkeypatch.setattr(_jit, "CACHE_FOLDER", tmp_path)
+    monkeypatch.setattr(_store, "FOLDER", tmp_path)
     monkeypatch.setattr(_ptx, "compiled", lambda: b"made")
     _ptx.text.cache_clear()
     assert _ptx.text() == b"made"

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import tracemalloc
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 import loewner
+from loewner._kernels import _parts, _store
 from loewner._native import entries, library
 from loewner.errors import InputError, MissingExtraError
 from loewner.robots import edges
@@ -85,38 +87,6 @@ def test_references_to_arguments_are_counted_only_where_they_are_handed_on(emit)
     assert emit.uncounted(text) == "\n".join([*before, *kept, *after])
 
 
-def test_processes_of_a_build_hand_over_each_library_once_with_all_that_it_calls(emit, tmp_path):
-    """Two copies of a function would be defined twice, and one that is missing could not be linked."""
-    from llvmlite import ir
-    from numba.core.registry import cpu_target
-
-    def library_of(name, *called):
-        module = ir.Module(name)
-        function = ir.Function(module, ir.FunctionType(ir.VoidType(), []), name)
-        builder = ir.IRBuilder(function.append_basic_block())
-        for other in called:
-            builder.call(ir.Function(module, function.function_type, other.name), [])
-        builder.ret_void()
-        made = emit._OwnLibrary(cpu_target.target_context.codegen(), name)
-        made.add_ir_module(module)
-        for other in called:
-            made.add_linking_library(other)
-        made.finalize()
-        return made
-
-    one, other = emit.Exchange(tmp_path, 0), emit.Exchange(tmp_path, 1)
-    least = library_of("least")
-    names = [one.write(library_of(name, least)) for name in ("left", "right")]
-    left, right = (other.read(name) for name in names)
-    assert left._linking_libraries == right._linking_libraries == [other.read(one.write(least))]
-    assert [part.name for part in emit.parts_of([left, right])].count("least") == 1
-    assert left is other.read(names[0])
-    assert len(list(tmp_path.iterdir())) == 3
-    text = str(left._final_module)
-    assert "define void @left" in text
-    assert "declare void @least" in text
-
-
 def test_every_entry_has_the_signature_that_the_table_says(emit):
     """Names are kernels of the modules named, with as many arguments as the table lists."""
     from importlib import import_module
@@ -166,38 +136,78 @@ def test_the_extension_is_for_all_pythons():
 # -- how processes share the work of a build -------------------------------------------------------
 
 
-def test_a_build_waits_for_what_is_needed_and_prints_what_it_does(tmp_path, capsys, monkeypatch):
-    """A step starts when the files that it needs are whole; a line tells each step that begins, and what is left."""
+def test_a_build_hands_out_what_is_done_and_prints_what_it_does(tmp_path, capsys, monkeypatch):
+    """Objects are handed out as they appear; what is being compiled is printed, and so is why it cannot be."""
     build = module("build")
-    monkeypatch.setattr(build.time, "perf_counter", lambda: 0.0)
-    monkeypatch.setattr(build, "processors", lambda: 2)
-    code = "import sys, pathlib as p; p.Path(sys.argv[1]).write_text(''.join(map(open_text, sys.argv[2:])) + 'x')"
-    code = f"open_text = lambda path: open(path).read(); {code}"
-    first, second, last = (tmp_path / name for name in ("first", "second", "last"))
-
-    def step(to, *needed):
-        return build.Command(f"file {to.name}", ["-c", code, str(to), *map(str, needed)], {}, to, needed)
-
-    build.run_all([step(last, first, second), step(first), step(second, first)], slowness=20.0)
-    assert last.read_text() == "xxxx"
-    told = capsys.readouterr().err.splitlines()
-    assert told[0] == "native library:    0 s, about 30 s left: file first ...", "three steps of a second, on two cores"
-    assert [line.rpartition(": ")[2] for line in told] == ["file first ...", "file second ...", "file last ..."]
-    with pytest.raises(build.BuildError, match=r"file last: .*\n(.*\n)*.*missing"):
-        build.run_all([step(last, tmp_path / "missing")._replace(needed=())])
+    monkeypatch.setattr(build, "EVERY", 0.0)
+    objects = [tmp_path / f"level-{name}.o" for name in ("one", "two")]
+    code = "import pathlib, sys, time; print('one', flush=True); pathlib.Path(sys.argv[1]).touch(); time.sleep(0.5)"
+    workers = [build.Command("work", ["-c", code, str(path)], {}, tmp_path / path.stem) for path in objects]
+    handed = []
+    build.build_all(workers, objects, handed.append)
+    assert handed[-1] == objects
+    assert [len(made) for made in handed] in ([2], [1, 2])
+    said = capsys.readouterr().err
+    assert re.search(r"native library: +\d+ s, about \d+ s left: one", said)
+    broken = build.Command("kernels for a level", ["-c", "raise SystemExit('of no use')"], {}, tmp_path / "broken")
+    with pytest.raises(build.BuildError, match="kernels for a level: this could not be compiled:\nof no use"):
+        build.build_all([broken], [])
 
 
-def test_progress_of_a_step_is_what_it_printed(tmp_path):
-    """Numbers count what is done, words tell what is next; a step that has not ended is never whole."""
-    step = module("build").Command("code", [], {}, tmp_path / "code", steps=4)
-    assert step.progress() == (0.0, "")
-    for text, share, name in (("one\n", 0.0, "one"), ("one\n1\n2\ntwo\n", 0.5, "two"), ("two\n9\n", 0.99, "two")):
-        (tmp_path / "code.told").write_text(text)
-        assert step.progress() == (share, name)
+def test_every_kernel_is_in_one_group():
+    """A kernel in none would be missing, one in two would be defined twice."""
+    build = module("build")
+    for names in (list(build.GROUPS), ["all"]):
+        groups = build.grouped(names)
+        assert list(groups) == names
+        assert sorted(name for group in groups.values() for name in group) == sorted(entries.ENTRIES)
+        assert all(groups.values())
 
 
-def test_modules_linked_in_chunks_are_those_linked_in_a_line(emit, monkeypatch):
-    """The order of functions decides what LLVM inlines; a declaration of an earlier module does not change it."""
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
+    """Each file is made once, objects after the code of their entries, whichever process comes when."""
+    groups = {"first": ["one", "two"], "second": ["three"]}
+    (tmp_path / "groups.json").write_text(json.dumps(groups))
+    made = []
+
+    def write(to, *needed):
+        assert all(path.exists() for path in needed)
+        made.append(to.name)
+        to.touch()
+
+    monkeypatch.setattr(emit, "ENTRIES", {name: name for group in groups.values() for name in group})
+    monkeypatch.setattr(emit, "write_code", lambda entry, to: write(to))
+    monkeypatch.setattr(emit, "write_object", lambda codes, to: write(to, *codes))
+    assert emit.is_mine(tmp_path / "one.code")  # by another process, which writes it now
+    (tmp_path / "one.code").touch()
+    emit.work(tmp_path, "x86-64-v3", number)
+    assert sorted(made) == ["three.code", "two.code", "x86-64-v3-first.o", "x86-64-v3-second.o"]
+    assert made[0] == ("three.code" if number == 1 else "two.code")
+    emit.work(tmp_path, "x86-64-v3", number)
+    assert len(made) == 4
+
+
+def test_objects_are_made_once(emit, tmp_path, monkeypatch):
+    """From the store, unless a part or a shim has changed."""
+    monkeypatch.setattr(_store, "FOLDER", tmp_path / "store")
+    code, to = tmp_path / "part_vertices.code", tmp_path / "object.o"
+    emit.write_code(entries.ENTRIES["part_vertices"], code)
+    emit.write_object([code], to)
+    made = to.read_bytes()
+    assert b"loewner_part_vertices" in made
+    to.unlink()
+    monkeypatch.setattr(emit, "machine_code", lambda parts, shims: b"made anew")
+    emit.write_object([code], to)
+    assert to.read_bytes() == made
+    changed = json.loads(code.read_text())
+    code.write_text(json.dumps(changed | {"shim": changed["shim"] + "\n; another"}))
+    emit.write_object([code], to)
+    assert to.read_bytes() == b"made anew"
+
+
+def test_modules_linked_in_chunks_are_those_linked_in_a_line(monkeypatch):
+    """No function is lost or defined twice, however many are linked at a time."""
     import llvmlite.binding as llvm
 
     def modules():
@@ -212,9 +222,9 @@ def test_modules_linked_in_chunks_are_those_linked_in_a_line(emit, monkeypatch):
     for other in others:
         first.link_in(other)
     for size in (1000, 32, 3):
-        monkeypatch.setattr(emit, "CHUNK", size)
-        linked = emit.in_one(list(modules()))
-        assert [one.name for one in linked.functions] == [one.name for one in first.functions]
+        monkeypatch.setattr(_parts, "CHUNK", size)
+        linked = _parts.in_one(list(modules()))
+        assert sorted(one.name for one in linked.functions) == sorted(one.name for one in first.functions)
         assert str(linked).count("define") == str(first).count("define") == 100
 
 
@@ -253,6 +263,88 @@ def test_a_damaged_library_is_built_anew(copied):
     assert not build.is_built([level], copied)
     path.unlink()
     assert not build.is_built([level], copied)
+
+
+@pytest.fixture
+def growing(copied):
+    """Functions that begin and end a build in the folder of `copied`, and list the entries that are there."""
+    fcntl = pytest.importorskip("fcntl")
+    whole = json.loads((copied / library.LIST).read_text())
+    (best,) = (path for path in copied.glob(f"kernels-{library.level()}.so"))
+    library._opened.cache_clear()
+    lock = (copied / library.LOCK).open("wb")
+
+    def listed(names: list[str] | None) -> None:
+        """List some kernels under a name of their own, or all."""
+        if names is None:
+            (copied / library.LIST).write_text(json.dumps(whole))
+            return
+        early = best.with_name(f"{best.stem}-{len(names)}.so")
+        shutil.copy(best, early)
+        files = {library.CALL: whole["files"][library.CALL], early.name: whole["files"][best.name]}
+        text = json.dumps({key: whole[key] for key in ("sources", "numba")} | {"files": files, "entries": names})
+        (copied / "list").write_text(text)
+        os.replace(copied / "list", copied / library.LIST)
+
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    (copied / library.LIST).unlink()
+    yield listed, lock.close
+    lock.close()
+
+
+@needs_library
+def test_a_library_that_is_being_built_is_waited_for(growing, capsys, monkeypatch):
+    """First for any kernel, then for the one that is needed; it is said once each time."""
+    listed, end = growing
+    monkeypatch.setattr(library, "POLL", 0.01)
+    monkeypatch.delenv("LOEWNER_QUIET", raising=False)
+    first, second, third = (entries.ENTRIES[name] for name in ("first_fault", "workspace_size", "motion_memory"))
+    assert library.is_being_built()
+    later = threading.Timer(0.2, listed, [["first_fault"]])
+    later.start()
+    assert library.kernel(first) is not None
+    assert library.level() is not None
+    assert library.is_missing(second)
+    assert capsys.readouterr().err == "loewner: waiting for the native library, which is being built ...\n"
+    later = threading.Timer(0.2, listed, [["first_fault", "workspace_size"]])
+    later.start()
+    assert library.kernel(second)() > 0
+    assert capsys.readouterr().err.count("waiting") == 1
+    later = threading.Timer(0.2, lambda: (listed(None), end()))
+    later.start()
+    assert library.kernel(third) is not None
+    assert not library.is_missing(third)
+    assert not library.is_being_built()
+    later.join()
+
+
+@needs_library
+def test_a_build_that_ends_early_leaves_the_rest_to_numba(growing):
+    """What was handed out stays in use; a kernel that was not is compiled elsewhere."""
+    listed, end = growing
+    listed(["first_fault"])
+    assert library.kernel(entries.ENTRIES["first_fault"]) is not None
+    end()
+    assert library.kernel(entries.ENTRIES["workspace_size"]) is None
+    assert library.kernel(entries.ENTRIES["first_fault"]) is not None
+
+
+@needs_library
+def test_a_build_that_fails_before_all_leaves_everything_to_numba(growing):
+    _, end = growing
+    threading.Timer(0.2, end).start()
+    assert library.level() is None
+    assert library.why_not() == "it was not built"
+
+
+@needs_library
+def test_the_library_has_not_grown():
+    """Neither its functions nor its size by more than a tenth, unless a line in `native/growth.txt` says why."""
+    built = json.loads((library.HOME / library.LIST).read_text())
+    count, level, size, _ = (NATIVE / "growth.txt").read_text().splitlines()[-1].split(maxsplit=3)
+    assert built["functions"] <= 1.1 * int(count)
+    if library.level() == level:
+        assert (library.HOME / f"kernels-{level}.so").stat().st_size <= 1.1 * int(size)
 
 
 @needs_library

@@ -71,19 +71,21 @@ def text() -> bytes:
 def _kept() -> Path | None:
     """Path of the cached PTX; None if the sources cannot be read, since its origin would then be unknown.
 
-    The folder is named by the kernels' sources and Numba's version, the file by its other inputs.
+    The file is named by the sources, and by the versions of the compilers.
     """
     import hashlib
 
     import llvmlite
+    import numba
 
-    from loewner._kernels._jit import CACHE_FOLDER
+    from loewner._kernels import _store
 
     try:
-        made_by = hashlib.sha256(Path(__file__).read_bytes() + llvmlite.__version__.encode()).hexdigest()[:16]
+        made_of = Path(__file__).read_bytes(), llvmlite.__version__, numba.__version__, source_hash()
     except OSError:
         return None
-    return CACHE_FOLDER / f"threads-{made_by}.ptx" if source_hash() else None
+    made_by = hashlib.sha256(repr(made_of).encode()).hexdigest()[:16]
+    return _store.FOLDER / f"threads-{made_by}.ptx" if source_hash() else None
 
 
 def _keep(path: Path, made: bytes) -> None:
@@ -123,7 +125,9 @@ def _target(module: Any, machine: Any) -> None:
 def _kernel(function: Any, machine: Any) -> Any:
     """Module of one kernel: Numba's intermediate code of a function, and a caller that passes the thread's number."""
     import llvmlite.binding as llvm
-    from numba.core import types
+    from numba import types
+
+    from loewner._kernels import _parts
 
     # The first argument is the thread's number.
     count = function.py_func.__code__.co_argcount
@@ -131,7 +135,7 @@ def _kernel(function: Any, machine: Any) -> Any:
     function.compile(kinds)
     found = function.overloads[kinds]
     inner = found.fndesc.llvm_func_name
-    module = llvm.parse_bitcode(found.library._final_module.as_bitcode())
+    module = _parts.linked([found.library])
     _target(module, machine)
     module.link_in(llvm.parse_assembly(_caller(function.py_func.__name__, inner, count, machine)))
     # Functions made by several processes may share a name, so only the kernel is visible from outside.

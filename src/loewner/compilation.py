@@ -68,9 +68,9 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     if library.level() is not None:
         return library.HOME
     entries.expect_numba()
-    from loewner._kernels._jit import CACHE_FOLDER
+    from loewner._kernels import _store
 
-    _expect_writable(CACHE_FOLDER)
+    _expect_writable(_store.FOLDER)
     waiting, running, ended = [names for names in chosen if names], list[_Group](), 0
     total, told = sum(map(len, chosen)), 0
     folder = tempfile.TemporaryDirectory()
@@ -94,7 +94,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
             group.process.kill()
             group.process.wait()
         folder.cleanup()
-    return CACHE_FOLDER
+    return _store.FOLDER
 
 
 def _expect_writable(folder: Path) -> None:

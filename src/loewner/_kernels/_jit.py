@@ -1,33 +1,31 @@
-"""Compile kernels, and cache the compiled code on disk.
-
-Numba's own cache notices a change only in the file of the function itself, not in functions called from other files,
-and it trusts any file. Stale or damaged collision code is dangerous, so this module has its own cache: the folder's
-name contains a hash of all source files of this package, so any edit starts from an empty folder, and each entry is a
-sealed file (`_sealed`) that is replaced when it is damaged.
-
-The folder is ``$LOEWNER_CACHE_DIR`` if set, otherwise the platform's cache folder of the user.
-"""
+"""Compile kernels, and keep the compiled code in the store."""
 
 import hashlib
 import os
 import pickle
 import platform
-import re
 import sys
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
+from contextlib import AbstractContextManager, nullcontext, suppress
+from types import CodeType
 from typing import Any
 
+import llvmlite
 import numba
+import numpy as np
 from numba import types
-from numba.core import event
-from numba.core.caching import NullCache
-from numba.core.registry import CPUDispatcher
-from numba.core.serialize import dumps
 from numba.extending import intrinsic
 
-from loewner._kernels import _parts, _sealed, _sources
+from loewner._kernels import _fused, _parts, _sealed, _store
+from loewner._kernels._numba import (
+    CompileResult,
+    CPUDispatcher,
+    NullCache,
+    dumps,
+    event,
+    global_compiler_lock,
+    normalize_signature,
+)
 
 _config: Any = numba.config  # its settings are made at run time and have no types
 
@@ -39,13 +37,11 @@ if _config.DISABLE_JIT:
 FASTMATH = {"contract"}
 
 
-def _version() -> str:
-    """Hash of the kernel sources and of everything else that determines the compiled code."""
-    made_with = numba.__version__, platform.python_version(), platform.machine(), _config.BOUNDSCHECK, _config.OPT
-    return hashlib.sha256(repr((made_with, _sources.source_hash())).encode()).hexdigest()[:16]
-
-
-CACHE_FOLDER = _sources.cache_folder() / f"kernels-{_version()}"
+# Everything but sources, types and processors that determines compiled code.
+MADE_WITH = (
+    numba.__version__, llvmlite.__version__, np.__version__, platform.python_version(), platform.machine(),
+    _config.BOUNDSCHECK, str(_config.OPT),
+)  # fmt: skip
 
 _said: set[str] = set()
 
@@ -75,18 +71,42 @@ event.register("numba:compile", _Announcer())
 def _identity(value: Any) -> Any:
     """Identity of a function among those made by the same factory: its code and its closure.
 
-    All its other dependencies are in the sources, whose hash names the folder. Neither contains paths, so a copy of the
-    package elsewhere finds the same entries.
+    All its other dependencies are in the sources. Neither contains paths, so a copy of the package elsewhere finds the
+    same files.
     """
     function = getattr(value, "py_func", value)
     if not callable(function) or isinstance(function, type) or not hasattr(function, "__code__"):
         return repr(value)
     cells = tuple(_identity(cell.cell_contents) for cell in function.__closure__ or ())
-    return function.__module__, function.__qualname__, function.__code__.co_code.hex(), cells
+    return function.__module__, function.__qualname__, _code(function.__code__), cells
 
 
-class _KernelCache(NullCache):
-    """Compiled code of one kernel on disk: one sealed file for each signature and processor.
+def _code(code: CodeType) -> tuple[Any, ...]:
+    """Instructions and constants of a function, and of the functions defined in it."""
+    inner = tuple(_code(one) if isinstance(one, CodeType) else repr(one) for one in code.co_consts)
+    return code.co_code.hex(), inner
+
+
+def _modules(value: Any) -> set[str]:
+    """Modules of a function, and of the functions in its closure."""
+    function = getattr(value, "py_func", value)
+    if not hasattr(function, "__code__"):
+        return set()
+    return {function.__module__}.union(*(_modules(cell.cell_contents) for cell in function.__closure__ or ()))
+
+
+def _modules_of_type(kind: Any) -> set[str]:
+    """Modules that define a type, where they are not Numba's."""
+    if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
+        named = {kind.instance_class.__module__}
+    else:
+        named = {type(kind).__module__}
+    inner: Any = getattr(kind, "types", ()) if isinstance(kind, types.BaseTuple) else ()
+    return {name for name in named.union(*map(_modules_of_type, inner)) if not name.startswith("numba.")}
+
+
+class _Cache(NullCache):
+    """Compiled code of one kernel in the store: one file for each signature, as a part or as an entry.
 
     Faults of the disk are not errors here: code that cannot be read is compiled, and code that cannot be written stays
     in memory.
@@ -99,54 +119,79 @@ class _KernelCache(NullCache):
 
     @property
     def cache_path(self) -> str:
-        return str(CACHE_FOLDER)
+        return str(_store.FOLDER)
 
-    def _path(self, signature: Any, codegen: Any) -> Path:
-        """Name of an entry: the kernel, and a hash of the other dependencies of its code."""
-        key = hashlib.sha256(repr((self._form, signature, codegen.magic_tuple(), _identity(self._kernel))).encode())
+    def _behind(self, signature: Any) -> frozenset[str]:
+        """Kernel modules on whose sources the code may depend."""
+        modules = _modules(self._kernel).union(*map(_modules_of_type, signature))
+        return frozenset().union(*map(_store.modules_behind, modules))
+
+    def _key(self, signature: Any, codegen: Any) -> str:
+        """Name of a file: the kernel, and a hash of everything of which its code is made."""
+        triple, cpu, features = codegen.magic_tuple()
+        # Parts are the same for all processors that fuse products.
+        target = (triple, _fused.can_fuse(cpu, features)) if self._form == "part" else (triple, cpu, features)
+        made_of = MADE_WITH, self._form, repr(signature), target, _identity(self._kernel)
         module = self._kernel.__module__.removeprefix("loewner._kernels.")
-        name = re.sub(r"[^A-Za-z0-9_.]", "", f"{module}.{self._kernel.__qualname__}")
-        return CACHE_FOLDER / f"{name}-{key.hexdigest()[:24]}.kernel"
+        return _store.key_of(f"{module}.{self._kernel.__qualname__}", made_of, self._behind(signature))
+
+    def claimed(self, signature: Any, codegen: Any) -> AbstractContextManager[None]:
+        """Compile code for a signature in one process at a time."""
+        return _store.claimed(self._key(signature, codegen)) if _store.is_usable() else nullcontext()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        target_context.refresh()
-        if not _sources.source_hash():
+        if not _store.is_usable():
             return None
-        path = self._path(sig, target_context.codegen())
+        key = self._key(sig, target_context.codegen())
         try:
-            name, *parts = pickle.loads(_sealed.read(path))
-            if name != path.name:
-                raise _sealed.DamagedFileError(path)
-            return _parts.restored(target_context, *parts)
+            name, *content = pickle.loads(_store.read(key))
+            if name != key:
+                raise _sealed.DamagedFileError(_store.path_of(key))
+            target_context.refresh()
+            restored = CompileResult._rebuild if self._form == "entry" else _parts.restored
+            return restored(target_context, *([key] if self._form == "part" else []), *content)
         except FileNotFoundError:
             return None
         except OSError as error:
             why = f"cannot be read ({error.strerror or error})"
-        except _sealed.DamagedFileError:
-            why = "is damaged"
+        except _sealed.DamagedFileError as error:
+            key, why = error.args[0].stem, "is damaged"
         except Exception as error:  # sealed, but unusable
             why = f"is not understood ({type(error).__name__})"
-        _say(f"{path} {why}; compiling it anew")
+        _say(f"{_store.path_of(key)} {why}; compiling it anew")
         with suppress(OSError):
-            path.unlink()
+            _store.path_of(key).unlink()
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if data.lifted or data.library.has_dynamic_globals or not _sources.source_hash():
+        if data.lifted or data.library.has_dynamic_globals or not _store.is_usable():
             return  # it contains addresses of this process, or its origin is unknown
+        key = self._key(sig, data.codegen)
+        if self._form == "part":
+            self._expect_imported(data.library, self._behind(sig))
+            if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):
+                return  # it calls parts that could not be written
         try:
-            CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
-            path = self._path(sig, data.codegen)
-            _sealed.write(path, dumps((path.name, *data._reduce())))
+            _store.write(key, dumps((key, *data._reduce())))
         except OSError as error:
-            _KernelCache.failure = error
-            _say(f"{CACHE_FOLDER} cannot be written ({error.strerror or error}); compiled kernels stay in memory")
+            _Cache.failure = error
+            _say(f"{_store.FOLDER} cannot be written ({error.strerror or error}); compiled kernels stay in memory")
+        else:
+            if self._form == "part":
+                _parts.keep(key, data.library)
+
+    def _expect_imported(self, library: Any, behind: frozenset[str]) -> None:
+        """Refuse a call of a kernel whose sources are not in the key: its edits would go unnoticed."""
+        for part in library.called:
+            home = getattr(part, "home", "").removeprefix("loewner._kernels.").replace(".", "/")
+            if home in _store.modules_behind("") and home not in behind:
+                raise ImportError(f"{self._kernel.__module__} calls a kernel of {home}, which it does not import")
 
 
 def unwritten() -> str | None:
     """The reason why compiled code could not be written to disk, if that happened in this process."""
-    error = _KernelCache.failure
-    return None if error is None else f"{CACHE_FOLDER} cannot be written ({error.strerror or error})"
+    error = _Cache.failure
+    return None if error is None else f"{_store.FOLDER} cannot be written ({error.strerror or error})"
 
 
 def _any_integer(kind: Any) -> Any:
@@ -154,7 +199,24 @@ def _any_integer(kind: Any) -> Any:
     return types.unliteral(kind) if isinstance(kind, types.IntegerLiteral) else kind
 
 
-class _Kernel(CPUDispatcher):
+class _Stored(CPUDispatcher):
+    """A function whose code is in the store; no two processes compile it at the same time."""
+
+    _cache: _Cache
+    targetctx: Any
+    overloads: Any
+
+    def compile(self, sig: Any) -> Any:
+        """Compile the function for a signature, or find the code."""
+        arguments, _ = normalize_signature(sig)
+        if tuple(arguments) in self.overloads:
+            return self.overloads[tuple(arguments)].entry_point
+        # In this order: a thread that held a claim and waited for the lock would block the one that has it.
+        with global_compiler_lock, self._cache.claimed(arguments, self.targetctx.codegen()):
+            return super().compile(sig)
+
+
+class _Kernel(_Stored):
     """A compiled function in up to two forms: a part of the kernels that call it, and a function that Python calls.
 
     Numba compiles every function in both forms, although most are only called by other kernels: their wrappers, full
@@ -165,7 +227,7 @@ class _Kernel(CPUDispatcher):
         quiet = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         compiler = _parts.ApartCompiler if apart else _parts.PartCompiler
         super().__init__(function, targetoptions=options | quiet, pipeline_class=compiler)
-        self._cache = _KernelCache(function, "part")
+        self._cache = _Cache(function, "part")
         self._for_python: Any = _Callable(self, function, options | {"no_cfunc_wrapper": True})
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
@@ -188,13 +250,13 @@ class _Kernel(CPUDispatcher):
         return self._for_python._compile_for_args(*args, **kws)
 
 
-class _Callable(CPUDispatcher):
+class _Callable(_Stored):
     """The form of a kernel that Python calls, by way of the kernel."""
 
     def __init__(self, kernel: _Kernel, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=options, pipeline_class=_parts.CallableCompiler)
         self._kernel = kernel
-        self._cache = _KernelCache(function, "entry")
+        self._cache = _Cache(function, "entry")
 
     def add_overload(self, cres: Any) -> None:
         """Register the code with the kernel; Numba calls this under a lock, once for each signature.
@@ -217,16 +279,15 @@ def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel: NumPy's error model, products fused, cached under `CACHE_FOLDER`."""
-    return lambda function: _compiled(function, **options)
+    """Compile a kernel: NumPy's error model, products fused, kept in the store.
+
+    LLVM inlines it at its own discretion. Numba would request it if the first caller happened to be an `inline` one.
+    """
+    return lambda function: _compiled(function, **{"forceinline": False, **options})
 
 
 def apart(function: Callable[..., Any]) -> Any:
-    """Compile a large kernel that has several callers and should not be copied into them.
-
-    LLVM inlines at its own discretion, and Numba requests it for all functions that are first compiled for an `inline`
-    caller.
-    """
+    """Compile a large kernel that has several callers and should not be copied into them."""
     return _compiled(function, apart=True, forceinline=False)
 
 

@@ -2,18 +2,28 @@
 
 Numba compiles every function to independent machine code, and also copies its intermediate code into each caller, where
 it is optimised again. A part only has the intermediate code. The classes here are subclasses of Numba's own classes,
-which have no public interface; `tests/test_kernel_cache.py` tests the behaviour on which they rely.
+which have no public interface (`_numba`); `tests/test_kernel_cache.py` tests the behaviour on which they rely.
 """
 
+import pickle
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
-from llvmlite.binding import parse_bitcode
-from numba.core import typed_passes, untyped_passes
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompileResult, compile_result
-from numba.core.compiler_machinery import PassManager
+from llvmlite.binding import create_new_module_pass_manager, parse_bitcode
+from numba import types
 
-from loewner._kernels import _fused
+from loewner._kernels import _fused, _sealed, _store
+from loewner._kernels._numba import (
+    Compiler,
+    FunctionIdentity,
+    JITCodeLibrary,
+    PassManager,
+    compile_result,
+    rtsys,
+    typed_passes,
+    untyped_passes,
+)
 
 # Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before they are typed,
 # literals as types. A kernel that needed one would not compile.
@@ -42,8 +52,20 @@ class _FusedLibrary(JITCodeLibrary):
         self._final_module.link_in(_fused.fused(ll_module, _fused.can_fuse(cpu, features)))
 
 
-class _PartLibrary(_FusedLibrary):
-    """Intermediate code of a part, to which only cheap passes were applied."""
+class PartLibrary(_FusedLibrary):
+    """Intermediate code of one part alone; the parts that it calls are linked once, with everything that calls them.
+
+    Numba links a copy of all that a function calls into it, and of what these call. Only Numba's own functions are
+    copied here, and hidden, because their names differ between processes.
+    """
+
+    listener: Callable[[str], None] | None = None  # called with the key of each part that is in the store
+
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.called: list[JITCodeLibrary] = []
+        self.key = ""  # in the store; empty for a part that is only in memory
+        self.home = ""  # its module, if it was compiled in this process
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Run Numba's passes over the functions of a module; Numba also prepares them for each declaration."""
@@ -53,33 +75,124 @@ class _PartLibrary(_FusedLibrary):
                 passes, builder = self._codegen._function_pass_manager()
                 passes.run(function, builder)
 
-    def _optimize_final_module(self) -> None:
-        codegen = self._codegen
-        passes, builder = codegen._module_pass_manager(
-            loop_vectorize=codegen._loopvect, slp_vectorize=False, opt=codegen._opt_level, cost="cheap"
-        )
-        passes.run(self._final_module, builder)
+    def finalize(self) -> None:
+        """End the part: link Numba's own functions into it, and list the parts that it calls."""
+        self._raise_if_finalized()
+        own = {function.name for function in self._final_module.functions if not function.is_declaration}
+        for library in dict.fromkeys(self._linking_libraries):
+            if isinstance(library, PartLibrary) or library is rtsys.library:
+                self.called.append(library)
+            else:
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.name not in own:
+                function.linkage = "internal"
+        passes = create_new_module_pass_manager()
+        passes.add_global_dead_code_eliminate_pass()
+        passes.run(self._final_module, self._codegen._pass_builder())
+        self._final_module.verify()
+        self._end()
 
-    def _finalize_final_module(self) -> None:
+    def _end(self) -> None:
         self._finalize_dynamic_globals()
         self._finalized = True
 
-    def serialize_using_object_code(self) -> Any:
-        """Content for the disk, without object code."""
-        self._ensure_finalized()
-        return self.name, "bitcode", self._final_module.as_bitcode()
+    def _get_module_for_linking(self) -> Any:
+        """Return the part with all that it calls, for a caller that Numba compiles as usual."""
+        module = linked([self])
+        for function in module.functions:
+            if not function.is_declaration:
+                function.linkage = "linkonce_odr"
+        return module
 
-    def load(self, bitcode: bytes) -> None:
-        """Load the content from the disk."""
-        self._final_module = parse_bitcode(bitcode)
-        self._finalize_final_module()
+    def serialize_using_object_code(self) -> Any:
+        """Return the content for the store: intermediate code, and the keys of the parts that it calls."""
+        self._ensure_finalized()
+        keys = [library.key if isinstance(library, PartLibrary) else RUNTIME for library in self.called]
+        return self.name, "part", (self._final_module.as_bitcode(), keys)
 
     @classmethod
-    def restored(cls, codegen: Any, name: str, kept: Any) -> Any:
-        """Return the library that was kept on disk."""
+    def restored(cls, codegen: Any, name: str, kept: tuple[bytes, list[str]], key: str) -> "PartLibrary":
+        """Return the part that was kept under a key, and read those that it calls."""
         part = cls(codegen, name)
-        part.load(kept)
+        bitcode, keys = kept
+        part._final_module = parse_bitcode(bitcode)
+        part.called = [rtsys.library if one == RUNTIME else library_of(codegen, one) for one in keys]
+        part.key = key
+        part._end()
         return part
+
+
+RUNTIME = "Numba's run time"
+
+_read: dict[str, PartLibrary] = {}  # by key: two libraries with the same functions must not be linked
+
+
+def library_of(codegen: Any, key: str) -> PartLibrary:
+    """Return the part with a key, always the same object.
+
+    Raises
+    ------
+    OSError, DamagedFileError
+        If it is not in the store, or damaged; likewise for a part that it calls.
+    """
+    if key not in _read:
+        found, (name, _, kept), *_ = pickle.loads(_store.read(key))
+        if found != key:
+            raise _sealed.DamagedFileError(_store.path_of(key))
+        keep(key, PartLibrary.restored(codegen, name, kept, key))
+    return _read[key]
+
+
+def keep(key: str, part: PartLibrary) -> None:
+    """Remember a part under its key."""
+    part.key, _read[key] = key, part
+    if PartLibrary.listener is not None:
+        PartLibrary.listener(key)
+
+
+def everything_called(libraries: Iterable[JITCodeLibrary]) -> list[JITCodeLibrary]:
+    """Return libraries, and all that the parts among them call, each once."""
+    found, waiting = dict.fromkeys(libraries), list(libraries)
+    while waiting:
+        for library in getattr(waiting.pop(), "called", ()):
+            if library not in found:
+                found[library] = None
+                waiting.append(library)
+    return list(found)
+
+
+CHUNK = 32  # modules linked at a time: each link takes as long as all that is linked into
+
+
+def in_one(modules: list[Any]) -> Any:
+    """Link modules in chunks."""
+    while len(modules) > 1:
+        chunks = [modules[at : at + CHUNK] for at in range(0, len(modules), CHUNK)]
+        for first, *others in chunks:
+            for other in others:
+                first.link_in(other)
+        modules = [chunk[0] for chunk in chunks]
+    return modules[0]
+
+
+def linked(libraries: Iterable[JITCodeLibrary]) -> Any:
+    """Return a module with libraries and all that they call, each once."""
+    return in_one([library._final_module.clone() for library in everything_called(libraries)])
+
+
+class _CallableLibrary(_FusedLibrary):
+    """Code that Python calls: with all parts that it calls, and those that they call."""
+
+    def finalize(self) -> None:
+        """Link all parts, then optimise and compile everything as Numba does."""
+        own = {function.name for function in self._final_module.functions if not function.is_declaration}
+        self._final_module.link_in(linked(self._linking_libraries))
+        self._linking_libraries = []
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.name not in own:
+                function.linkage = "linkonce_odr"
+        super().finalize()
 
 
 def _key(library: Any, fndesc: Any, environment: Any) -> object:
@@ -88,10 +201,18 @@ def _key(library: Any, fndesc: Any, environment: Any) -> object:
     return object()
 
 
+def _address(context: Any, builder: Any, address: int, info: str) -> Any:
+    """Address of an object of this process, with which code cannot be kept on disk.
+
+    A kernel that is passed to another one is known by its type, and nothing reads its address.
+    """
+    if info == "_Kernel":
+        return context.get_constant_null(types.voidptr)
+    return type(context).add_dynamic_addr(context, builder, address, info)
+
+
 class PartCompiler(Compiler):
     """Numba's compiler, for parts."""
-
-    library_class: type[_PartLibrary] = _PartLibrary
 
     def define_pipelines(self) -> list[Any]:
         """Return Numba's pipeline without the passes that kernels do not need."""
@@ -106,9 +227,16 @@ class PartCompiler(Compiler):
     def compile_extra(self, func: Any) -> Any:
         """Compile a function with the library and key of a part."""
         context = self.state.targetctx  # a copy made for this function
-        context.get_executable = _key
-        self.state.library = self.library_class(context.codegen(), func.__qualname__)
-        return super().compile_extra(func)
+        context.get_executable, context.add_dynamic_addr = _key, partial(_address, context)
+        self.state.library = PartLibrary(context.codegen(), func.__qualname__)
+        self.state.library.home = func.__module__
+        # As in Numba, but for the name: Numba numbers functions anew in each process.
+        identity = FunctionIdentity.from_function(func)
+        identity.unique_id, identity.unique_name = 0, f"{func.__module__}.{func.__qualname__}"
+        self.state.func_id = identity
+        untyped_passes.ExtractByteCode().run_pass(self.state)
+        self.state.lifted, self.state.lifted_from = (), None
+        return self._compile_bytecode()
 
 
 class CallableCompiler(Compiler):
@@ -116,7 +244,7 @@ class CallableCompiler(Compiler):
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function with products that are fused as in parts."""
-        self.state.library = _FusedLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library = _CallableLibrary(self.state.targetctx.codegen(), func.__qualname__)
         self.state.library.enable_object_caching()
         return super().compile_extra(func)
 
@@ -132,16 +260,16 @@ class ApartCompiler(PartCompiler):
         return result
 
 
-def restored(target_context: Any, library: Any, fndesc: Any, environment: Any, signature: Any, *rest: Any) -> Any:
-    """Restore a part, or a function for Python, from the result of `CompileResult._reduce`."""
-    name, kind, code = library
-    if kind != "bitcode":
-        return CompileResult._rebuild(target_context, library, fndesc, environment, signature, *rest)
-    part = PartCompiler.library_class.restored(target_context.codegen(), name, code)
+def restored(target_context: Any, key: str, *reduced: Any) -> Any:
+    """Restore a part from the result of `CompileResult._reduce`."""
+    (name, _, kept), fndesc, environment, signature, *_ = reduced
+    codegen = target_context.codegen()
+    if key not in _read:
+        keep(key, PartLibrary.restored(codegen, name, kept, key))
     return compile_result(
         target_context=target_context,
         typing_context=target_context.typing_context,
-        library=part,
+        library=_read[key],
         fndesc=fndesc,
         environment=environment,
         entry_point=object(),

@@ -7,11 +7,11 @@ the compiler rounds like all others. NaN gives NaN.
 
 import numpy as np
 from llvmlite import ir
-from numba.core import types
-from numba.core.typing.templates import signature
+from numba import types
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels._numba import signature
 from loewner._kernels.codes import (
     ARC_COSINE,
     ARC_SINE,

@@ -3,11 +3,15 @@
 The library contains the kernels as machine code, made from the same sources by the same compiler that Numba uses on a
 user's machine (`native/`). It lies beside this file with a list of its files and sources. A library that was made from
 other sources, or was altered since, is not loaded.
+
+A build in a clone hands out what is done: until it has ended, the list names a file with some of the kernels, and what
+asks for another one waits.
 """
 
 import json
 import os
 import sys
+import time
 from functools import cache
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
@@ -19,6 +23,8 @@ from loewner.errors import InputError
 
 HOME = Path(__file__).parent
 LIST = "built.json"
+LOCK = "building"  # a file that is locked while files are built
+POLL = 0.1  # seconds between looks at a build
 EXTENSION = f"{__package__}._call"
 CALL = "_call.abi3.so"  # its file, for all Pythons; opened by its path, so the name suits every system
 
@@ -32,14 +38,28 @@ class Entry(NamedTuple):
     results: str
 
 
+_opened_list: dict[str, Any] = {}  # what was listed when the library in use was opened
+
+
 class _Refused(Exception):
     """No library can be used; the text gives the reason."""
 
 
 def kernel(entry: Entry) -> Any:
-    """Return a kernel of the library; None if there is no library."""
+    """Return a kernel of the library, as soon as it is built; None if there is none."""
     library, _ = _opened()
-    return None if library is None else library.kernel(entry.name, entry.arguments, entry.results)
+    if library is not None and is_missing(entry):
+        _awaited(entry)
+        _opened.cache_clear()
+        library, _ = _opened()
+    if library is None or is_missing(entry):
+        return None
+    return library.kernel(entry.name, entry.arguments, entry.results)
+
+
+def is_missing(entry: Entry) -> bool:
+    """Whether the library in use was opened before a kernel was built."""
+    return entry.name not in _opened_list.get("entries", [entry.name])
 
 
 def level() -> str | None:
@@ -90,20 +110,61 @@ def _opened() -> tuple[Any, str]:
         raise InputError(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
     if forced == "1":
         return None, "LOEWNER_JIT=1"
+    global _opened_list
+    while True:
+        built = None
+        try:
+            built = _awaited()
+            call = _extension(built)
+            name = _best(call.levels(), built)
+            path = _checked(_file_of(name, built), built)
+            library = call.Library(path=path, build=f"{built['sources']} {name}")
+        except (_Refused, OSError, ImportError) as error:
+            if built is None or not _has_grown(built):
+                return None, str(error)
+            continue
+        _opened_list = built
+        return library, name
+
+
+def _awaited(entry: Entry | None = None) -> dict[str, Any]:
+    """Read the list of built files; while a build runs, wait until there is one, and until it lists a kernel."""
+    told = False
+    while True:
+        is_running = is_being_built()  # asked first, so that a build that ends now is seen
+        try:
+            built = _listed()
+            if not is_running or entry is None or entry.name in built.get("entries", [entry.name]):
+                return built
+        except _Refused:
+            if not is_running:
+                raise
+        if not told and "LOEWNER_QUIET" not in os.environ:
+            print("loewner: waiting for the native library, which is being built ...", file=sys.stderr, flush=True)
+        told = True
+        time.sleep(POLL)
+
+
+def is_being_built() -> bool:
+    """Find out whether a process builds the library at the moment."""
+    if sys.platform == "win32" or not (HOME / LOCK).exists():
+        return False
+    import fcntl
+
     try:
-        built = _listed()
-        call = _extension(built)
-        name = _best(call.levels(), built)
-        path = _checked(f"kernels-{name}.so", built)
-        return call.Library(path=path, build=f"{built['sources']} {name}"), name
-    except (_Refused, OSError, ImportError) as error:
-        return None, str(error)
+        with (HOME / LOCK).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _listed() -> dict[str, Any]:
     """Read the list of built files, if they were built from the present sources."""
     try:
-        built = json.loads((HOME / LIST).read_text(encoding="utf-8"))
+        built = _read_list()
         sources, files, _ = built["sources"], built["files"], built["numba"]
         if not isinstance(files, dict):
             raise TypeError(f"files: expected an object, found {type(files).__name__}")
@@ -114,6 +175,18 @@ def _listed() -> dict[str, Any]:
     if sources != source_hash():
         raise _Refused("it was built from other sources")
     return dict(built)
+
+
+def _has_grown(built: dict[str, Any]) -> bool:
+    """Whether another list has replaced a list, and other files those that it names."""
+    try:
+        return bool(built != _read_list())
+    except (OSError, ValueError):
+        return False
+
+
+def _read_list() -> Any:
+    return json.loads((HOME / LIST).read_text(encoding="utf-8"))
 
 
 def _checked(name: str, built: dict[str, Any]) -> Path:
@@ -153,7 +226,12 @@ def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
             raise InputError(f"LOEWNER_LEVEL: expected a level that this processor runs ({runs}), found {most!r}")
         levels = levels[levels.index(most) :]
     for name in levels:
-        if f"kernels-{name}.so" in built["files"]:
+        if _file_of(name, built):
             return name
     made = sorted(file for file in built["files"] if file.startswith("kernels-"))
     raise _Refused(f"this processor runs {', '.join(levels) or 'none of its levels'}, and {', '.join(made)} was built")
+
+
+def _file_of(level: str, built: dict[str, Any]) -> str:
+    """Name of the file with the kernels for a level; while it grows, its name has a number."""
+    return next((file for file in built["files"] if file.startswith(f"kernels-{level}")), "")

@@ -13,6 +13,11 @@ from loewner._native import entries, library
 # Queries of one pair of bodies: names of this module.
 PAIRS = ("collide", "classify", "distance")
 
+# Kernels behind them, as the extension takes them; of the last two it takes the results.
+NEEDED = (
+    "settle_range", "distance_range", "measure_left", "first_fault", "workspace_size", "memory_of_distances",
+)  # fmt: skip
+
 
 def __getattr__(name: str) -> Any:
     """Look a query up at its first use, as `entries` does with kernels."""
@@ -21,11 +26,11 @@ def __getattr__(name: str) -> Any:
     call = library.extension()
     if call is None:
         made = dict.fromkeys(PAIRS, none)
+    elif any(library.is_missing(entries.ENTRIES[kernel]) for kernel in NEEDED):
+        return none  # the library is being built, and other calls need less of it
     else:
-        pairs = call.Pairs(
-            entries.settle_range, entries.distance_range, entries.measure_left, entries.first_fault,
-            entries.workspace_size(), entries.memory_of_distances(),
-        )  # fmt: skip
+        *kernels, workspace, distances = (getattr(entries, kernel) for kernel in NEEDED)
+        pairs = call.Pairs(*kernels, workspace(), distances())
         made = {query: getattr(pairs, query) for query in PAIRS}
     globals().update(made)
     return made[name]

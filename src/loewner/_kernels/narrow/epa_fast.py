@@ -12,11 +12,11 @@ van den Bergen (2001), "Proximity queries and penetration depth computation on 3
 
 import numpy as np
 from llvmlite import ir
-from numba.core import types
-from numba.core.typing.templates import signature
+from numba import types
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import apart, inline, njit
+from loewner._kernels._numba import signature
 from loewner._kernels.codes import DEPTH_FOUND, UNSETTLED
 from loewner._kernels.columns import POINTS_FROM, POINTS_TO
 from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled

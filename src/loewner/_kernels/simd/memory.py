@@ -16,12 +16,10 @@ from typing import Any, NamedTuple
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import signature
 from numba.extending import intrinsic
-from numba.np.arrayobj import populate_array
 
 from loewner._kernels._jit import inline
+from loewner._kernels._numba import cgutils, populate_array, signature
 from loewner._kernels.columns import CACHE_LINE
 from loewner._kernels.records import ENTRIES
 

@@ -5,10 +5,10 @@ Memory is given by an address and the index of an entry: an array of Numba would
 """
 
 from llvmlite import ir
-from numba.core import types
-from numba.core.typing.templates import signature
+from numba import types
 from numba.extending import intrinsic
 
+from loewner._kernels._numba import signature
 from loewner._kernels.simd.vectors import scalar
 
 _WORD, _HALF, _BYTE = ir.IntType(64), ir.IntType(32), ir.IntType(8)

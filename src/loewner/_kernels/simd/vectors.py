@@ -14,11 +14,11 @@ As everywhere in this package, contraction is the only freedom given to the comp
 import operator
 
 from llvmlite import ir
-from numba.core import cgutils, errors, types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba import types
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from loewner._kernels._jit import inline
+from loewner._kernels._numba import AbstractTemplate, cgutils, errors, infer_global, signature
 from loewner._kernels.columns import CACHE_LINE
 
 LANES, SINGLE_LANES = 8, 16
@@ -27,7 +27,7 @@ ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that i
 _CONTRACT = ("contract",)
 
 
-class _Lanes(types.Type):
+class Lanes(types.Type):
     """Numba type of several values in a register; for LLVM a single one is not a vector."""
 
     def __init__(self, name, entry, count):
@@ -36,20 +36,20 @@ class _Lanes(types.Type):
         self.llvm = ir.VectorType(entry, count) if count > 1 else entry
 
 
-vector = _Lanes("Vector8", ir.DoubleType(), LANES)
-single = _Lanes("Single16", ir.FloatType(), SINGLE_LANES)
-mask = _Lanes("Mask8", ir.IntType(1), LANES)
-single_mask = _Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
-eight_singles = _Lanes("Single8", ir.FloatType(), LANES)
-scalar = _Lanes("Single1", ir.FloatType(), 1)
-scalar_mask = _Lanes("Mask1", ir.IntType(1), 1)
-numbers = _Lanes("Numbers8", ir.IntType(64), LANES)
+vector = Lanes("Vector8", ir.DoubleType(), LANES)
+single = Lanes("Single16", ir.FloatType(), SINGLE_LANES)
+mask = Lanes("Mask8", ir.IntType(1), LANES)
+single_mask = Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
+eight_singles = Lanes("Single8", ir.FloatType(), LANES)
+scalar = Lanes("Single1", ir.FloatType(), 1)
+scalar_mask = Lanes("Mask1", ir.IntType(1), 1)
+numbers = Lanes("Numbers8", ir.IntType(64), LANES)
 
 _MASK_OF = {vector: mask, eight_singles: mask, single: single_mask, scalar: scalar_mask}
 _VECTORS, _MASKS = tuple(_MASK_OF), tuple(dict.fromkeys(_MASK_OF.values()))
 
 
-@register_model(_Lanes)
+@register_model(Lanes)
 class _Model(models.PrimitiveModel):
     def __init__(self, manager, fe_type):
         super().__init__(manager, fe_type, fe_type.llvm)

@@ -1,0 +1,29 @@
+"""What kernels and their build use of Numba beyond its documented interface: imported here, and nowhere else.
+
+A new Numba may rename any of these, or give it other parameters. `tests/test_numba.py` lists them with what each is
+for, and fails with the name of the one that has changed.
+"""
+
+from numba.core import cgutils, errors, event, typed_passes, untyped_passes
+from numba.core.base import BaseContext
+from numba.core.bytecode import FunctionIdentity
+from numba.core.caching import NullCache
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult, compile_result
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import PassManager
+from numba.core.datamodel.registry import default_manager
+from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
+from numba.core.types.functions import BaseFunction
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.np.arrayobj import populate_array
+
+__all__ = [
+    "AbstractTemplate", "BaseContext", "BaseFunction", "CPUCodeLibrary", "CPUDispatcher", "CompileResult", "Compiler",
+    "FunctionIdentity", "JITCodeLibrary", "NullCache", "PassManager", "cgutils", "compile_result", "cpu_target",
+    "default_manager", "dumps", "errors", "event", "global_compiler_lock", "infer_global", "normalize_signature",
+    "populate_array", "rtsys", "signature", "typed_passes", "untyped_passes",
+]  # fmt: skip

@@ -1,0 +1,131 @@
+"""Compiled code on disk: one sealed file for each function, under a key of everything that it is made of.
+
+Numba's own cache notices a change only in the file of the function itself, not in functions called from other files,
+and it trusts any file. Stale or damaged collision code is dangerous. Here, a key contains the sources of the function's
+module and of all modules that it imports: code survives edits of other files, and an edit of any file on which it may
+depend gives it another key. A damaged file is replaced.
+
+The folder is in ``$LOEWNER_CACHE_DIR`` if set, otherwise in the platform's cache folder of the user. It is shared by
+the native library's build, and by Numba on machines without the library.
+"""
+
+import hashlib
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from loewner._kernels import _sealed, _sources
+
+FOLDER = _sources.cache_folder() / "kernels"
+
+# The operations of vectors are chosen by types, without an import where they are used.
+ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
+
+_IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
+_PREFIX = "loewner._kernels"
+
+
+@cache
+def _texts() -> dict[str, bytes]:
+    """Content of all kernel sources, by path without suffix; empty where they cannot be read."""
+    return (
+        {name.removesuffix(".py"): text for name, text in _sources.sources().items()} if _sources.source_hash() else {}
+    )
+
+
+@cache
+def _imported(name: str) -> frozenset[str]:
+    """Kernel modules that a kernel module imports itself."""
+    found = set[str]()
+    for module, names in _IMPORT.findall(_texts()[name].decode()):
+        folder = module.lstrip(".").replace(".", "/")
+        asked = [part.split(" as ")[0].strip() for part in names.strip("()").split(",")]
+        found.update([folder, *(f"{folder}/{part}".lstrip("/") for part in asked)])
+    return frozenset(found & _texts().keys())
+
+
+@cache
+def modules_behind(module: str) -> frozenset[str]:
+    """Return a kernel module, given with dots, and all kernel modules that it may depend on, as paths without suffix.
+
+    A module elsewhere may depend on all of them.
+    """
+    start = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
+    if not module.startswith(f"{_PREFIX}.") or start not in _texts():
+        return frozenset(_texts())
+    found, waiting = set[str](), [start, *(name for name in ALWAYS if name in _texts())]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting.extend(_imported(name))
+    return frozenset(found)
+
+
+@cache
+def hash_of(modules: frozenset[str]) -> str:
+    """Hash of the content of modules."""
+    digest = hashlib.sha256()
+    for name in sorted(modules):
+        digest.update(repr((name, hashlib.sha256(_texts()[name]).hexdigest())).encode())
+    return digest.hexdigest()
+
+
+def is_usable() -> bool:
+    """Whether sources can be read; otherwise nothing is kept, since its origin would be unknown."""
+    return bool(_texts())
+
+
+def key_of(name: str, made_of: Any, modules: frozenset[str]) -> str:
+    """Key of a part: a name for people, and a hash of its sources and of whatever else it is made of."""
+    digest = hashlib.sha256(repr((made_of, hash_of(modules))).encode()).hexdigest()
+    return f"{re.sub(r'[^A-Za-z0-9_.]', '', name)[:80]}-{digest[:32]}"
+
+
+def path_of(key: str) -> Path:
+    """Return the path of the file for a key."""
+    return FOLDER / f"{key}.kernel"
+
+
+def read(key: str) -> bytes:
+    """Return the content for a key, or raise an error of `_sealed.read`."""
+    return _sealed.read(path_of(key))
+
+
+def write(key: str, content: bytes) -> None:
+    """Keep the content for a key, or raise an OSError."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    _sealed.write(path_of(key), content)
+
+
+@contextmanager
+def claimed(key: str) -> Iterator[None]:
+    """Compile what has a key in one process at a time: others wait, and then find it.
+
+    A claim is a lock on a file, which ends with the process that holds it. Kernels call each other without circles, so
+    that no two processes wait for each other. Where files cannot be locked, both compile.
+    """
+    if sys.platform == "win32" or path_of(key).exists():
+        yield
+        return
+    import fcntl
+
+    claim = FOLDER / f"{key}.claim"
+    try:
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        file = claim.open("wb")
+    except OSError:  # what cannot be written is compiled in memory
+        yield
+        return
+    with file:
+        with suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                claim.unlink()
