@@ -331,6 +331,7 @@ def test_a_build_that_ends_early_leaves_the_rest_to_numba(growing):
 
 @needs_library
 def test_a_build_that_fails_before_all_leaves_everything_to_numba(growing):
+    """Waiting ends with the build."""
     _, end = growing
     threading.Timer(0.2, end).start()
     assert library.level() is None

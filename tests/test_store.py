@@ -191,3 +191,25 @@ def test_a_folder_that_cannot_be_written_needs_no_claim(monkeypatch: pytest.Monk
     monkeypatch.setattr(_store, "FOLDER", tmp_path / "file" / "kernels")
     with _store.claimed("key"):
         pass
+
+
+def test_kernels_of_equal_functions_share_a_part(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """Whether or not it can be kept on disk: a name that is defined twice could not be linked."""
+
+    def of(number: float):
+        @_jit.njit()
+        def added(x):
+            return x + number
+
+        return added
+
+    (tmp_path / "file").touch()
+    for folder, seconds in ((tmp_path / "kernels", 3.0), (tmp_path / "file" / "kernels", 5.0)):
+        monkeypatch.setattr(_store, "FOLDER", folder)
+        first, second = of(seconds), of(seconds)
+
+        @_jit.njit()
+        def both(x, first=first, second=second):
+            return first(x) + second(x)
+
+        assert both(1.0) == 2.0 * (1.0 + seconds)

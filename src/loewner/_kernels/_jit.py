@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from types import CodeType
-from typing import Any
+from typing import Any, ClassVar
 
 import llvmlite
 import numba
@@ -114,6 +114,9 @@ class _Cache(NullCache):
 
     failure: OSError | None = None  # reason of the last failure to write
 
+    # Parts that were compiled in this process: equal functions share one, or its name would be defined twice.
+    _made: ClassVar[dict[str, tuple[Any, ...]]] = {}
+
     def __init__(self, kernel: Callable[..., Any], form: str) -> None:
         self._kernel, self._form = kernel, form
 
@@ -127,7 +130,7 @@ class _Cache(NullCache):
         return frozenset().union(*map(_store.modules_behind, modules))
 
     def _key(self, signature: Any, codegen: Any) -> str:
-        """Name of a file: the kernel, and a hash of everything of which its code is made."""
+        """Name of a file: the kernel, and a hash of everything that determines its code."""
         triple, cpu, features = codegen.magic_tuple()
         # Parts are the same for all processors that fuse products.
         target = (triple, _fused.can_fuse(cpu, features)) if self._form == "part" else (triple, cpu, features)
@@ -140,9 +143,11 @@ class _Cache(NullCache):
         return _store.claimed(self._key(signature, codegen)) if _store.is_usable() else nullcontext()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        key = self._key(sig, target_context.codegen())
+        if key in _Cache._made:
+            return _parts.result_of(target_context, *_Cache._made[key])
         if not _store.is_usable():
             return None
-        key = self._key(sig, target_context.codegen())
         try:
             name, *content = pickle.loads(_store.read(key))
             if name != key:
@@ -150,7 +155,7 @@ class _Cache(NullCache):
             target_context.refresh()
             restored = CompileResult._rebuild if self._form == "entry" else _parts.restored
             return restored(target_context, *([key] if self._form == "part" else []), *content)
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             why = f"cannot be read ({error.strerror or error})"
@@ -164,9 +169,11 @@ class _Cache(NullCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        key = self._key(sig, data.codegen)
+        if self._form == "part":
+            _Cache._made[key] = data.library, data.fndesc, data.environment, data.signature
         if data.lifted or data.library.has_dynamic_globals or not _store.is_usable():
             return  # it contains addresses of this process, or its origin is unknown
-        key = self._key(sig, data.codegen)
         if self._form == "part":
             self._expect_imported(data.library, self._behind(sig))
             if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):

@@ -1,7 +1,7 @@
 """What kernels and their build use of Numba beyond its documented interface: imported here, and nowhere else.
 
-A new Numba may rename any of these, or give it other parameters. `tests/test_numba.py` lists them with what each is
-for, and fails with the name of the one that has changed.
+A new Numba may rename them, or change their parameters. `tests/test_numba.py` lists each with its purpose, and fails
+with the name that has changed.
 """
 
 from numba.core import cgutils, errors, event, typed_passes, untyped_passes

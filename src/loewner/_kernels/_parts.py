@@ -55,7 +55,7 @@ class _FusedLibrary(JITCodeLibrary):
 class PartLibrary(_FusedLibrary):
     """Intermediate code of one part alone; the parts that it calls are linked once, with everything that calls them.
 
-    Numba links a copy of all that a function calls into it, and of what these call. Only Numba's own functions are
+    Numba links copies of all functions into each that calls them, directly or not. Only Numba's own functions are
     copied here, and hidden, because their names differ between processes.
     """
 
@@ -113,7 +113,7 @@ class PartLibrary(_FusedLibrary):
 
     @classmethod
     def restored(cls, codegen: Any, name: str, kept: tuple[bytes, list[str]], key: str) -> "PartLibrary":
-        """Return the part that was kept under a key, and read those that it calls."""
+        """Return the part that was kept under a key, and read the parts that it calls."""
         part = cls(codegen, name)
         bitcode, keys = kept
         part._final_module = parse_bitcode(bitcode)
@@ -182,7 +182,7 @@ def linked(libraries: Iterable[JITCodeLibrary]) -> Any:
 
 
 class _CallableLibrary(_FusedLibrary):
-    """Code that Python calls: with all parts that it calls, and those that they call."""
+    """Code that Python calls: with all parts that it needs."""
 
     def finalize(self) -> None:
         """Link all parts, then optimise and compile everything as Numba does."""
@@ -230,7 +230,7 @@ class PartCompiler(Compiler):
         context.get_executable, context.add_dynamic_addr = _key, partial(_address, context)
         self.state.library = PartLibrary(context.codegen(), func.__qualname__)
         self.state.library.home = func.__module__
-        # As in Numba, but for the name: Numba numbers functions anew in each process.
+        # As in Numba, except for the name: Numba numbers functions anew in each process.
         identity = FunctionIdentity.from_function(func)
         identity.unique_id, identity.unique_name = 0, f"{func.__module__}.{func.__qualname__}"
         self.state.func_id = identity
@@ -266,10 +266,15 @@ def restored(target_context: Any, key: str, *reduced: Any) -> Any:
     codegen = target_context.codegen()
     if key not in _read:
         keep(key, PartLibrary.restored(codegen, name, kept, key))
+    return result_of(target_context, _read[key], fndesc, environment, signature)
+
+
+def result_of(target_context: Any, part: PartLibrary, fndesc: Any, environment: Any, signature: Any) -> Any:
+    """Wrap a part as the result of compiling it."""
     return compile_result(
         target_context=target_context,
         typing_context=target_context.typing_context,
-        library=_read[key],
+        library=part,
         fndesc=fndesc,
         environment=environment,
         entry_point=object(),

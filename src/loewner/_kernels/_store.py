@@ -81,7 +81,7 @@ def is_usable() -> bool:
 
 
 def key_of(name: str, made_of: Any, modules: frozenset[str]) -> str:
-    """Key of a part: a name for people, and a hash of its sources and of whatever else it is made of."""
+    """Key of a part: a name for people, and a hash of its sources and of everything else that determines it."""
     digest = hashlib.sha256(repr((made_of, hash_of(modules))).encode()).hexdigest()
     return f"{re.sub(r'[^A-Za-z0-9_.]', '', name)[:80]}-{digest[:32]}"
 
@@ -104,7 +104,7 @@ def write(key: str, content: bytes) -> None:
 
 @contextmanager
 def claimed(key: str) -> Iterator[None]:
-    """Compile what has a key in one process at a time: others wait, and then find it.
+    """Compile the code with a key in one process at a time: others wait, and then find it.
 
     A claim is a lock on a file, which ends with the process that holds it. Kernels call each other without circles, so
     that no two processes wait for each other. Where files cannot be locked, both compile.

@@ -4,8 +4,8 @@ The library contains the kernels as machine code, made from the same sources by 
 user's machine (`native/`). It lies beside this file with a list of its files and sources. A library that was made from
 other sources, or was altered since, is not loaded.
 
-A build in a clone hands out what is done: until it has ended, the list names a file with some of the kernels, and what
-asks for another one waits.
+A build in a clone hands out kernels early: until it has ended, the list names a file with some of them, and a call of
+another one waits.
 """
 
 import json
@@ -24,7 +24,7 @@ from loewner.errors import InputError
 HOME = Path(__file__).parent
 LIST = "built.json"
 LOCK = "building"  # a file that is locked while files are built
-POLL = 0.1  # seconds between looks at a build
+POLL = 0.1  # seconds between checks of a build
 EXTENSION = f"{__package__}._call"
 CALL = "_call.abi3.so"  # its file, for all Pythons; opened by its path, so the name suits every system
 
@@ -38,7 +38,7 @@ class Entry(NamedTuple):
     results: str
 
 
-_opened_list: dict[str, Any] = {}  # what was listed when the library in use was opened
+_opened_list: dict[str, Any] = {}  # the list when the library in use was opened
 
 
 class _Refused(Exception):
@@ -131,7 +131,7 @@ def _awaited(entry: Entry | None = None) -> dict[str, Any]:
     """Read the list of built files; while a build runs, wait until there is one, and until it lists a kernel."""
     told = False
     while True:
-        is_running = is_being_built()  # asked first, so that a build that ends now is seen
+        is_running = is_being_built()  # first, so that a build that ends now is seen
         try:
             built = _listed()
             if not is_running or entry is None or entry.name in built.get("entries", [entry.name]):
@@ -178,7 +178,7 @@ def _listed() -> dict[str, Any]:
 
 
 def _has_grown(built: dict[str, Any]) -> bool:
-    """Whether another list has replaced a list, and other files those that it names."""
+    """Whether another list has replaced a list, and other files the ones that it names."""
     try:
         return bool(built != _read_list())
     except (OSError, ValueError):
