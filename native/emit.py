@@ -272,7 +272,6 @@ def machine_code(parts: list[CPUCodeLibrary], shims: list[str]) -> bytes:
 
 
 FUNCTION, VALUE = _fused._FUNCTION, _fused._VALUE
-NAME = re.compile(r'@(?:"([^"]*)"|([-\w.$]+))\(')
 COUNTED = re.compile(r'  (?:tail )?call void @NRT_(?:inc|dec)ref\(ptr (%(?:[-\w.$]+|"[^"]*"))\)')
 HARMLESS = re.compile(r"  (?:%\S+ = )?(?:(?:tail )?call|icmp) ")
 
@@ -330,6 +329,7 @@ def work(folder: Path, level: str, number: int) -> None:
                 write_code(ENTRIES[name], to)
         else:
             time.sleep(0.05)
+    _store.remove_unused()
 
 
 def is_mine(to: Path) -> bool:

@@ -1,7 +1,9 @@
 """Keys of compiled code: an edit of any file that a kernel may depend on changes its key, and no other edit does."""
 
 import ast
+import os
 import threading
+import time
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -213,3 +215,17 @@ def test_kernels_of_equal_functions_share_a_part(monkeypatch: pytest.MonkeyPatch
             return first(x) + second(x)
 
         assert both(1.0) == 2.0 * (1.0 + seconds)
+
+
+def test_files_that_nothing_reads_are_removed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """After a month; a file that is read stays, whenever it was written."""
+    monkeypatch.setattr(_store, "FOLDER", tmp_path)
+    for key in ("read", "unread", "new"):
+        _store.write(key, key.encode())
+        if key != "new":
+            os.utime(_store.path_of(key), (0.0, time.time() - 1.1 * _store.KEPT))
+    assert _store.read("read") == b"read"
+    _store.remove_unused()
+    assert sorted(path.stem for path in tmp_path.iterdir()) == ["new", "read"]
+    monkeypatch.setattr(_store, "FOLDER", tmp_path / "none")
+    _store.remove_unused()

@@ -94,6 +94,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
             group.process.kill()
             group.process.wait()
         folder.cleanup()
+    _store.remove_unused()
     return _store.FOLDER
 
 

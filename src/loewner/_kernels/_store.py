@@ -10,8 +10,10 @@ the native library's build, and by Numba on machines without the library.
 """
 
 import hashlib
+import os
 import re
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -21,6 +23,9 @@ from typing import Any
 from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
+
+# Seconds after which a file that nothing has read is removed, and after which a file that is read is marked anew.
+KEPT, DAY = 30 * 86_400.0, 86_400.0
 
 # The operations of vectors are chosen by types, without an import where they are used.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
@@ -93,13 +98,26 @@ def path_of(key: str) -> Path:
 
 def read(key: str) -> bytes:
     """Return the content for a key, or raise an error of `_sealed.read`."""
-    return _sealed.read(path_of(key))
+    content = _sealed.read(path_of(key))
+    with suppress(OSError):
+        if path_of(key).stat().st_mtime < time.time() - DAY:
+            os.utime(path_of(key))
+    return content
 
 
 def write(key: str, content: bytes) -> None:
     """Keep the content for a key, or raise an OSError."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     _sealed.write(path_of(key), content)
+
+
+def remove_unused() -> None:
+    """Remove files that nothing has read for a month: every edit of a source leaves some behind."""
+    with suppress(OSError):
+        for path in FOLDER.iterdir():
+            with suppress(OSError):
+                if path.stat().st_mtime < time.time() - KEPT:
+                    path.unlink()
 
 
 @contextmanager
