@@ -29,7 +29,7 @@ from families import random_poses
 from gantry import LEFT, RIGHT, gantry, wall
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, paper, planners
 
-# Processor time from the signal to the exception, at most [s]: shares take a tenth, and machines that run tests are slow.
+# Processor time from the signal to the exception, at most [s]: shares take a tenth, and machines of tests are slow.
 SOON = 2.0
 
 LAYOUTS = ("alone", "shared", "elsewhere")
