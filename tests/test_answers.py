@@ -1,6 +1,7 @@
 """Answers have the bits of one committed table: at every level, from the library and from Numba, with any C library."""
 
 import os
+import pickle
 import platform
 import shutil
 import subprocess
@@ -12,10 +13,10 @@ import pytest
 
 import answers
 import other_machines
-from loewner._kernels import _fused
+from loewner._kernels import _fused, _sealed
 from loewner._kernels._numba import cpu_target
 from loewner._native import library
-from native_files import module
+from native_files import NATIVE, module
 
 LEVELS = module("build").LEVELS["x86_64"]
 _, CPU, FEATURES = cpu_target.target_context.codegen().magic_tuple()
@@ -69,6 +70,27 @@ def test_a_library_that_is_linked_otherwise_answers_the_same(count: int, order: 
     command = [sys.executable, "-W", "ignore", str(script), str(tmp_path), str(count), str(order)]
     done = subprocess.run(command, env={**os.environ, **level}, stdout=subprocess.PIPE, text=True, check=True)
     assert done.stdout.splitlines() == expected()
+
+
+@pytest.mark.verify
+def test_parts_are_the_same_for_all_levels(tmp_path: Path):
+    """What is compiled for a processor that this one is not: the same code in the same files, up to the last pass."""
+    compiled = {}
+    for level, features in LEVELS.items():
+        environment = {
+            "NUMBA_CPU_NAME": level,
+            "NUMBA_CPU_FEATURES": features,
+            "LOEWNER_CACHE_DIR": str(tmp_path / level),
+        }
+        command = [sys.executable, str(NATIVE / "emit.py"), str(tmp_path / level), level, "0"]
+        (tmp_path / level).mkdir()
+        (tmp_path / level / "groups.json").write_text('{"some": ["settle_range", "fit_range"]}')
+        subprocess.run(command, env=os.environ | environment, check=True, stdout=subprocess.DEVNULL)
+        files = [path for path in (tmp_path / level / "kernels").iterdir() if ".o-" not in path.name]
+        compiled[level] = {path.name: pickle.loads(_sealed.read(path))[1][2] for path in files}
+    first, *others = compiled.values()
+    assert len(first) > 300
+    assert all(other == first for other in others)
 
 
 @pytest.mark.verify

@@ -105,7 +105,7 @@ def test_attributes_are_there():
     part = library(codegen_of(), "a part")
     assert not part._finalized
     assert {"_final_module", "_linking_libraries", "_codegen"} <= vars(part).keys()
-    assert {"_data_layout", "_tm_features"} <= set(dir(codegen_of()))
+    assert {"_data_layout", "_tm", "_tm_features"} <= set(dir(codegen_of()))
     assert {"mangled_name", "llvm_func_name"} <= set(dir(FunctionDescriptor))
     assert isinstance(type(_numba.rtsys).library, property)
     assert all(inspect.isclass(one) for one in _parts.NOT_NEEDED)

@@ -40,7 +40,7 @@ FASTMATH = {"contract"}
 # Everything but sources, types and processors that determines compiled code.
 MADE_WITH = (
     numba.__version__, llvmlite.__version__, np.__version__, platform.python_version(), platform.machine(),
-    _config.BOUNDSCHECK, str(_config.OPT),
+    _config.BOUNDSCHECK, str(_config.OPT), _config.LOOP_VECTORIZE, _config.SLP_VECTORIZE,
 )  # fmt: skip
 
 _said: set[str] = set()

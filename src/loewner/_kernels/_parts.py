@@ -7,10 +7,11 @@ which have no public interface (`_numba`); `tests/test_kernel_cache.py` tests th
 
 import pickle
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
-from llvmlite.binding import create_new_module_pass_manager, parse_bitcode
+import numba
+from llvmlite.binding import Target, create_new_module_pass_manager, parse_bitcode
 from numba import types
 
 from loewner._kernels import _fused, _sealed, _store
@@ -24,6 +25,8 @@ from loewner._kernels._numba import (
     typed_passes,
     untyped_passes,
 )
+
+_config: Any = numba.config  # its settings are made at run time and have no types
 
 # Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before they are typed,
 # literals as types. A kernel that needed one would not compile.
@@ -47,9 +50,26 @@ class _FusedLibrary(JITCodeLibrary):
 
     def add_llvm_module(self, ll_module: Any) -> None:
         """Run the passes over each function, fuse its products, and add the module."""
-        self._optimize_functions(ll_module)
-        _, cpu, features = self._codegen.magic_tuple()
-        self._final_module.link_in(_fused.fused(ll_module, _fused.can_fuse(cpu, features)))
+        codegen = self._codegen
+        triple, cpu, features = codegen.magic_tuple()
+        can_fuse = _fused.can_fuse(cpu, features)
+        own, codegen._tm = codegen._tm, _usual_machine(triple) if can_fuse else codegen._tm
+        try:
+            self._optimize_functions(ll_module)
+        finally:
+            codegen._tm = own
+        self._final_module.link_in(_fused.fused(ll_module, can_fuse))
+
+
+@cache
+def _usual_machine(triple: str) -> Any:
+    """Return the processor for whose costs functions are simplified before products are fused.
+
+    Costs decide which branches become selections, and so which products and sums share a block. They must not depend on
+    the processor that is there: parts are the same for all.
+    """
+    name = "x86-64-v3" if triple.startswith("x86_64") else ""
+    return Target.from_triple(triple).create_target_machine(cpu=name, opt=int(_config.OPT))
 
 
 class PartLibrary(_FusedLibrary):
