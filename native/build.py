@@ -238,6 +238,7 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bo
         slowness = (time.perf_counter() - start) / CHECK
         groups = grouped(list(GROUPS) if in_groups else ["all"])
         (work / "groups.json").write_text(json.dumps(groups), encoding="utf-8")
+        (work / "sources").write_text(before, encoding="utf-8")
         count = max(processors(), len(levels))
         workers = [emission(work, levels[number % len(levels)], number) for number in range(count)]
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]

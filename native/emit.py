@@ -5,10 +5,10 @@ Run by `build.py`, in processes of its own:
     emit.py                        check Numba itself, for this machine
     emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
 
-The folder holds `groups.json`, which lists the entries of each group. The processes write the code of each entry
-(`ENTRY.code`), which is the same for all levels, and an object file of each group for each level (`LEVEL-GROUP.o`).
-Each takes what nobody has taken, and begins with another group or at its other end, since entries of one group share
-most of their code.
+The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
+The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
+group for each level (`LEVEL-GROUP.o`). Each takes what nobody has taken, and begins with another group or at its other
+end, since entries of one group share most of their code.
 
 Numba reads the level from the environment when it is imported. Machine code does not run there, since this machine's
 processor may be of a lower level.
@@ -38,7 +38,7 @@ from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
-from loewner._kernels import _fused, _jit, _parts, _sealed, _store
+from loewner._kernels import _fused, _jit, _parts, _sealed, _sources, _store
 from loewner._kernels._numba import BaseContext, BaseFunction, CPUCodeLibrary, cpu_target, default_manager, rtsys
 from loewner._kernels.simd import vectors
 from loewner._native.entries import ENTRIES, Entry, types_of
@@ -305,6 +305,18 @@ def hide(module: llvm.ModuleRef, linkage: str) -> None:
             function.add_function_attribute("nounwind")  # no exception passes; tables for unwinding are 3 % of the file
 
 
+def expect_sources(folder: Path) -> None:
+    """Import all kernels, and stop unless their sources are the ones with which the build began.
+
+    From then on an edit alters neither the code in memory nor its keys. Otherwise, code of an edit that is undone
+    before the build has ended could be kept under the keys of the sources without it.
+    """
+    for entry in ENTRIES.values():
+        importlib.import_module(f"loewner._kernels.{entry.module}")
+    if _sources.source_hash.__wrapped__() != (folder / "sources").read_text(encoding="utf-8") or not _store.is_usable():
+        raise SystemExit("the kernels' sources changed while they were compiled; build again")
+
+
 def work(folder: Path, level: str, number: int) -> None:
     """Write what nobody has taken until all is taken: objects whose codes are there, or else codes."""
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
@@ -348,6 +360,7 @@ def main(folder: Path, level: str, number: int) -> None:
     remember_operators()
     remember_sizes()
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
+    expect_sources(folder)
     work(folder, level, number)
 
 

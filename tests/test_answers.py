@@ -15,6 +15,7 @@ import answers
 import other_machines
 from loewner._kernels import _fused, _sealed
 from loewner._kernels._numba import cpu_target
+from loewner._kernels._sources import source_hash
 from loewner._native import library
 from native_files import NATIVE, module
 
@@ -77,16 +78,14 @@ def test_parts_are_the_same_for_all_levels(tmp_path: Path):
     """What is compiled for a processor that this one is not: the same code in the same files, up to the last pass."""
     compiled = {}
     for level, features in LEVELS.items():
-        environment = {
-            "NUMBA_CPU_NAME": level,
-            "NUMBA_CPU_FEATURES": features,
-            "LOEWNER_CACHE_DIR": str(tmp_path / level),
-        }
-        command = [sys.executable, str(NATIVE / "emit.py"), str(tmp_path / level), level, "0"]
-        (tmp_path / level).mkdir()
-        (tmp_path / level / "groups.json").write_text('{"some": ["settle_range", "fit_range"]}')
-        subprocess.run(command, env=os.environ | environment, check=True, stdout=subprocess.DEVNULL)
-        files = [path for path in (tmp_path / level / "kernels").iterdir() if ".o-" not in path.name]
+        folder = tmp_path / level
+        folder.mkdir()
+        (folder / "sources").write_text(source_hash())
+        (folder / "groups.json").write_text('{"some": ["settle_range", "fit_range"]}')
+        switches = {"NUMBA_CPU_NAME": level, "NUMBA_CPU_FEATURES": features, "LOEWNER_CACHE_DIR": str(folder)}
+        command = [sys.executable, str(NATIVE / "emit.py"), str(folder), level, "0"]
+        subprocess.run(command, env=os.environ | switches, check=True, stdout=subprocess.DEVNULL)
+        files = [path for path in (folder / "kernels").iterdir() if ".o-" not in path.name]
         compiled[level] = {path.name: pickle.loads(_sealed.read(path))[1][2] for path in files}
     first, *others = compiled.values()
     assert len(first) > 300

@@ -17,6 +17,7 @@ import pytest
 
 import loewner
 from loewner._kernels import _parts, _store
+from loewner._kernels._sources import source_hash
 from loewner._native import entries, library
 from loewner.errors import InputError, MissingExtraError
 from loewner.robots import edges
@@ -186,6 +187,15 @@ def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
     assert made[0] == ("three.code" if number == 1 else "two.code")
     emit.work(tmp_path, "x86-64-v3", number)
     assert len(made) == 4
+
+
+def test_a_process_that_comes_after_an_edit_does_not_share_the_work(emit, tmp_path):
+    """Its code would be kept under keys of other sources, and used again when the edit is undone."""
+    (tmp_path / "sources").write_text(source_hash())
+    emit.expect_sources(tmp_path)
+    (tmp_path / "sources").write_text("1" * 64)
+    with pytest.raises(SystemExit, match="sources changed while they were compiled"):
+        emit.expect_sources(tmp_path)
 
 
 def test_objects_are_made_once(emit, tmp_path, monkeypatch):
