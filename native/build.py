@@ -67,9 +67,9 @@ GROUPS = {
     "paths": ("robots.",),
 }  # fmt: skip
 
-# For estimates of the time that is left: the number of functions, and the seconds of one core for a function, for all
-# objects of a level and for GPUs, where the check of Numba takes `CHECK`.
-FUNCTIONS, FUNCTION, LEVEL, GPU, CHECK = 1100, 0.24, 80.0, 28.0, 2.3
+# For estimates of the time that is left: the number of functions, and the seconds of one core for a function and for all
+# objects of a level, where the check of Numba takes `CHECK`.
+FUNCTIONS, FUNCTION, LEVEL, CHECK = 1100, 0.24, 80.0, 2.3
 
 
 # What the C compiler is told of files that people get. The linker of macOS knows no -s; Windows is untried.
@@ -209,7 +209,7 @@ def machine_level() -> str:
 def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False) -> list[Path]:
     """Build for these levels, and for GPUs if asked; what was there is replaced only when all is done.
 
-    With ``in_groups``, for one level, there is an object file for each group, and what is done is handed out early.
+    With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done.
 
     Returns
     -------
