@@ -67,8 +67,8 @@ GROUPS = {
     "paths": ("robots.",),
 }  # fmt: skip
 
-# For estimates of the time that is left: the number of functions, and the seconds of one core for a function and for all
-# objects of a level, where the check of Numba takes `CHECK`.
+# For estimates of the time that is left: the number of functions, and the seconds of one core for a function and for
+# all objects of a level, where the check of Numba takes `CHECK`.
 FUNCTIONS, FUNCTION, LEVEL, CHECK = 1100, 0.24, 80.0, 2.3
 
 
