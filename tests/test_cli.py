@@ -1234,25 +1234,24 @@ def test_audit_says_what_is_wrong_with_a_path_in_json(with_end, capsys):
     assert "found 'tool'" in err
 
 
-def test_audit_measures_the_pair_of_each_row(with_end, capsys):
-    """Two walls are passed at different depths on one piece: its row has the depth of the pair that it names."""
+def test_audit_measures_the_nearest_pair_of_each_row(with_end, capsys):
+    """Two walls are passed at different depths on one piece: its row has the deeper one, beside the verdict's pair."""
     Path("moves.csv").write_text("time,x,y,turn\n0,-0.5,0.7,1.5\n1,0,0.7,1.5\n2,0,-0.5,1.5\n")
     Path("two.yaml").write_text(Path("end.yaml").read_text() + "  inner: {box: [1, 1, 1], position: [0, -0.8, 0]}\n")
     answer = json.loads(run(capsys, "audit", *ROBOT, "moves.csv", "--scene", "two.yaml", "--json")[1])
     checker = loewner.CollisionChecker(checker_of_folder().robot, loewner.load_scene("two.yaml"))
     points = planners.ControllerPoints.load("moves.csv")
     assert answer["nearest_pair"] == ["ball", "inner"]
-    own = {tuple(piece["pair"]): piece for piece in answer["unproven"]}
-    assert own
-    assert ("ball", "inner") not in own
-    for pair, piece in own.items():
-        share = piece["nearest_time"] - piece["begins"]
-        k = piece["number"]
-        q = (1 - share) * points.positions[k] + share * points.positions[k + 1]
-        near = checker.distance_by_pair(q, within=1.0)
-        at = next(n for n in range(len(near)) if tuple(near.names[n]) == pair)
-        assert piece["nearest"] == pytest.approx(near.distance[at], abs=1e-9)
-        assert piece["begins"] <= piece["nearest_time"] <= piece["ends"]
+    (piece,) = answer["unproven"]
+    assert (piece["pair"], piece["nearest_pair"]) == (["ball", "wall"], ["ball", "inner"])
+    shares = np.append(np.linspace(0, 1, 1001), piece["nearest_time"] - piece["begins"])[:, None]
+    k = piece["number"]
+    depths = checker.distance(
+        (1 - shares) * points.positions[k] + shares * points.positions[k + 1], exact=True
+    ).distance
+    assert piece["nearest"] == pytest.approx(depths[-1], abs=1e-9)
+    assert piece["nearest_lower"] <= depths.min() <= piece["nearest"] <= piece["nearest_lower"] + 0.01 * 0.3
+    assert piece["begins"] <= piece["nearest_time"] <= piece["ends"]
 
 
 def test_audit_explains_positive_distances(with_end, capsys):

@@ -508,6 +508,7 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         int64_t first, last;
         Array3 courses;
         Array2 off;
+        Array1 clear;
         double tolerance;
         int64_t pack, problem, tables;
         Array1 out, fractions, pairs;
@@ -518,6 +519,7 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         count,
         {courses, count, points, dof},
         {workspace->off, is_off ? count : 0, is_off ? dof : 0},
+        {NULL, 0}, /* nothing beside the margins */
         tolerance,
         (int64_t)half->words,
         half->handle,

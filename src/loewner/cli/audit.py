@@ -17,15 +17,22 @@ from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
 from loewner.errors import FileError, InputError, LoewnerError
-from loewner.planners.controller_points import TIMES, executed
-from loewner.robots import curves
+from loewner.planners import limit_use
+from loewner.planners.controller_points import START_TOLERANCE, TIMES, executed
+from loewner.robots import ClosestApproach, approaches, curves
 
 # Width of the picture along time, in characters.
 COLUMNS = 60
-MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
-# Distances within which a piece's pair is sought, one after the other [m].
-WITHIN = np.geomspace(1e-3, 1e9, 13)
+# Lines of one kind that are printed.
+SHOWN = 5
+
+# What is behind the unit of positions in the units of their rates.
+UNITS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
+
+# Exit status of a trajectory that is free, but exceeds a limit.
+BEYOND = 4
+MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
 # How far outside its limits a value is reported: above the rounding of decimals in files.
 ROUNDED = 1e-9
@@ -55,10 +62,14 @@ controller: between two points a joint trajectory controller follows a straight 
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
   this curve at every real time.
 
-limits: values outside the limits of the robot, or of its file, at the sampled times are listed; neither they nor
-  velocities change the verdict.
+nearest: the exact distance at the worst moment that was found, or the depth, and a bound that is proven for every
+  moment. If these two are not within a hundredth or 10 µm of each other, the output says so.
 
-exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous
+limits: the extreme positions, velocities, accelerations and jerk of the curve, at whichever time they are reached, are
+  compared with the limits of the URDF or of --limits. Files without velocities have corners, which are named.
+
+exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous, 4 free,
+  but beyond a limit of the robot
 """
 
 
@@ -98,6 +109,15 @@ def add(commands: Any) -> None:
         help="when the trajectory starts, on the clock of bodies that move (what the file says, or 0)",
     )
     audit.add_argument(
+        "--limits", type=Path, metavar="FILE", help="limits of the joints (joint_limits.yaml), which replace the URDF's"
+    )
+    audit.add_argument(
+        "--from",
+        dest="present",
+        metavar="Q",
+        help="where the robot stands before: a state, a file, or numbers; the straight way to the first point is proven",
+    )
+    audit.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
     )
     audit.add_argument("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
@@ -113,10 +133,12 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     inputs.refuse_no_pairs(checker, options.urdf)
-    others = None
-    if options.others is not None:
-        others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    parts = _read(options.trajectory, robot, others)
+    others, present = (
+        None if text is None else robot.checked_one(configurations.given(text, name, options, robot, None), name)
+        for text, name in ((options.others, "--others"), (options.present, "--from"))
+    )
+    limits = None if options.limits is None else planners.JointLimits.load(options.limits, robot)
+    parts = _read(options.trajectory, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
     for number, given in enumerate(parts):
         if isinstance(given, planners.ControllerPoints):
@@ -133,7 +155,8 @@ def _run(options: argparse.Namespace) -> int:
         _carry(scene, robot, given, carrying[number])
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
         remove_older_proof(proof)
-        answers.append(_answer(checker, given, options, proof))
+        before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
+        answers.append(_answer(checker, given, options, limits, proof) | {"before": before})
         if picture is not None:
             plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), picture)
         _put_down(scene, robot, given, carrying[number])
@@ -143,13 +166,15 @@ def _run(options: argparse.Namespace) -> int:
             _print_answer(answers[-1])
             if proof is not None and answers[-1]["proof"] is None:
                 print(f"no proof  {proof} is not written: there is no proof of this motion")
-    worst = min((answer["verdict"] for answer in answers), key=WORST_FIRST.index)
+    found = [answer["verdict"] for answer in answers]
+    worst = min([*found, *(a["before"]["verdict"] for a in answers if a["before"])], key=WORST_FIRST.index)
     if options.json:
         print(json.dumps(answers[0] if len(answers) == 1 else {"verdict": worst, "parts": answers}, indent=2))
     elif len(answers) > 1:
         free = sum(answer["verdict"] == "FREE" for answer in answers)
         print(f"\n{worst}  {free} of {len(answers)} parts proven free")
-    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
+    exceeded = any(answer["exceeded"] for answer in answers)
+    return {"FREE": BEYOND if exceeded else FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
 
 
 def _read(path: Path, robot: loewner.Robot, others: Floats | None) -> list[planners.ControllerPoints | Floats]:
@@ -233,6 +258,36 @@ def _end(robot: loewner.Robot, part: planners.ControllerPoints | Floats, row: in
     return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
 
 
+def _way_to(
+    checker: loewner.CollisionChecker, part: planners.ControllerPoints | Floats, present: Floats, joint_error: float
+) -> dict[str, Any]:
+    """Prove the straight way from where the robot stands to the first point of a part, within the time that it has."""
+    robot, first = checker.robot, _end(checker.robot, part, 0)
+    begin = part.start_time if isinstance(part, planners.ControllerPoints) else 0.0
+    due = float(part.times[0]) if isinstance(part, planners.ControllerPoints) else 0.0
+    clock = {"t0": begin, "t1": begin + due} if checker.scene.following else {}
+    found = checker.certify_edges(present, first, joint_error=joint_error, **clock)
+    off = np.abs(first - present)
+    most = int(off.argmax())
+    text = f"the straight way from --from to the first point is {found.verdict.name}"
+    if found.verdict != Verdict.FREE:
+        text += f": {' and '.join(found.names)} at the fraction {found.fraction:.4g}"
+    if off[most] <= START_TOLERANCE:
+        text += f"; the robot stands within {off[most]:.3g} of the point"
+    elif isinstance(part, planners.ControllerPoints) and due == 0:
+        text += (
+            f"; but the point is due at once, and {robot.configuration_names[most]} is off by {off[most]:.6g}, so most "
+            "controllers refuse to start"
+        )
+    elif due > 0:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = off / due / np.where(np.isnan(robot.velocity), np.inf, robot.velocity)
+        k = int(np.nan_to_num(shares).argmax())
+        text += f"; in {due:.6g} s it takes {shares[k]:.3g} of the velocity limit of {robot.configuration_names[k]}"
+    numbers = {"fraction": float(found.fraction), "off": float(off[most])}
+    return _for_json({"verdict": found.verdict.name, "pair": list(found.names), **numbers, "text": text})
+
+
 def _numbered(file: Path | None, number: int, count: int) -> Path | None:
     """Return the file of one part, which has the part's number in its name if there are several."""
     return file if file is None or count == 1 else file.with_stem(f"{file.stem}-{number + 1}")
@@ -257,57 +312,77 @@ def _answer(
     checker: loewner.CollisionChecker,
     given: planners.ControllerPoints | Floats,
     options: argparse.Namespace,
+    limits: planners.JointLimits | None,
     written: Path | None,
 ) -> dict[str, Any]:
     """Return the verdicts and distances of a trajectory or path and of its pieces, for printing."""
-    prove = written is not None
-    curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory), prove)
+    curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory), written is not None)
     if found.proof is not None:
         found.proof.save(written)
-    times, unproven = found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
-    ticks, piece, Q = curves.sampled(checker.robot, curve, found)
-    measured = checker.distance(Q, ticks, exact=True)
-    nearest = measured.distance.argmin()
-    names = found.segments.names
-    least = _nearest_of(checker, names, piece, Q, ticks)
+    robot, times, unproven = checker.robot, found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    timed = isinstance(given, planners.ControllerPoints)
+    ready = checker._ready(timed=timed)
+    whole = curves.cut_in_time(robot, ready, curve)
+    near, names = approaches.measured(ready, whole), found.segments.names
     pieces = [
         {
-            "number": int(k),
+            "number": k,
             "begins": float(times[k]),
             "ends": float(times[k + 1]),
             "verdict": Verdict(int(found.segments.verdict[k])).name,
-            "time": float(time),
+            "time": float(times[k] + found.segments.fraction[k] * (times[k + 1] - times[k])),
             "pair": names[k].tolist(),
             "margin": checker.scene.margin_of(*names[k].tolist()),
-            "nearest": least[k][0],
-            "nearest_time": float(ticks[least[k][1]]),
+            **_nearest(near, k),
         }
-        for k, time in zip(unproven.tolist(), ticks[curves.MEASURED :], strict=True)
+        for k in unproven.tolist()
     ]
     free = found.verdict == Verdict.FREE
-    controller = CONTROLLERS[_derivatives(given)] if isinstance(given, planners.ControllerPoints) else None
+    uses = limit_use.used(robot, curve, limits, timed)
     return {
-        "robot": checker.robot.name,
+        "robot": robot.name,
         "verdict": found.verdict.name,
         "time": None if free else float(found.time),
         "pair": None if free else list(found.names),
-        "timed": controller is not None,
-        "controller": controller,
+        "timed": timed,
+        "controller": CONTROLLERS[_derivatives(given)] if isinstance(given, planners.ControllerPoints) else None,
         "joint_error": options.joint_error,
         "begins": float(times[0]),
         "ends": float(times[-1]),
         "pieces": len(times) - 1,
         "unproven": pieces,
-        "nearest": float(measured.distance[nearest]),
-        "nearest_time": float(ticks[nearest]),
-        "nearest_pair": measured.names[nearest].tolist(),
+        "contacts": approaches.contacts(ready, whole, unproven, near).tolist(),
+        **_nearest(near, near.nearest),
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
         "proof": str(written) if found.proof is not None else None,
         "moving": list(checker.scene.following),
-        "beyond_limits": _beyond_limits(checker.robot, Q),
+        "sliding": [
+            name for name, turns in zip(robot.configuration_names, robot._watch.turns, strict=True) if not turns
+        ],
+        "limits": [_for_json(use._asdict()) for use in uses if np.isfinite(use.limit)],
+        "exceeded": [_for_json(use._asdict()) for use in uses if use.ratio > 1 + limit_use.ROUNDED],
+        "beyond_limits": _beyond_limits(robot, curve),
+        "jumps": [jump._asdict() for jump in limit_use.jumps(robot, curve)] if timed else [],
+        "doubts": limit_use.doubts(robot, curve, uses, timed and _derivatives(given) > 0),
         **_told_by_a_message(given),
     }
+
+
+def _for_json(numbers: dict[str, Any]) -> dict[str, Any]:
+    return {key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in numbers.items()}
+
+
+def _nearest(near: ClosestApproach, k: int) -> dict[str, Any]:
+    """Return how near bodies come on a piece: the least distance found, and the bound that is proven."""
+    numbers = {
+        "nearest": float(near.distance[k]),
+        "nearest_time": float(near.time[k]),
+        "nearest_pair": near.names[k].tolist(),
+        "nearest_lower": float(near.lower[k]),
+        "nearest_close": bool(near.close[k]),
+    }
+    return _for_json(numbers)
 
 
 def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, Any]:
@@ -318,13 +393,15 @@ def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, A
     sources = {column: origin.sources[column] for column in origin.stated}
     stated = {"stated": origin.stated, "stated_in": sources} if origin.stated else {}
     carried = {"carried": given.carried} if given.carried else {}
-    assumed = {"assumed": list(origin.assumed)} if origin.assumed else {}
+    values = dict(zip(given.names or (), given.positions[0].tolist(), strict=False))
+    assumed = {"assumed": {column: values[column] for column in origin.assumed}} if origin.assumed else {}
     return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **assumed, **carried}
 
 
-def _beyond_limits(robot: loewner.Robot, Q: Floats) -> list[dict[str, Any]]:
-    """Return the values that are outside the limits of the robot, or of its file, at some of the sampled times."""
-    least, most = Q.min(axis=0), Q.max(axis=0)
+def _beyond_limits(robot: loewner.Robot, curve: curves.Curve) -> list[dict[str, Any]]:
+    """Return the values that are outside the limits of the robot, or of its file, at some time."""
+    ends = [limit_use.extremes(curve.courses[:, :, k], curve.times) for k in range(robot.dof)]
+    least, most = np.array([[low[0], high[0]] for low, high in ends]).reshape(-1, 2).T
     hard = (least < robot.hard_lower - ROUNDED) | (most > robot.hard_upper + ROUNDED)
     outside = hard | (least < robot.lower - ROUNDED) | (most > robot.upper + ROUNDED)
     lower, upper = np.where(hard, robot.hard_lower, robot.lower), np.where(hard, robot.hard_upper, robot.upper)
@@ -337,23 +414,6 @@ def _beyond_limits(robot: loewner.Robot, Q: Floats) -> list[dict[str, Any]]:
         }
         for k in np.flatnonzero(outside).tolist()
     ]
-
-
-def _nearest_of(
-    checker: loewner.CollisionChecker, names: Any, piece: Any, Q: Floats, t: Floats
-) -> dict[int, tuple[float, int]]:
-    """Return the least distance of each unproven piece's pair at the samples of the piece, and that sample."""
-    least: dict[int, tuple[float, int]] = {}
-    for within in WITHIN:  # nearer pairs are found first
-        rows = np.flatnonzero(names.any(axis=1)[piece] & ~np.isin(piece, list(least)))
-        if len(rows) == 0:
-            break
-        near = checker.distance_by_pair(Q[rows], t[rows], within=within)
-        samples = rows[near.configuration]
-        own = np.flatnonzero((near.names == names[piece[samples]]).all(axis=1))
-        for n in own[np.argsort(near.distance[own], kind="stable")]:
-            least.setdefault(int(piece[samples[n]]), (float(near.distance[n]), int(samples[n])))
-    return least
 
 
 def _picture(times: Floats, verdicts: Any) -> str:
@@ -375,32 +435,15 @@ def _print_answer(answer: dict[str, Any]) -> None:
             f"{answer['verdict']}  {len(answer['unproven'])} of {count} not proven free, "
             f"{' and '.join(answer['pair'])} at {answer['time']:.6g}{unit}"
         )
-        table = new_table(
-            "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", f"at{comma_unit}", "body", "other body",
-            "nearest, mm", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
-        )  # fmt: skip
-        for piece in answer["unproven"]:
-            table.add_row(
-                str(piece["number"]), f"{piece['begins']:.6g}", f"{piece['ends']:.6g}", piece["verdict"],
-                f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:z.3f}",
-            )  # fmt: skip
-        print_table(table)
-        for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
-            if margin:
-                print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")
-        if answer["joint_error"]:
-            print(
-                f"error     the verdicts are for values up to {answer['joint_error']:g} off, the distances for values "
-                "that are not"
-            )
+        _print_unproven(answer, comma_unit)
     what = "time " if answer["timed"] else "point"
     print(f"{what}     {answer['begins']:.6g}{unit} {answer['picture']} {answer['ends']:.6g}{unit}")
     print("          . proven free   ? ambiguous   # collides, by pieces")
-    print(
-        f"nearest   {1e3 * answer['nearest']:z.3f} mm at {answer['nearest_time']:.6g}{unit}, "
-        f"{' and '.join(answer['nearest_pair'])}: the least of the exact distances at {curves.MEASURED} places; "
-        "negative is a depth; margins are not subtracted"
-    )
+    for begin, end in answer["contacts"][:SHOWN]:
+        print(f"contact   from {begin:.9g}{unit} to {end:.9g}{unit}")
+    if len(answer["contacts"]) > SHOWN:
+        print(f"          and {len(answer['contacts']) - SHOWN} more times")
+    _print_nearest(answer, unit)
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     if answer["timed"]:
         print(f"curve     {answer['controller']} between points{error}")
@@ -409,18 +452,17 @@ def _print_answer(answer: dict[str, Any]) -> None:
     for column, value in answer.get("stated", {}).items():
         print(f"state     {column} = {value:.9g}, from {answer['stated_in'][column]}; the points do not name it")
     if answer.get("assumed"):
-        print(
-            f"assumed   {some(answer['assumed'])}: the file has no values of these, which keep the robot's defaults, "
-            "mostly 0 (--others)"
-        )
-    for one in answer["beyond_limits"]:
-        kind = "limits" if one["hard"] else "limits for planning"
-        (least, most), ends = one["range"], ["none" if end is None else f"{end:.6g}" for end in one["limits"]]
-        print(f"limits    {one['value']} is {least:.6g} .. {most:.6g}, outside its {kind} {' .. '.join(ends)}")
-    if answer.get("first_point_due", 0.0) > 0:
+        named = [f"{name} = {value:.9g}" for name, value in answer["assumed"].items()]
+        print(f"assumed   {some(named)}: the file has no values of these, which keep the robot's defaults (--others)")
+    _print_limits(answer, unit)
+    for doubt in answer["doubts"]:
+        print(f"doubt     {doubt}")
+    if answer.get("before"):
+        print(f"before    {answer['before']['text']}")
+    elif answer.get("first_point_due", 0.0) > 0:
         print(
             f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from where the "
-            "robot stands is not in the file and not checked"
+            "robot stands is not in the file and not checked (--from)"
         )
     if answer["moving"]:
         print(
@@ -429,3 +471,64 @@ def _print_answer(answer: dict[str, Any]) -> None:
         )
     if answer["proof"] is not None:
         print(f"written   {answer['proof']}, for loewner verify")
+
+
+def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
+    """Print a row for each piece that is not proven free, and which margins count."""
+    table = new_table(
+        "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", "pair of the verdict", "nearest pair",
+        f"at{comma_unit}", "nearest, mm", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
+    )  # fmt: skip
+    for piece in answer["unproven"]:
+        same = sorted(piece["pair"]) == sorted(piece["nearest_pair"])
+        table.add_row(
+            str(piece["number"]), f"{piece['begins']:.6g}", f"{piece['ends']:.6g}", piece["verdict"],
+            " and ".join(piece["pair"]), "the same" if same else " and ".join(piece["nearest_pair"]),
+            f"{piece['nearest_time']:.6g}", f"{1e3 * piece['nearest']:z.3f}",
+        )  # fmt: skip
+    print_table(table)
+    for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
+        if margin:
+            print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")
+    if answer["joint_error"]:
+        print(
+            f"error     the verdicts are for values up to {answer['joint_error']:g} off, the distances for values "
+            "that are not"
+        )
+
+
+def _print_nearest(answer: dict[str, Any], unit: str) -> None:
+    """Print the least distance of the whole trajectory, with its proven bound."""
+    found, lower = 1e3 * answer["nearest"], answer["nearest_lower"]
+    if lower is None:
+        bound = "a surface may be deeper at another time"
+    else:
+        proven = f"at least {1e3 * lower:.3f} mm" if lower >= 0 else f"nowhere deeper than {-1e3 * lower:.3f} mm"
+        bound = f"proven {proven}" + ("" if answer["nearest_close"] else ", which is far from what was found")
+    print(
+        f"nearest   {found:z.3f} mm at {answer['nearest_time']:.6g}{unit}, {' and '.join(answer['nearest_pair'])}; "
+        f"{bound}; negative is a depth; margins are not subtracted"
+    )
+
+
+def _print_limits(answer: dict[str, Any], unit: str) -> None:
+    """Print limits that are exceeded, the largest use of each quantity, and corners."""
+    for one in answer["beyond_limits"]:
+        kind = "limits" if one["hard"] else "limits for planning"
+        (least, most), ends = one["range"], ["none" if end is None else f"{end:.6g}" for end in one["limits"]]
+        print(f"limits    {one['value']} is {least:.6g} .. {most:.6g}, outside its {kind} {' .. '.join(ends)}")
+    for quantity, symbol in UNITS.items():
+        uses = [use for use in answer["limits"] if use["quantity"] == quantity]
+        worst = sorted(uses, key=lambda use: -use["ratio"])
+        for use in [each for each in worst if each["ratio"] > 1 + limit_use.ROUNDED][:SHOWN] or worst[:1]:
+            of_joint = ("m" if use["joint"] in answer["sliding"] else "rad") + symbol
+            print(
+                f"limits    {quantity} of {use['joint']} reaches {use['value']:.6g} {of_joint} at "
+                f"{use['time']:.6g}{unit}, {use['ratio']:.3g} times its limit of {abs(use['limit']):.6g}"
+            )
+    for jump in answer["jumps"]:
+        times = "once" if jump["count"] == 1 else f"at {jump['count']} times"
+        print(
+            f"corner    {jump['quantity']} jumps {times}, most in {jump['joint']}: by {jump['size']:.6g} at "
+            f"{jump['time']:.6g}{unit}"
+        )

@@ -5,6 +5,7 @@
 finds pairs that need no check, and `written_proofs` writes proofs that other programs verify.
 """
 
+from loewner.robots.approaches import ClosestApproach
 from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.contact_times import TrajectoryContact
@@ -21,6 +22,7 @@ from loewner.robots.written_proofs import Proof
 __all__ = [
     "CertifiedMotions",
     "CertifiedTrajectory",
+    "ClosestApproach",
     "CollisionChecker",
     "PairDistances",
     "Part",

@@ -23,7 +23,18 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import cells, contact_times, curves, distances, edges, in_time, proofs, tracking, verdicts
+from loewner.robots import (
+    approaches,
+    cells,
+    contact_times,
+    curves,
+    distances,
+    edges,
+    in_time,
+    proofs,
+    tracking,
+    verdicts,
+)
 from loewner.robots.checked_pairs import prepared
 from loewner.robots.courses import straight
 from loewner.robots.curves import CertifiedTrajectory
@@ -548,6 +559,7 @@ class CollisionChecker:
 
     joint_error = tracking.joint_error
     first_contact = contact_times.first_contact
+    closest = approaches.closest
 
     def pairs(self, q: ArrayLike, t: float | None = None) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.

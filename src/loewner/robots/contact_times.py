@@ -9,12 +9,12 @@ import numpy as np
 
 from loewner import _validate
 from loewner._kernels import codes
-from loewner._validate import Floats, Ints
+from loewner._validate import Floats
 from loewner.queries import Verdict
-from loewner.robots import in_time, verdicts
+from loewner.robots import in_time
 from loewner.robots.contacts import distance_at
-from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, parts
-from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short
+from loewner.robots.courses import CURVE_ROUNDINGS, elevated, parts
+from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
 
@@ -179,23 +179,13 @@ def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> floa
 
     inf if there is no collision at `touching`, where it is known up to rounding only.
     """
-    if not len(_hits(ready, curve, np.array([touching]))):
+    if not len(hits(ready, curve, np.array([touching]))):
         return np.inf
     while True:
         times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
         times = times[(times > free) & (times < touching)]
         if len(times) == 0:
             return touching
-        hit = _hits(ready, curve, times)
+        hit = hits(ready, curve, times)
         at = int(hit[0]) if len(hit) else len(times)
         free, touching = float(times[at - 1]) if at else free, float(times[at]) if at < len(times) else touching
-
-
-def _hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
-    """Return which of some times collide, with the moving bodies at their poses then."""
-    k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
-    shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
-    Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
-    if ready.paths is not None:
-        Q = in_time.with_bodies(ready, Q[:, : Q.shape[1] - in_time.WIDTH * len(ready.paths.far)], times)
-    return np.flatnonzero(verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)

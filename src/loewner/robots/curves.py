@@ -27,6 +27,7 @@ from loewner.robots.problem import Problem
 from loewner.robots.proof_models import Model
 from loewner.robots.proofs import prove
 from loewner.robots.robot import Robot
+from loewner.robots.verdicts import classified
 from loewner.robots.written_proofs import proof_of
 from loewner.scenes import Scene
 
@@ -181,6 +182,16 @@ def cut_in_time(robot: Robot, ready: Problem, curve: Curve) -> Curve:
         return curve
     cut = in_time.pieces(robot, ready.paths, curve.courses, curve.off, curve.times[:-1], curve.times[1:])
     return Curve(None, np.append(cut.times[:, 0], curve.times[-1]), cut.courses, cut.off)
+
+
+def hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
+    """Return which of some times collide, with the moving bodies at their poses then."""
+    k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
+    shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
+    Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
+    if ready.paths is not None:
+        Q = in_time.with_bodies(ready, Q[:, : Q.shape[1] - in_time.WIDTH * len(ready.paths.far)], times)
+    return np.flatnonzero(classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)
 
 
 def of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:

@@ -108,7 +108,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     _expect_pairs(ready, "distance")
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
-    columns = _nearest(ready, Q, exact)
+    columns = nearest_columns(ready, Q, exact)
     if gradient:
         columns.append(gradients(ready, Q, *(columns[k] for k in (3, 4, 6))))
     if exact:
@@ -125,7 +125,7 @@ def _expect_pairs(ready: Problem, query: str) -> None:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
 
-def _nearest(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
+def nearest_columns(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
     """Compute the columns of `nearest` without the gradient, with indices of bodies instead of names."""
     n, m, pack = len(Q), len(Q) * exact, ready.packed
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))

@@ -23,6 +23,7 @@ from loewner.robots.problem import Problem
 LEAST_SHARE = 16
 
 NO_STRAYS = np.empty((0, 0))
+NO_CLEARANCES = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,9 @@ class Found(NamedTuple):
         )  # fmt: skip
 
 
-def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
+def settle(
+    ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None, clear: Floats = NO_CLEARANCES
+) -> Found:
     """Let the kernel settle motions along courses.
 
     Parameters
@@ -133,6 +136,9 @@ def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None
         Metres.
     off : ndarray, shape (N, dof), optional
         How far each value may deviate from the course at any fraction; FREE covers all such deviations.
+    clear : ndarray, shape (N,), optional
+        Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING, too, then
+        refers to them.
 
     Notes
     -----
@@ -149,7 +155,7 @@ def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None
 
     def share(first: int, last: int) -> None:
         entries.certify_motions(
-            first, last, courses, strays, tolerance, ready.packed.handle, ready.handle, prepared.handle, *found,
+            first, last, courses, strays, clear, tolerance, ready.packed.handle, ready.handle, prepared.handle, *found,
             workspace(prepared.memory),
         )  # fmt: skip
 

@@ -399,6 +399,17 @@ class Problem:
         """The problem without these pairs."""
         return self.only(np.flatnonzero(~(self.leaving | self.reaching)))
 
+    @kept
+    def without_margins(self) -> Problem:
+        """The problem with no margins, for distances."""
+        if not self.margins.any():
+            return self
+        made = Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs,
+            np.zeros(len(self.pairs)), self.leaving, self.reaching, self.moving, self.packed,
+        )  # fmt: skip
+        return made._placed(self.standing.poses, version=self.version, paths=self.paths)
+
     # -- poses --------------------------------------------------------------------------------
 
     def fingerprint(self) -> str:

@@ -121,6 +121,7 @@ class Motion(NamedTuple):
     rounding : errors of computed poses, and rounding of the positions of the robot's points [m]
     skew : relative error of turned lengths, which is also added for a pair's margin
     strays : whether values may deviate from the course; pairs then keep a larger distance
+    clear : distance that pairs must keep in addition to their margins [m]
     points : control points of the course
     counts : numbers of bodies, pieces, pairs and links
     work : address of `MEMORY`
@@ -133,6 +134,7 @@ class Motion(NamedTuple):
     rounding: Any
     skew: Any
     strays: Any
+    clear: Any
     points: Any
     counts: Any
     work: Any
@@ -322,6 +324,12 @@ def _to_body(poses, row, n):
         poses[row, 0, 1] * n[0] + poses[row, 1, 1] * n[1] + poses[row, 2, 1] * n[2],
         poses[row, 0, 2] * n[0] + poses[row, 1, 2] * n[1] + poses[row, 2, 2] * n[2],
     )
+
+
+@inline
+def _margin(motion, pair):
+    """Distance that two bodies must keep [m]."""
+    return problem_of(motion.problem).margins[pair] + motion.clear
 
 
 @inline
@@ -760,7 +768,7 @@ def _listed_pair(motion, e):
     listed, ways, at = _listed_of(motion), _listed_ways_of(motion), e * LISTED_WAYS
     pair = listed[e, 0]
     return Near(
-        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], problem_of(motion.problem).margins[pair],
+        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], _margin(motion, pair),
         ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
     )  # fmt: skip
 
@@ -816,7 +824,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)
     listed, ways = _listed_of(motion), _listed_ways_of(motion)
-    one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
+    one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin(motion, pair)
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
     width = times[1] - times[0]
     keep = margin + slack + bend * width * width / 8.0
@@ -892,7 +900,8 @@ def _find_near_pairs(motion, widest):
     for body in range(motion.counts.moving):
         if swept.done[body] == 0:
             _sweep(motion, body)
-        keep = motion.rounding + ways[body, 2] + ways[body, 0] * widest * widest / 8.0
+        keep = (1.0 + motion.skew) * motion.clear + motion.rounding + ways[body, 2]
+        keep += ways[body, 0] * widest * widest / 8.0
         for g in range(tables.group_start[body], tables.group_start[body + 1]):
             live = near_group(tables.groups, g, body, keep, motion.skew, CLEAR_ROUNDINGS, swept)
             for lane in range(LANES):
@@ -928,7 +937,7 @@ def _settle_block(motion, low, high, found, tally):
             _find_near_pairs(motion, widest)
         if number >= FIRST_PAIRS and near_pairs[pair] == 0:
             continue
-        one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
+        one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin(motion, pair)
         slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
         if other >= moving:
             k = other - moving
@@ -974,8 +983,8 @@ def _certify(motion, tally):
     if astray < ROUNDED_STRAY * motion.tolerance:
         rounding, strays = rounding + astray, False
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, strays, motion.points,
-        motion.counts, motion.work,
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, strays, motion.clear,
+        motion.points, motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
         return Found(TOO_LONG, np.nan, -1)  # an orientation that may turn arbitrarily fast
@@ -1006,16 +1015,16 @@ def _certify(motion, tally):
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, strays, points, dof, memory):
+def _motion(pack, problem_handle, tables_handle, tolerance, strays, clear, points, dof, memory):
     """A motion in prepared memory, whose course has yet to be written."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, points, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, clear, points, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write the data shared by all motions to the memory."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 0.0, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
@@ -1030,7 +1039,20 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 
 @njit()
 def certify_motions(
-    start, stop, courses, off, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
+    start,
+    stop,
+    courses,
+    off,
+    clear,
+    tolerance,
+    pack,
+    problem_handle,
+    tables_handle,
+    out,
+    t_out,
+    pair_out,
+    tallies,
+    memory,
 ):
     """Settle the motions start .. stop at every one of their configurations.
 
@@ -1041,6 +1063,8 @@ def certify_motions(
     off : ndarray, shape (N, dof) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
         and COLLIDING for one on the course itself. No rows: no deviation.
+    clear : ndarray, shape (N,) or (0,)
+        Distances in metres that all pairs must keep on a motion in addition to their margins. No rows: none.
     tolerance : float
         In metres; a motion that comes within the margin plus this may be AMBIGUOUS.
     pack : int
@@ -1060,9 +1084,10 @@ def certify_motions(
     """
     _, points, dof = courses.shape
     make_ready(pack, problem_handle, tables_handle, dof, memory)
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, points, dof, memory)
-    course, strays = _course_of(motion), _off_of(motion)
     for k in range(start, stop):
+        more = clear[k] if len(clear) > 0 else 0.0
+        motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, more, points, dof, memory)
+        course, strays = _course_of(motion), _off_of(motion)
         for c in range(dof):
             for point in range(points):
                 course[point, c] = courses[k, point, c]
@@ -1081,7 +1106,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
     found not to be free is moved forward, so that pairs that collide most often come first.
     """
     dof = ends.shape[1]
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 0.0, 2, dof, memory)
     course = _course_of(motion)
     for c in range(dof):
         course[0, c], course[1, c] = ends[0, c], ends[1, c]

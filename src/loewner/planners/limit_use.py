@@ -1,0 +1,229 @@
+"""Compare a curve with a robot's limits at every instant: positions, velocities, accelerations and jerk.
+
+A controller's curve is a polynomial on each piece, so extreme values are at its ends or where a derivative has a root.
+"""
+
+from __future__ import annotations
+
+from math import comb
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from loewner._validate import Floats
+from loewner.planners.joint_limits import JointLimits
+from loewner.robots import Robot
+from loewner.robots.curves import Curve
+
+QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+
+# Fractions of pieces at which values are compared before roots are sought, only where these may give more.
+TRIED = np.arange(9) / 8
+
+# Extremes and jumps below this share of the largest value are rounding.
+ROUNDED = 1e-9
+
+# Times are doubted if the largest velocity, times one of these factors, is a share of its limit between these two; and
+# the names of the units of time that have this factor.
+UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+LIKELY = (0.05, 2.0)
+
+# Without a limit of velocity, this one is assumed for that doubt [rad/s or m/s].
+USUAL = 2.0
+
+# Velocities at both ends of a monotone cubic are within this multiple of its mean velocity; and the share of a joint's
+# way on other pieces from which velocities are doubted.
+STEEPEST, DOUBTED = 3.0, 0.5
+
+
+# The least and the greatest value of a joint, each with its time.
+Ends = tuple[tuple[float, float], tuple[float, float]]
+
+
+class Use(NamedTuple):
+    """The largest value of one joint on a curve, beside its limit.
+
+    Attributes
+    ----------
+    quantity : str
+        One of `QUANTITIES`.
+    joint : str
+    value, limit : float
+        The value that comes nearest to its limit or exceeds it most, and this limit; SI units. The limit is infinite if
+        there is none.
+    ratio : float
+        Of a position, the distance from the middle of the range over half the range; otherwise, abs(value) over the
+        limit. 0 if there is no limit.
+    time : float
+        Seconds; when it happens.
+    """
+
+    quantity: str
+    joint: str
+    value: float
+    limit: float
+    ratio: float
+    time: float
+
+
+class Jump(NamedTuple):
+    """The largest jump of a velocity or an acceleration between two pieces, and the number of times that one jumps."""
+
+    quantity: str
+    joint: str
+    size: float
+    time: float
+    count: int
+
+
+def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
+    """Return the use of all limits of all joints on a curve whose columns are the robot's; positions alone if not timed.
+
+    The limits of positions are hard ones, unless the file of `limits` gives others.
+    """
+    lower, upper = robot.hard_lower, robot.hard_upper
+    if limits is not None:
+        lower = np.where(limits.lower == robot.lower, lower, limits.lower)
+        upper = np.where(limits.upper == robot.upper, upper, limits.upper)
+    found: list[Use] = []
+    for order, quantity in enumerate(QUANTITIES[: None if timed else 1]):
+        points = curve.courses if order == 0 else _rates(curve, order)
+        if points.shape[1] == 0:
+            break
+        for k, joint in enumerate(robot.configuration_names):
+            ends = extremes(points[:, :, k], curve.times)
+            low, high = (lower[k], upper[k]) if order == 0 else _both_signs(robot, limits, quantity, k)
+            found.append(_worst(quantity, joint, ends, float(low), float(high)))
+    return found
+
+
+def jumps(robot: Robot, curve: Curve) -> list[Jump]:
+    """Return the largest jumps of velocities and accelerations, if there are any."""
+    found = []
+    for order in (1, 2):
+        points = _rates(curve, order)
+        if len(points) < 2 or points.shape[1] == 0:
+            continue
+        sizes = np.abs(points[1:, 0] - points[:-1, -1])
+        # Rounding of positions is divided by times.
+        noise = 64 * np.abs(curve.courses).max(axis=(0, 1)) * np.finfo(float).eps / np.diff(curve.times).min() ** order
+        jumping = sizes > ROUNDED * np.abs(points).max(axis=(0, 1)) + noise
+        if jumping.any():
+            k, joint = (int(n) for n in np.unravel_index(np.where(jumping, sizes, 0.0).argmax(), sizes.shape))
+            count = int(jumping.any(axis=1).sum())
+            name, time = robot.configuration_names[joint], float(curve.times[k + 1])
+            found.append(Jump(QUANTITIES[order], name, float(sizes[k, joint]), time, count))
+    return found
+
+
+def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> list[str]:
+    """Describe what is odd about times, and about velocities if the file has some."""
+    found = []
+    fastest = [use for use in uses if use.quantity == "velocity"]
+    shares = [use.ratio if np.isfinite(use.limit) else abs(use.value) / USUAL for use in fastest]
+    most = max(shares, default=0.0)
+    for factor, unit in UNITS.items():
+        if LIKELY[0] <= most * factor <= LIKELY[1]:
+            found.append(
+                f"times may be in {unit}: the highest velocity is {most:.3g} of its limit, and the file takes "
+                f"{curve.times[-1] - curve.times[0]:.6g} s"
+            )
+    courses, T = curve.courses, np.diff(curve.times)[:, None]
+    if not velocities or courses.shape[1] < 3:
+        return found
+    way, degree = courses[:, -1] - courses[:, 0], courses.shape[1] - 1
+    rates = [degree * (courses[:, 1] - courses[:, 0]), degree * (courses[:, -1] - courses[:, -2])]
+    odd = np.zeros(way.shape, dtype=bool)
+    for rate in rates:
+        share = np.divide(rate, way, out=np.zeros_like(way), where=way != 0)
+        odd |= (share < -ROUNDED) | (share > STEEPEST * (1 + 1e-3))
+    ways = np.abs(way)
+    astray = (ways * odd).sum(axis=0) > DOUBTED * ways.sum(axis=0)
+    astray &= ways.sum(axis=0) > ROUNDED
+    for k in np.flatnonzero(astray)[:1].tolist():
+        n = int(np.where(odd[:, k], ways[:, k], 0.0).argmax())
+        found.append(
+            f"velocities disagree with positions: {robot.configuration_names[k]} moves at a mean of "
+            f"{way[n, k] / T[n, 0]:.4g} from {curve.times[n]:.6g} s to {curve.times[n + 1]:.6g} s, where the file has "
+            f"the velocities {rates[0][n, k] / T[n, 0]:.4g} and {rates[1][n, k] / T[n, 0]:.4g}"
+            + (f" ({int(astray.sum()) - 1} more joints)" if astray.sum() > 1 else "")
+        )
+    return found
+
+
+def _rates(curve: Curve, order: int) -> Floats:
+    """Return the control points of a derivative in time, shape (n, points, dof)."""
+    points, T = curve.courses, np.diff(curve.times)[:, None, None]
+    for _ in range(order):
+        points = (points.shape[1] - 1) * np.diff(points, axis=1) / T
+    return np.asarray(points)
+
+
+def _both_signs(robot: Robot, limits: JointLimits | None, quantity: str, k: int) -> tuple[float, float]:
+    given: Any = robot if limits is None else limits
+    most = float(getattr(given, quantity)[k])
+    if np.isnan(most):
+        most = np.inf
+    return -most, most
+
+
+def _worst(quantity: str, joint: str, ends: Ends, low: float, high: float) -> Use:
+    """Compare the least and the greatest value, each with its time, with limits."""
+    (least, when_least), (greatest, when_greatest) = ends
+    if np.isfinite(low) and np.isfinite(high):
+        middle, half = (low + high) / 2, (high - low) / 2
+        below, above = (_share(middle - least, half), _share(greatest - middle, half))
+    else:  # with one limit, a value is within it or not
+        below, above = (np.inf if beyond > 0 else 0.0 for beyond in (low - least, greatest - high))
+    if below > above or (below == above == 0.0 and np.isfinite(low)):
+        return Use(quantity, joint, least, low, below, when_least)
+    return Use(quantity, joint, greatest, high, above, when_greatest)
+
+
+def _share(way: float, half: float) -> float:
+    """Return a way from the middle of a range as a share of half the range, which may be 0."""
+    return way / half if half > 0 else (np.inf if way > ROUNDED else 1.0)
+
+
+def extremes(points: Floats, times: Floats) -> Ends:
+    """Return the least and the greatest value of polynomials with control points of shape (n, k), with their times."""
+    (low, when_low), (high, when_high) = _greatest(-points, times), _greatest(points, times)
+    return (-low, when_low), (high, when_high)
+
+
+def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
+    degree = points.shape[1] - 1
+    values = _at(points, TRIED)
+    n, at = np.unravel_index(values.argmax(), values.shape)
+    best, piece, share = float(values[n, at]), int(n), float(TRIED[at])
+    bounds = points.max(axis=1)
+    for n in np.argsort(-bounds, kind="stable").tolist():
+        if degree < 2 or bounds[n] <= best + ROUNDED * abs(best):
+            break
+        slopes = _powers(degree * np.diff(points[n]))
+        roots = Polynomial(slopes).roots()
+        shares = np.real(roots[(np.abs(np.imag(roots)) < 1e-6) & (np.real(roots) > 0) & (np.real(roots) < 1)])
+        if len(shares):
+            tried = _at(points[n : n + 1], shares)[0]
+            if tried.max() > best:
+                best, piece, share = float(tried.max()), n, float(shares[tried.argmax()])
+    return best, float(times[piece] + share * (times[piece + 1] - times[piece]))
+
+
+def _at(points: Floats, shares: Floats) -> Floats:
+    """Evaluate polynomials, shape (n, k), at fractions, shape (m,), by de Casteljau's scheme: shape (n, m)."""
+    rows = np.repeat(points[:, None], len(shares), axis=1)
+    t = shares[None, :, None]
+    while rows.shape[2] > 1:
+        rows = (1 - t) * rows[:, :, :-1] + t * rows[:, :, 1:]
+    return np.asarray(rows[:, :, 0])
+
+
+def _powers(points: Floats) -> Floats:
+    """Return the coefficients of powers of a polynomial with these control points."""
+    degree, differences, found = len(points) - 1, points, []
+    for k in range(degree + 1):
+        found.append(comb(degree, k) * differences[0])
+        differences = np.diff(differences)
+    return np.array(found)
