@@ -109,13 +109,13 @@ def add(commands: Any) -> None:
         help="when the trajectory starts, on the clock of bodies that move (what the file says, or 0)",
     )
     audit.add_argument(
-        "--limits", type=Path, metavar="FILE", help="limits of the joints (joint_limits.yaml), which replace the URDF's"
+        "--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)"
     )
     audit.add_argument(
         "--from",
         dest="present",
         metavar="Q",
-        help="where the robot stands before: a state, a file, or numbers; the straight way to the first point is proven",
+        help="a state, a file or numbers: where the robot stands; proves the straight way from there to the first point",
     )
     audit.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"

@@ -78,7 +78,7 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return the use of all limits of all joints on a curve whose columns are the robot's; positions alone if not timed.
+    """Return the use of all limits of all joints on a curve with the robot's columns; positions alone if not timed.
 
     The limits of positions are hard ones, unless the file of `limits` gives others.
     """

@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from loewner import _validate
 from loewner._kernels import codes, columns
+from loewner._matrices import lengths
 from loewner._pictures import pictured, verdicts
 from loewner._validate import Floats, Ints
 from loewner.robots import in_time, motions
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, parts
 from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits
-from loewner.robots.distances import nearest_columns
+from loewner.robots.distances import expect_pairs, nearest_columns
 from loewner.robots.problem import Problem
+from loewner.robots.robot import Robot
 
 # The two bounds on a distance differ by no more than this share of it, or by this many metres, if possible.
 SHARE, NEAR = 0.01, 1e-5
@@ -45,9 +47,9 @@ PARTS, MOST_PARTS = 4, 1 << 14
 # Exact distances are accurate to this share of the lengths from which they are computed.
 ROUNDINGS = 1e-9
 
-# Bound on the angle between two rotations whose quaternions differ by 1: normalisation doubles the difference, and a
-# chord c is an angle of at most π c.
-TURNS = 2.0 * np.pi
+# A quaternion that differs from one of norm 1 by δ, up to a half, is at an angle of at most arcsin δ from it, which is
+# less than 1.05 δ, and turns by twice this angle. No turn moves a point by more than twice its distance from the axis.
+TURNS, NEAR_TURNS, MOST_TURN = 2.1, 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +163,7 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 
 def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
     """Measure one curve, on whose courses the moving bodies have their places; `number` is the curve's."""
+    expect_pairs(ready, "closest")
     ready = ready.without_margins
     search = Search.of(ready, curve)
     lower = np.full(len(search.distance), -np.inf)
@@ -338,7 +341,7 @@ def _slides(tree: Any, off: Floats) -> Floats:
 
 
 def _turns(tree: Any, off: Floats) -> Floats:
-    """Bound how far joints turn if values change by `off`, shape (..., dof); shape (..., links)."""
+    """Bound how far joints turn points, in units of the distance from their axes, if values change by `off`."""
     found = np.zeros((*off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
         if kind == columns.REVOLUTE:
@@ -347,21 +350,26 @@ def _turns(tree: Any, off: Floats) -> Floats:
             found[..., link] = off[..., at + 2]
         elif kind in (columns.FLOATING, columns.BALL):
             first = at + 3 * (kind == columns.FLOATING)
-            found[..., link] = TURNS * off[..., first : first + 4].sum(axis=-1)
-    return found
+            far = np.sqrt((off[..., first : first + 4] ** 2).sum(axis=-1))
+            found[..., link] = np.where(far <= NEAR_TURNS, TURNS * far, MOST_TURN)
+    return np.minimum(found, MOST_TURN)
 
 
-def _changes(ready: Problem, courses: Floats, low: Floats, middle: Floats, high: Floats) -> Floats:
+def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
     """Bound how far values get from those in the middle of a part of their course; shape (N, dof)."""
-    centers = configurations(ready.robot, courses, middle)
-    if courses.shape[1] > 2:
-        return np.asarray(np.abs(parts(courses, low, high) - centers[:, None]).max(axis=1))
-    ends = np.stack([configurations(ready.robot, courses, share) for share in (low, high)])
-    changes = np.abs(ends - centers).max(axis=0)
-    for (
-        columns_of_quaternion
-    ) in ready.robot._quaternions.values():  # turns at a constant rate, by less than half a turn
-        changes[:, columns_of_quaternion] = changes[:, columns_of_quaternion].sum(axis=1, keepdims=True)
+    quaternions = robot._quaternions.values()
+    if courses.shape[1] == 2:
+        center, *ends = (configurations(robot, courses, share) for share in ((low + high) / 2, low, high))
+        changes = np.maximum(*(np.abs(end - center) for end in ends))
+        for at in quaternions:  # turn at a constant rate: farthest at the ends, in no single column
+            changes[:, at] = lengths(changes[:, at])[:, None] / 2
+        return np.asarray(changes)
+    points = center = parts(courses, low, high)
+    while center.shape[1] > 1:
+        center = (center[:, :-1] + center[:, 1:]) / 2
+    changes = np.abs(points - center).max(axis=1)
+    for at in quaternions:  # as if the one in the middle had norm 1
+        changes[:, at] /= lengths(center[:, 0, at])[:, None]
     return np.asarray(changes)
 
 
@@ -373,9 +381,8 @@ def _by_parts(search: Search, bounds: _Motion, piece: int) -> float:
     with_surfaces = np.isin(search.ready.packed.layout[:, columns.KIND], (columns.SOLID, columns.SURFACE)).any()
     while True:
         count = len(low)
-        middle = low + width / 2
-        distance = search.look(np.full(count, piece), middle)
-        change = _changes(search.ready, np.repeat(course[None], count, axis=0), low, middle, low + width) + off
+        distance = search.look(np.full(count, piece), low + width / 2)
+        change = _changes(search.ready.robot, np.repeat(course[None], count, axis=0), low, low + width) + off
         least = distance - bounds.approach(change) - bounds.slack
         spent += count
         wanted = search.distance[piece] - _allowed(search.distance[piece : piece + 1])[0]

@@ -9,7 +9,6 @@ import numpy as np
 
 from loewner import _validate
 from loewner._kernels import codes
-from loewner._validate import Floats
 from loewner.queries import Verdict
 from loewner.robots import in_time
 from loewner.robots.contacts import distance_at

@@ -105,7 +105,7 @@ class PairDistances:
 def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool) -> StateDistance:
     """Compute the nearest pair and its distance at each configuration; see `CollisionChecker.distance`."""
     batch, Q = configurations.shape[:-1], flat(configurations)
-    _expect_pairs(ready, "distance")
+    expect_pairs(ready, "distance")
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
@@ -120,7 +120,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     )
 
 
-def _expect_pairs(ready: Problem, query: str) -> None:
+def expect_pairs(ready: Problem, query: str) -> None:
     if len(ready.pairs) == 0:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
@@ -211,7 +211,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
     """
     if not ready.starts_matter:  # a solid counts as a whole, not only its surface
         ready = ready.in_parts
-    _expect_pairs(ready, "clearance")
+    expect_pairs(ready, "clearance")
     n, dof = Q.shape
     _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
     lower, slopes = np.empty(n), np.empty((n * gradient, dof))
