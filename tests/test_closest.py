@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from checker_oracle import composed_bodies, random_robot, random_scene, simple_bodies
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BPoly, CubicSpline, PPoly
 
+from checker_oracle import composed_bodies, random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker, Robot, Scene, planners
 from loewner.errors import InputError
 from loewner.robots import approaches, curves
 
-SLIDE = """<robot name="slide"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/></geometry>
-</collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/><axis xyz="1 0 0"/>
+SLIDE = """<robot name="slide"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
+</geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/><axis xyz="1 0 0"/>
 <limit lower="-1e4" upper="1e4" effort="1" velocity="1"/></joint></robot>"""
 
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="bob"><collision><origin xyz="1 0 0"/><geometry>
@@ -48,7 +48,8 @@ def test_the_distance_of_a_ball_that_passes_a_post_is_known(power, deep, duratio
     checker = slide_past(share * length, gap)
     times = np.linspace(0.0, duration, pieces + 1)
     if data.draw(st.booleans(), label="straight"):
-        curve = PPoly(np.array([np.full(pieces, length / duration), length / duration * times[:-1]])[..., None], times)
+        rate = length / duration
+        curve = PPoly(np.array([np.full(pieces, rate), rate * times[:-1]])[..., None], times)
     else:
         curve = CubicSpline([0.0, duration], [[0.0], [length]], bc_type="clamped")
     found = checker.closest(curve)
@@ -71,7 +72,7 @@ def test_the_distance_of_a_pendulum_is_known(begin, turned, gap):
     checker = CollisionChecker(Robot.from_urdf(text=PENDULUM), scene)
     found = checker.closest(CubicSpline([0.0, 1.0], [[begin], [begin + turned]], bc_type="clamped"))
     passes = math.floor((begin + turned) / (2 * math.pi)) != math.floor(begin / (2 * math.pi)) or begin == 0
-    angle = 0.0 if passes else min((abs(math.remainder(a, 2 * math.pi)) for a in (begin, begin + turned)))
+    angle = 0.0 if passes else min(abs(math.remainder(a, 2 * math.pi)) for a in (begin, begin + turned))
     truth = math.sqrt(1 + (1.15 + gap) ** 2 - 2 * (1.15 + gap) * math.cos(angle)) - 0.15
     assert found.lower[0] <= truth + 1e-12
     assert truth - 1e-9 <= found.distance[0]

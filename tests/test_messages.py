@@ -286,11 +286,12 @@ def test_values_that_nothing_gives_and_values_beyond_limits_are_told(written, ca
     written(CAN, "s.yaml")
     name = written(moved((0, 0.0), (1, 3.5)))
     status, out, _ = audit(capsys, name, "--scene", "s.yaml")
-    assert status == 0
-    assert "assumed   lift: the file has no values of these" in out
+    assert status == 4
+    assert out.startswith("FREE  ")
+    assert "assumed   lift = 0: the file has no values of these" in out
     assert "limits    slide is 0 .. 3.5, outside its limits 0 .. 3\n" in out
     answer = json.loads(audit(capsys, name, "--scene", "s.yaml", "--json")[1])
-    assert answer["assumed"] == ["lift"]
+    assert answer["assumed"] == {"lift": 0.0}
     assert answer["beyond_limits"] == [{"value": "slide", "range": [0.0, 3.5], "limits": [0.0, 3.0], "hard": True}]
     answer = json.loads(audit(capsys, name, "--scene", "s.yaml", "--others", "0.5,0", "--json")[1])
     assert "assumed" not in answer

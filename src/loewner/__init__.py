@@ -31,6 +31,7 @@ from loewner.queries import Distance, Verdict, classify, collide, distance, push
 from loewner.robots import (
     CertifiedMotions,
     CertifiedTrajectory,
+    ClosestApproach,
     CollisionChecker,
     PairDistances,
     Part,
@@ -58,6 +59,7 @@ __all__ = [
     "BodyIndexError",
     "CertifiedMotions",
     "CertifiedTrajectory",
+    "ClosestApproach",
     "CollisionChecker",
     "Contact",
     "ConvergenceError",

@@ -1104,6 +1104,10 @@ CALLS: dict[str, Call] = {
             "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
         },
     ),
+    "CollisionChecker.closest": Call(
+        on(checker_in_time, "closest"),
+        {"curve": arg(moved, "empty list", "empty tuple"), "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE)},
+    ),
     "CollisionChecker.joint_error": Call(
         on(checker, "joint_error"),
         {
@@ -1673,7 +1677,7 @@ RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope",
     "Problem",
     "Robot",
-    "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact",
+    "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact", "ClosestApproach",
     "Overlaps", "PairDistances",
     "PosePath", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",

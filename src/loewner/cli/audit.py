@@ -27,7 +27,7 @@ COLUMNS = 60
 # Lines of one kind that are printed.
 SHOWN = 5
 
-# What is behind the unit of positions in the units of their rates.
+# The part of the units of rates that follows the unit of positions.
 UNITS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
 
 # Exit status of a trajectory that is free, but exceeds a limit.
@@ -115,7 +115,7 @@ def add(commands: Any) -> None:
         "--from",
         dest="present",
         metavar="Q",
-        help="a state, a file or numbers: where the robot stands; proves the straight way from there to the first point",
+        help="the robot's present state, as a state, a file or numbers: also prove the straight way to the first point",
     )
     audit.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
@@ -261,7 +261,7 @@ def _end(robot: loewner.Robot, part: planners.ControllerPoints | Floats, row: in
 def _way_to(
     checker: loewner.CollisionChecker, part: planners.ControllerPoints | Floats, present: Floats, joint_error: float
 ) -> dict[str, Any]:
-    """Prove the straight way from where the robot stands to the first point of a part, within the time that it has."""
+    """Prove the straight way from the present state to the first point of a part, within the time that it has."""
     robot, first = checker.robot, _end(checker.robot, part, 0)
     begin = part.start_time if isinstance(part, planners.ControllerPoints) else 0.0
     due = float(part.times[0]) if isinstance(part, planners.ControllerPoints) else 0.0
@@ -273,7 +273,7 @@ def _way_to(
     if found.verdict != Verdict.FREE:
         text += f": {' and '.join(found.names)} at the fraction {found.fraction:.4g}"
     if off[most] <= START_TOLERANCE:
-        text += f"; the robot stands within {off[most]:.3g} of the point"
+        text += f"; the robot is within {off[most]:.3g} of the point"
     elif isinstance(part, planners.ControllerPoints) and due == 0:
         text += (
             f"; but the point is due at once, and {robot.configuration_names[most]} is off by {off[most]:.6g}, so most "
@@ -321,9 +321,8 @@ def _answer(
         found.proof.save(written)
     robot, times, unproven = checker.robot, found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     timed = isinstance(given, planners.ControllerPoints)
-    ready = checker._ready(timed=timed)
-    whole = curves.cut_in_time(robot, ready, curve)
-    near, names = approaches.measured(ready, whole), found.segments.names
+    near, contacts = approaches.along(checker, curve, unproven)
+    names = found.segments.names
     pieces = [
         {
             "number": k,
@@ -351,15 +350,12 @@ def _answer(
         "ends": float(times[-1]),
         "pieces": len(times) - 1,
         "unproven": pieces,
-        "contacts": approaches.contacts(ready, whole, unproven, near).tolist(),
+        "contacts": contacts.tolist(),
         **_nearest(near, near.nearest),
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
         "proof": str(written) if found.proof is not None else None,
         "moving": list(checker.scene.following),
-        "sliding": [
-            name for name, turns in zip(robot.configuration_names, robot._watch.turns, strict=True) if not turns
-        ],
         "limits": [_for_json(use._asdict()) for use in uses if np.isfinite(use.limit)],
         "exceeded": [_for_json(use._asdict()) for use in uses if use.ratio > 1 + limit_use.ROUNDED],
         "beyond_limits": _beyond_limits(robot, curve),
@@ -521,7 +517,7 @@ def _print_limits(answer: dict[str, Any], unit: str) -> None:
         uses = [use for use in answer["limits"] if use["quantity"] == quantity]
         worst = sorted(uses, key=lambda use: -use["ratio"])
         for use in [each for each in worst if each["ratio"] > 1 + limit_use.ROUNDED][:SHOWN] or worst[:1]:
-            of_joint = ("m" if use["joint"] in answer["sliding"] else "rad") + symbol
+            of_joint = use["unit"] + symbol
             print(
                 f"limits    {quantity} of {use['joint']} reaches {use['value']:.6g} {of_joint} at "
                 f"{use['time']:.6g}{unit}, {use['ratio']:.3g} times its limit of {abs(use['limit']):.6g}"

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from loewner._kernels import columns
 from loewner._validate import Floats
 from loewner.planners.joint_limits import JointLimits
 from loewner.robots import Robot
@@ -24,8 +25,7 @@ TRIED = np.arange(9) / 8
 # Extremes and jumps below this share of the largest value are rounding.
 ROUNDED = 1e-9
 
-# Times are doubted if the largest velocity, times one of these factors, is a share of its limit between these two; and
-# the names of the units of time that have this factor.
+# Times are doubted if the largest velocity, times a factor of a unit of time, is between two shares of its limit.
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LIKELY = (0.05, 2.0)
 
@@ -53,10 +53,12 @@ class Use(NamedTuple):
         The value that comes nearest to its limit or exceeds it most, and this limit; SI units. The limit is infinite if
         there is none.
     ratio : float
-        Of a position, the distance from the middle of the range over half the range; otherwise, abs(value) over the
+        For a position, the distance from the middle of the range over half the range; otherwise, abs(value) over the
         limit. 0 if there is no limit.
     time : float
         Seconds; when it happens.
+    unit : str
+        rad or m, the unit of the joint's positions.
     """
 
     quantity: str
@@ -65,6 +67,7 @@ class Use(NamedTuple):
     limit: float
     ratio: float
     time: float
+    unit: str = "rad"
 
 
 class Jump(NamedTuple):
@@ -86,6 +89,7 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
     if limits is not None:
         lower = np.where(limits.lower == robot.lower, lower, limits.lower)
         upper = np.where(limits.upper == robot.upper, upper, limits.upper)
+    slides = set(robot.tree.column[robot.tree.kind == columns.PRISMATIC].tolist())
     found: list[Use] = []
     for order, quantity in enumerate(QUANTITIES[: None if timed else 1]):
         points = curve.courses if order == 0 else _rates(curve, order)
@@ -94,7 +98,8 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
         for k, joint in enumerate(robot.configuration_names):
             ends = extremes(points[:, :, k], curve.times)
             low, high = (lower[k], upper[k]) if order == 0 else _both_signs(robot, limits, quantity, k)
-            found.append(_worst(quantity, joint, ends, float(low), float(high)))
+            unit = "m" if k in slides else "rad"
+            found.append(_worst(quantity, joint, ends, float(low), float(high))._replace(unit=unit))
     return found
 
 
@@ -118,7 +123,7 @@ def jumps(robot: Robot, curve: Curve) -> list[Jump]:
 
 
 def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> list[str]:
-    """Describe what is odd about times, and about velocities if the file has some."""
+    """Describe implausible times, and implausible velocities if the file has some."""
     found = []
     fastest = [use for use in uses if use.quantity == "velocity"]
     shares = [use.ratio if np.isfinite(use.limit) else abs(use.value) / USUAL for use in fastest]

@@ -192,8 +192,16 @@ def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
     return ClosestApproach(curve.times, np.minimum(lower, search.distance), search.distance, times, names)
 
 
+def along(checker: Any, curve: Curve, unproven: Ints) -> tuple[ClosestApproach, Floats]:
+    """Measure a curve from `curves.proven`; also return when collisions on its unproven pieces begin and end."""
+    ready = checker._ready(timed=bool(checker.scene.following))
+    whole = cut_in_time(checker.robot, ready, curve)
+    near = measured(ready, whole)
+    return near, contacts(ready, whole, unproven, near)
+
+
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:
-    """Find when collisions on some pieces begin and end, as far as samples tell; margins count.
+    """Find when collisions on some pieces begin and end, as far as samples show; margins count.
 
     Returns
     -------
@@ -292,7 +300,7 @@ class _Motion(NamedTuple):
     moved : ndarray, shape (links, bodies)
         1 where the joint moves the body.
     pairs : ndarray of int64, shape (2, pairs)
-        Bodies; the last number stands for what does not move.
+        Bodies; the last number is for all bodies that do not move.
     slack : float
         Error of exact distances in metres.
     """
@@ -356,7 +364,7 @@ def _turns(tree: Any, off: Floats) -> Floats:
 
 
 def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
-    """Bound how far values get from those in the middle of a part of their course; shape (N, dof)."""
+    """Bound how far values get from their values in the middle of a part of a course; shape (N, dof)."""
     quaternions = robot._quaternions.values()
     if courses.shape[1] == 2:
         center, *ends = (configurations(robot, courses, share) for share in ((low + high) / 2, low, high))

@@ -121,6 +121,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
 
 
 def expect_pairs(ready: Problem, query: str) -> None:
+    """Refuse a query about no pairs."""
     if len(ready.pairs) == 0:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
