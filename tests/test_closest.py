@@ -16,7 +16,8 @@ from loewner.errors import InputError
 from loewner.robots import approaches, curves
 
 SLIDE = """<robot name="slide"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
-</geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/><axis xyz="1 0 0"/>
+</geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/>
+<axis xyz="1 0 0"/>
 <limit lower="-1e4" upper="1e4" effort="1" velocity="1"/></joint></robot>"""
 
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="bob"><collision><origin xyz="1 0 0"/><geometry>
@@ -42,7 +43,7 @@ def slide_past(x, gap, radius=0.15, margin=0.0):
     st.floats(-6, 0), st.booleans(), st.floats(-3, 2.8), st.floats(0.02, 0.98), st.sampled_from([1, 2, 7]), st.data()
 )
 def test_the_distance_of_a_ball_that_passes_a_post_is_known(power, deep, duration, share, pieces, data):
-    """Between the proven bound and the distance that was found lies the truth, for gaps from a micrometre to a metre."""
+    """The truth lies between the proven bound and the distance that was found, for gaps of 1 µm to 1 m."""
     gap = 10.0**power if not deep else -min(10.0**power, 0.09)
     length, duration = 2.0, 10.0**duration
     checker = slide_past(share * length, gap)
