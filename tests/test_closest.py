@@ -276,3 +276,33 @@ def test_limits_of_a_file_replace_those_of_the_robot(capsys, tmp_path):
     ratios = {use["quantity"]: use["ratio"] for use in answer["exceeded"]}
     assert status == 4
     assert ratios == {"velocity": pytest.approx(1.8), "acceleration": pytest.approx(1.8)}
+
+
+@pytest.mark.verify
+def test_a_thousand_curves_have_known_distances():
+    """Slides and swings past a post, gaps and depths of 1 µm to 1 m, in 1 ms to 10 minutes, on 1 to 400 pieces."""
+    rng, near = np.random.default_rng(59), 0
+    for number in range(1000):
+        gap = 10.0 ** rng.uniform(-6, 0)
+        if number % 3 == 0:
+            gap = -min(gap, 0.099)
+        length, duration = 10.0 ** rng.uniform(-1, 2), 10.0 ** rng.uniform(-3, math.log10(600.0))
+        share, knots = rng.uniform(0.01, 0.99), np.linspace(0.0, 1.0, int(rng.integers(2, 400)))
+        checker = slide_past(share * length, gap)
+        # Faster and slower along the same way, through the point beside the post.
+        warped = np.clip(knots + rng.uniform(0, 0.15) * np.sin(2 * np.pi * knots), 0.0, 1.0)
+        curve = CubicSpline(duration * knots, length * warped[:, None])
+        found = checker.closest(curve)
+        assert (found.lower <= found.distance).all()
+        k = found.nearest
+        assert found.lower.min() <= gap + 1e-12
+        assert gap - 1e-9 <= found.distance[k] <= found.lower[k] + max(1e-5, 0.01 * abs(found.distance[k])) * (1 + 1e-9)
+        near += found.close.mean()
+    assert near >= 990
+
+
+def test_the_thousand_curves_reach_the_post():
+    """The warped ways of the long test pass every point between their ends."""
+    knots = np.linspace(0.0, 1.0, 400)
+    for size in (0.0, 0.075, 0.15):
+        assert (np.diff(knots + size * np.sin(2 * np.pi * knots)) > 0).all()
