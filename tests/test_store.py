@@ -159,6 +159,17 @@ def test_code_survives_an_edit_of_another_file(monkeypatch: pytest.MonkeyPatch, 
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
 
 
+def test_code_of_a_module_that_was_edited_before_its_import_is_not_kept(monkeypatch: pytest.MonkeyPatch, edited):
+    """Modules are imported late; one that was edited after the sources were read would get the key of the old ones."""
+    monkeypatch.setattr(_store, "_edited", [])
+    module = linalg3.__name__
+    _store.expect_as_read.__wrapped__(module)
+    assert _store.is_usable()
+    edited("linalg3")
+    _store.expect_as_read.__wrapped__(module)
+    assert not _store.is_usable()
+
+
 def test_a_second_process_waits_and_finds_what_the_first_has_compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """A claim is held while code is compiled; whoever comes meanwhile looks again, and what is there needs no claim."""
     fcntl = pytest.importorskip("fcntl")

@@ -281,6 +281,7 @@ def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any)
         # process, but parts made by two processes must not be confused.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
+    _store.expect_as_read(function.__module__)
     options |= {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
     return _Kernel(function, options, apart)
 

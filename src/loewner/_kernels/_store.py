@@ -33,6 +33,8 @@ ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _PREFIX = "loewner._kernels"
 
+_edited: list[str] = []  # modules that were imported after an edit
+
 
 @cache
 def _texts() -> dict[str, bytes]:
@@ -80,9 +82,21 @@ def hash_of(modules: frozenset[str]) -> str:
     return digest.hexdigest()
 
 
+@cache
+def expect_as_read(module: str) -> None:
+    """Keep nothing in this process from now on if a kernel module that is being imported was edited after `_texts`.
+
+    Its code would get the key of the sources before the edit.
+    """
+    name = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
+    path = Path(_sources.__file__).parent / f"{name}.py"  # an archive is not edited
+    if name in _texts() and path.exists() and path.read_bytes() != _texts()[name]:
+        _edited.append(module)
+
+
 def is_usable() -> bool:
-    """Whether sources can be read; otherwise nothing is kept, since its origin would be unknown."""
-    return bool(_texts())
+    """Whether sources can be read and are those imported; otherwise nothing is kept, since its origin is unknown."""
+    return bool(_texts()) and not _edited
 
 
 def key_of(name: str, made_of: Any, modules: frozenset[str]) -> str:
