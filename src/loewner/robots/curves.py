@@ -25,7 +25,7 @@ from loewner.robots.edges import checked_path
 from loewner.robots.motions import CertifiedMotions, Found
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import Model
-from loewner.robots.proofs import prove
+from loewner.robots.proofs import apply_rules, prove
 from loewner.robots.robot import Robot
 from loewner.robots.written_proofs import proof_of
 from loewner.scenes import Scene
@@ -144,17 +144,17 @@ def certified(
         at = np.flatnonzero(degrees == degree).tolist()
         courses = np.concatenate([curves[k].courses for k in at])
         off = np.concatenate([curves[k].off for k in at])
+        firsts = np.cumsum([0, *(len(curves[k].courses) for k in at)])
         proven = prove(ready, courses, tolerance, off)
-        first = 0
-        for k in at:
-            last = first + len(curves[k].courses)
+        if not joint_error.any():
+            apply_rules(ready, courses, off, firsts, tolerance, proven)
+        for k, first, last in zip(at, firsts[:-1].tolist(), firsts[1:].tolist(), strict=True):
             expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)
             one = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             if model is not None and one.verdict == Verdict.FREE:
                 one = replace(one, proof=proof_of(model, ready, *_joined(curves[k])))
             found[k] = one
-            first = last
     return [one for one in found if one is not None]
 
 
