@@ -149,11 +149,23 @@ class Run(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A problem that must be free on a run of courses; `least` is the distance that its pair must keep there."""
+    """A part of a curve, and what is to be proven of a pair there.
+
+    Attributes
+    ----------
+    problem : Problem
+        The pair, or on a stretch of contact its pieces and the planes in front of which they have to stay.
+    run : Run
+    tolerance : float
+        Metres by which `problem` is in doubt too early.
+    least : float or None
+        The signed distance at which the pair collides on a stretch of contact; None elsewhere.
+    """
 
     problem: Problem
     run: Run
-    least: float
+    tolerance: float
+    least: float | None = None
 
 
 def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float, unproven: Bools) -> Settled:
@@ -177,7 +189,7 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     stretches = []
     for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance, unproven):
         left = _leave(ready, pair, run, tolerance, deepest)
-        if left.until is not None:
+        if left.beside is not None:
             stretches.append(Stretch(pair, leaving, run.place(*left.until), max(0.0, tolerance - left.at_start)))
         if not left.doubts:
             continue
@@ -201,17 +213,16 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     See `settle` for the parameters. If a contact at the end is not as its rule allows, it is no contact that is
     allowed.
     """
-    found, alone, margin = [], ready.only(np.array([pair])), float(ready.margins[pair])
+    found, alone = [], ready.only(np.array([pair]))
     for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance, np.ones(len(courses), dtype=bool)):
         left = _leave(ready, pair, run, tolerance, deepest)
-        if left.beside is None or left.until is None:
-            found.append(Stage(alone, run if leaving else run.backwards(), margin))
+        if left.beside is None or (left.doubts and not leaving):
+            found.append(Stage(alone, run if leaving else run.backwards(), tolerance))
             continue
         stretch, rest = run.cut(ready.robot, left.until)
         if leaving:
-            found += [Stage(left.beside, stretch, left.least), Stage(alone, rest, margin)]
-        else:
-            found.append(Stage(alone, rest.backwards() if left.recedes else run.backwards(), margin))
+            found.append(Stage(left.beside, stretch, left.for_proof, left.least))
+        found.append(Stage(alone, rest if leaving else rest.backwards(), tolerance))
     return [stage for stage in found if len(stage.run.number)]
 
 
@@ -242,22 +253,22 @@ class _Left(NamedTuple):
         there is no larger, the pair collides.
     at_start : float
         The signed distance at the start.
-    until : tuple of (int, float) or None
-        The course and the fraction at which the stretch of contact ends; None without one.
+    until : tuple of (int, float)
+        The course and the fraction at which the stretch of contact ends.
     beside : Problem or None
-        The pieces and the planes in front of which they stay on the stretch.
+        The pieces and the planes in front of which they have to stay on the stretch; None without a stretch.
+    for_proof : float
+        The tolerance for the proof that they do.
     least : float
         The critical distance on the stretch.
-    recedes : bool
-        Whether the pieces are proven to stay in front.
     """
 
     doubts: list[tuple[int, float, float]]
     at_start: float
-    until: tuple[int, float] | None = None
+    until: tuple[int, float] = (0, 0.0)
     beside: Problem | None = None
+    for_proof: float = 0.0
     least: float = 0.0
-    recedes: bool = False
 
 
 def _runs(
@@ -306,14 +317,13 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
             break
         within.append((end, share * float(proven.fractions[0]), least))
     else:
-        return _Left([*doubts, *within, *after], at_start, (end, most), beside, least)
+        return _Left([*doubts, *within, *after], at_start, (end, most), beside, for_proof, least)
     if len(rest.number):
         proven = motions.settle(alone, rest.courses, FOR_PROOF * tolerance, rest.off)
     if proven.verdicts[0] == codes.FREE:
-        within = []
-    else:
-        within.append((end, share + (1.0 - share) * float(proven.fractions[0]), least if most == 1.0 else margin))
-    return _Left([*doubts, *within, *after], at_start, (end, share), beside, least, not doubts)
+        return _Left([*doubts, *after], at_start, (end, share), beside, for_proof, least)
+    within.append((end, share + (1.0 - share) * float(proven.fractions[0]), least if most == 1.0 else margin))
+    return _Left([*doubts, *within, *after], at_start, (end, most), beside, for_proof, least)
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
