@@ -38,8 +38,8 @@ class TrajectoryContact:
         rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
     free_until : float
         Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
-        proven to be farther apart than its margin; inf if FREE. At this time, the pair is within the tolerance of its
-        margin.
+        proven to be farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE.
+        At this time, the pair is within the tolerance of its margin, or of what the rule allows.
     touching_at : float
         Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair takes
         for the tolerance, unless it grazes before it collides. inf if there is none.
@@ -107,6 +107,9 @@ def first_contact(
     where the proof ends. Three things end the proof earlier. Static surfaces and clouds are replaced by boxes around
     their parts, as for `certify_edges`, and moving ones by a single ellipsoid; give bodies that follow motions convex
     pieces. Rounding takes about 1e-11 of the lengths involved, and 2e-14 of the times, in the way of the bodies then.
+
+    Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that gets
+    deeper than its rule allows is reported from where it begins.
 
     Examples
     --------

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loewner import queries
 from loewner._kernels import codes, columns
 from loewner._matrices import lengths
-from loewner._validate import Bools, Floats, Ints
+from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, bodies_of, packed_of
 from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
@@ -168,7 +168,7 @@ class Stage(NamedTuple):
     least: float | None = None
 
 
-def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float, unproven: Bools) -> Settled:
+def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> Settled:
     """Settle a curve for one pair that may be in contact at the curve's start or end.
 
     Parameters
@@ -182,12 +182,10 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
         How far values may deviate from the courses.
     tolerance : float
         Distance in metres by which the contact may get deeper.
-    unproven : ndarray of bool, shape (n,)
-        The segments that are not proven without the rules.
     """
     verdicts, fractions = np.full(len(courses), codes.FREE, dtype=np.int8), np.full(len(courses), np.nan)
     stretches = []
-    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance, unproven):
+    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
         left = _leave(ready, pair, run, tolerance, deepest)
         if left.beside is not None:
             stretches.append(Stretch(pair, leaving, run.place(*left.until), max(0.0, tolerance - left.at_start)))
@@ -214,7 +212,7 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     allowed.
     """
     found, alone = [], ready.only(np.array([pair]))
-    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance, np.ones(len(courses), dtype=bool)):
+    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
         left = _leave(ready, pair, run, tolerance, deepest)
         if left.beside is None or (left.doubts and not leaving):
             found.append(Stage(alone, run if leaving else run.backwards(), tolerance))
@@ -271,9 +269,7 @@ class _Left(NamedTuple):
     least: float = 0.0
 
 
-def _runs(
-    ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float, unproven: Bools
-) -> list[tuple[Run, bool, float]]:
+def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
     """Return runs from the ends where contact is allowed, whether from the start, and the deepest contact there.
 
     The depth of a contact at the start of a motion is a fact; at its end it is a choice.
@@ -283,13 +279,12 @@ def _runs(
         return [(whole, True, np.inf)]
     if not ready.leaving[pair]:
         return [(whole.backwards(), False, tolerance)]
-    # The two are apart somewhere between; any place gives a sound proof.
-    half, odd = divmod(len(courses), 2)
-    free = np.flatnonzero(~unproven)
-    middle = (int(free[np.abs(free - half).argmin()]), 0.0) if len(free) else (half, 0.5 * odd)
+    # Between the two contacts, the pair is apart; any place gives a sound proof.
+    at, distances, _ = _samples(ready, pair, whole)
+    middle = _on_course(at[distances.argmax()])
     before, after = whole.cut(ready.robot, middle)
     runs = [(before, True, np.inf), (after.backwards(), False, tolerance)]
-    return [run for run in runs if len(run[0].number)]
+    return [run for run in runs if len(run[0].number)]  # the distance may be largest at an end
 
 
 def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float) -> _Left:
@@ -341,38 +336,50 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
     parted : float
         Metres by which it is farther apart when it has parted.
     """
-    i, j = (int(k) for k in ready.pairs[pair])
-    end, (*center, radius, _) = (len(run.number) - 1, 1.0), ready.balls[i].tolist()
-
-    def measured(at: Floats) -> tuple[Floats, Floats]:
-        k = np.minimum(at.astype(np.int64), end[0])
-        T = ready.poses(configurations(ready.robot, run.courses[k], at - k))
-        found = queries.distance(ready.body(i), T[:, i], ready.body(j), T[:, j], exact=True)
-        turn = T[:, j, :3, :3].transpose(0, 2, 1)  # into the frame of the second body
-        place = turn @ (T[:, i, :3] - np.pad(T[:, j, :3, 3:], ((0, 0), (0, 0), (3, 0))))
-        return np.asarray(found.distance), place
-
-    at = np.arange(SAMPLES * len(run.number) + 1) / SAMPLES
-    distances, poses = measured(at)
+    *center, radius, _ = ready.balls[ready.pairs[pair, 0]].tolist()
+    at, distances, poses = _samples(ready, pair, run)
     while True:
         away = np.flatnonzero(distances > near + parted)[:1]
         again = away if not len(away) else away[0] + np.flatnonzero(distances[away[0] :] <= near)[:1]
         if len(again):
-            k = int(np.ceil(at[away[0]])) - 1
-            return k, float(at[away[0]] - k)
+            return _on_course(at[away[0]])
         change = np.diff(poses, axis=0)
         turned = np.linalg.norm(change[..., :3], axis=(1, 2))
         moved = lengths(change[..., :3] @ center + change[..., 3]) + radius * turned
         wide = np.flatnonzero(moved > parted + np.maximum(distances[:-1] + distances[1:] - 2.0 * near, 0.0))
         if len(wide) == 0:
-            return end
+            return _on_course(at[-1])
         if len(at) + len(wide) > MOST_SAMPLES:
             return 0, 1.0 / SAMPLES  # contact is allowed no farther than it was measured
-        middle = (at[wide] + at[wide + 1]) / 2.0
-        more, there = measured(middle)
+        middle = _samples(ready, pair, run, (at[wide] + at[wide + 1]) / 2.0)
         at, distances, poses = (
-            np.insert(old, wide + 1, new, axis=0) for old, new in ((at, middle), (distances, more), (poses, there))
+            np.insert(old, wide + 1, new, axis=0) for old, new in zip((at, distances, poses), middle, strict=True)
         )
+
+
+def _on_course(at: float) -> tuple[int, float]:
+    """Return the course on which a place lies, at its end rather than at the start of the next one."""
+    k = max(int(np.ceil(at)) - 1, 0)
+    return k, float(at - k)
+
+
+def _samples(ready: Problem, pair: int, run: Run, at: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+    """Return places on a run, and there the distances of a pair and the poses of its first body in the second's frame.
+
+    Places are numbers of courses plus fractions; by default they are spread evenly. Poses have the shape (N, 3, 4).
+    """
+    i, j = (int(k) for k in ready.pairs[pair])
+    if at is None:
+        each = SAMPLES if SAMPLES * len(run.number) < MOST_SAMPLES else 1
+        at = np.arange(each * len(run.number) + 1) / each
+    k = np.minimum(at.astype(np.int64), len(run.number) - 1)
+    distances, places = np.empty(len(at)), np.empty((len(at), 3, 4))
+    for first, T in ready.poses_in_turn(configurations(ready.robot, run.courses[k], at - k)):
+        now = slice(first, first + len(T))
+        distances[now] = queries.distance(ready.body(i), T[:, i], ready.body(j), T[:, j], exact=True).distance
+        away = T[:, i, :3] - np.pad(T[:, j, :3, 3:], ((0, 0), (0, 0), (3, 0)))
+        places[now] = T[:, j, :3, :3].transpose(0, 2, 1) @ away
+    return at, distances, places
 
 
 def _with(array: Floats, k: int, value: Floats | float) -> Floats:

@@ -73,9 +73,10 @@ class CertifiedTrajectory:
     Attributes
     ----------
     verdict : Verdict
-        FREE: every pair is proven to be farther apart than its margin at every instant. COLLIDING: the robot collides
-        at ``time``, which may be rounded. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
-        arithmetic could not settle it; treat it as not free.
+        FREE: every pair is proven to be farther apart than its margin at every instant, except for contact at the ends
+        that `Scene.leave` or `Scene.reach` allows. COLLIDING: the robot collides at ``time``, which may be rounded.
+        AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or arithmetic could not settle it;
+        treat it as not free.
     time : float
         Seconds; NaN if FREE. If COLLIDING, the robot may also collide earlier.
     names : tuple of str

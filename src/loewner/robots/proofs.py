@@ -78,7 +78,6 @@ def apply_rules(
     at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
     if len(at) == 0:
         return stretches
-    unproven = found.verdicts != codes.FREE
     rest = prove(ready.unruled, courses[at], tolerance, off[at] if off.any() else None)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
@@ -88,7 +87,7 @@ def apply_rules(
         verdicts, fractions, pairs = (array[own] for array in (found.verdicts, found.fractions, found.pairs))
         kept: tuple[Stretch, ...] = ()
         for pair in ready.ruled.tolist():
-            settled = contacts.settle(ready, pair, courses[own], off[own], tolerance, unproven[own])
+            settled = contacts.settle(ready, pair, courses[own], off[own], tolerance)
             kept += settled.stretches
             worse = (settled.verdicts != codes.FREE) & np.isin(verdicts, (codes.FREE, codes.AMBIGUOUS))
             verdicts[worse], fractions[worse], pairs[worse] = settled.verdicts[worse], settled.fractions[worse], pair
