@@ -730,11 +730,11 @@ class Scene:
         `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two in contact, or within their
         margin, is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper
         than at the start or, while within their margin, come nearer, by more than the tolerance of the proof. On the
-        rest, the two keep their margin. The stretch ends before the two come near again after they have parted. To find
-        this out, their distance is measured at places between which they move by about a ten-thousandth of the robot's
-        reach; a contact that ends and begins again between two such places is not noticed, and is no deeper than at the
-        start. The rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all
-        pairs.
+        rest, the two keep their margin. Once the two have parted, by a ten-thousandth of the robot's reach more than
+        their margin, the stretch ends before they come near again. Their distance is measured for this at places that
+        are chosen by how far the two move in between, so this part is not a proof: contact might end and begin again
+        between two places, but no deeper than at the start. The rule takes precedence over `allow`. At a single
+        configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 

@@ -39,7 +39,7 @@ class TrajectoryContact:
     free_until : float
         Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
         proven to be farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE.
-        At this time, the pair is within the tolerance of its margin, or of what the rule allows.
+        At this time, the pair is within the tolerance of its margin, or of the depth that the rule allows.
     touching_at : float
         Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair takes
         for the tolerance, unless it grazes before it collides. inf if there is none.

@@ -46,8 +46,7 @@ FOR_PROOF = 0.25
 # thousandth of it. Pieces farther apart must keep their margin.
 TOUCHING = 1e-9
 
-# Two bodies that come farther apart than their margin by this share of the robot's reach have parted. Between two
-# places at which their distance is measured they move by no more than that, or by too little to touch.
+# Two bodies that are farther apart than their margin and the tolerance by this share of the robot's reach have parted.
 PARTED = 1e-4
 
 # Places on each course at which the distance is measured first, and the largest number of places.
@@ -126,12 +125,15 @@ class Run(NamedTuple):
 
     def backwards(self) -> Run:
         """Pass the courses from the last to the first, each from its end to its start."""
-        number, low, high, courses, off = (array[::-1] for array in self)
-        return Run(number, high, low, np.ascontiguousarray(courses[:, ::-1]), np.ascontiguousarray(off))
+        courses, off = self.courses[::-1, ::-1], self.off[::-1]
+        return Run(
+            self.number[::-1], self.high[::-1], self.low[::-1], np.ascontiguousarray(courses), np.ascontiguousarray(off)
+        )
 
     def rows(self, first: int, last: int) -> Run:
         """Take the courses from the first to before the last."""
-        return Run(*(array[first:last] for array in self))
+        rows = slice(first, last)
+        return Run(self.number[rows], self.low[rows], self.high[rows], self.courses[rows], self.off[rows])
 
     def cut(self, robot: Robot, at: tuple[int, float]) -> tuple[Run, Run]:
         """Divide the courses at a fraction of one of them."""
@@ -149,12 +151,12 @@ class Run(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A part of a curve, and what is to be proven of a pair there.
+    """A part of a curve, with the proof that a pair needs there.
 
     Attributes
     ----------
     problem : Problem
-        The pair, or on a stretch of contact its pieces and the planes in front of which they have to stay.
+        The pair, or on a stretch of contact its pieces and the planes behind which they may not go.
     run : Run
     tolerance : float
         Metres by which `problem` is in doubt too early.
@@ -254,7 +256,7 @@ class _Left(NamedTuple):
     until : tuple of (int, float)
         The course and the fraction at which the stretch of contact ends.
     beside : Problem or None
-        The pieces and the planes in front of which they have to stay on the stretch; None without a stretch.
+        The pieces and the planes behind which they may not go on the stretch; None without a stretch.
     for_proof : float
         The tolerance for the proof that they do.
     least : float
@@ -324,7 +326,7 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
     """Return the course and the fraction at which a pair first has parted, if it comes near again; else the run's end.
 
-    The distance is measured at places that are chosen by how far the pair moves between them.
+    The distance is measured at places between which the pair moves too little to part and to come near.
 
     Parameters
     ----------
@@ -346,7 +348,11 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
         change = np.diff(poses, axis=0)
         turned = np.linalg.norm(change[..., :3], axis=(1, 2))
         moved = lengths(change[..., :3] @ center + change[..., 3]) + radius * turned
-        wide = np.flatnonzero(moved > parted + np.maximum(distances[:-1] + distances[1:] - 2.0 * near, 0.0))
+        # How far the pair has to move from one place to the next for it to part and come near between them.
+        far = near + parted
+        low, high = np.minimum(distances[:-1], distances[1:]), np.maximum(distances[:-1], distances[1:])
+        needed = high - low + 2.0 * np.where(high <= far, far - high, np.where(low >= far, low - near, parted))
+        wide = np.flatnonzero(moved > needed)
         if len(wide) == 0:
             return _on_course(at[-1])
         if len(at) + len(wide) > MOST_SAMPLES:

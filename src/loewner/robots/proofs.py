@@ -53,7 +53,7 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
 def apply_rules(
     ready: Problem, courses: Floats, off: Floats, first: Ints, tolerance: float, found: Found
 ) -> dict[int, tuple[Stretch, ...]]:
-    """Prove curves of which segments are not proven free, with contact at their ends as `Scene.leave` allows.
+    """Prove curves that are not proven free, with contact at their ends as `Scene.leave` and `Scene.reach` allow.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def apply_rules(
     Returns
     -------
     dict
-        The stretches of contact of those curves that are free by the rules.
+        The stretches of contact on each curve that is free by the rules.
     """
     stretches: dict[int, tuple[Stretch, ...]] = {}
     at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
