@@ -297,11 +297,11 @@ def in_time_slerp(course, f):
     return slerp(path, f).astype(np.float64)
 
 
-def test_parts_of_courses_are_exact_but_for_rounding(rng):
+def test_parts_of_courses_are_exact_but_for_rounding(slider, rng):
     """De Casteljau in fractions."""
     courses = rng.normal(size=(5, 6, 2))
     low, high = np.sort(rng.uniform(0, 1, (2, 5)), axis=0)
-    found = in_time.parts(courses, low, high)
+    found = in_time.parts(slider, courses, low, high)
     for k in range(5):
         for column in range(2):
             points = [Fraction(float(x)) for x in courses[k, :, column]]

@@ -712,7 +712,7 @@ class Scene:
             return frozenset(self._reaching)
 
     def leave(self, a: str, b: str) -> None:
-        """Let two bodies that touch at the start of a motion separate; the contact may not deepen or return.
+        """Let two bodies that touch at the start of a motion separate; the contact may not deepen.
 
         Parameters
         ----------
@@ -726,10 +726,15 @@ class Scene:
 
         Notes
         -----
-        The rule applies to motions (see `CollisionChecker.certify_edges`). A motion that starts with the two in contact
-        is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper than at
-        the start or, while within their margin, come nearer. On the rest of the motion, the two keep their margin. The
-        rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
+        The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
+        `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two in contact, or within their
+        margin, is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper
+        than at the start or, while within their margin, come nearer, by more than the tolerance of the proof. On the
+        rest, the two keep their margin. Once the two have parted, by a ten-thousandth of the robot's reach more than
+        their margin, the stretch ends before they come near again. Their distance is measured for this at places that
+        are chosen by how far the two move in between, so this part is not a proof: contact might end and begin again
+        between two places, but no deeper than at the start. The rule takes precedence over `allow`. At a single
+        configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -745,8 +750,8 @@ class Scene:
     def reach(self, a: str, b: str) -> None:
         """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
 
-        At the end the two may touch or be within their margin, and may overlap by no more than the tolerance of the
-        proof.
+        At the end of the motion or curve the two may touch or be within their margin, and may overlap by no more than
+        the tolerance of the proof; before, they penetrate each other no deeper than at the end, up to the tolerance.
 
         Parameters
         ----------

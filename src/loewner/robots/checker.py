@@ -430,7 +430,7 @@ class CollisionChecker:
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
         end. A contact at the start gets deeper along the motion by no more than the tolerance; a contact at the end is
-        no deeper than the tolerance. With bodies that follow motions, these rules have no effect.
+        no deeper than the tolerance. This also holds for bodies that follow motions.
 
         Examples
         --------
@@ -509,7 +509,8 @@ class CollisionChecker:
         tolerance : float
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may deviate from the curve; FREE covers all such deviations.
+            Radians or metres by which each value may deviate from the curve; FREE covers all such deviations. With an
+            error, contact at the ends is not allowed.
         t0 : float, optional
             Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
             bodies that follow motions, and the times of the result include it. Default: the `start_time` of a
@@ -534,8 +535,11 @@ class CollisionChecker:
         Notes
         -----
         Each polynomial piece is proven over intervals, on each of which a plane separates two bodies. The proof uses
-        bounds on the first and second derivatives, which docs/certified.md derives. `Scene.leave` and `Scene.reach`
-        have no effect here: a curve that begins in contact is not FREE.
+        bounds on the first and second derivatives, which docs/certified.md derives.
+
+        Pairs named by `Scene.leave` may be in contact where the curve begins, and pairs named by `Scene.reach` where it
+        ends, as for `certify_edges`; the ends of its segments do not count. A segment is FREE if it is proven with the
+        contact that these rules allow. With a joint error, contact is not allowed.
 
         Examples
         --------

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
 
 from loewner import _validate
 from loewner._kernels import codes
+from loewner._validate import Floats, Ints
 from loewner.queries import Verdict
-from loewner.robots import in_time
-from loewner.robots.contacts import distance_at
+from loewner.robots import in_time, verdicts
+from loewner.robots.contacts import distance_at, distances_at, stages
 from loewner.robots.courses import CURVE_ROUNDINGS, elevated, parts
-from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits
+from loewner.robots.curves import MEASURED, Curve, configurations_at, curves_of, cut_in_time, expect_short
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
 
@@ -36,8 +38,8 @@ class TrajectoryContact:
         rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
     free_until : float
         Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
-        proven to be farther apart than its margin; inf if FREE. At this time, the pair is within the tolerance of its
-        margin.
+        proven to be farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE.
+        At this time, the pair is within the tolerance of its margin, or of the depth that the rule allows.
     touching_at : float
         Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair takes
         for the tolerance, unless it grazes before it collides. inf if there is none.
@@ -106,6 +108,9 @@ def first_contact(
     their parts, as for `certify_edges`, and moving ones by a single ellipsoid; give bodies that follow motions convex
     pieces. Rounding takes about 1e-11 of the lengths involved, and 2e-14 of the times, in the way of the bodies then.
 
+    Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that gets
+    deeper than its rule allows is reported from where it begins.
+
     Examples
     --------
     >>> from loewner import CollisionChecker, Robot
@@ -120,17 +125,42 @@ def first_contact(
     for k, one in enumerate(curves_of(self.robot, self.scene, curve, t0)):
         # On courses of degree 1, parts of a body's turn would have to be made otherwise.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
-        found.append(_first(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
+        found.append(_by_rules(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
     return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
 
-def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
-    """Find the first contact of one curve, on whose courses the moving bodies have their places."""
+def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
+    """Find the first contact of one curve that no rule allows: of the pairs without rules, and of each with one."""
+    if not len(ready.ruled):
+        return _first(ready, ready, curve, tolerance, number)
+    found, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
+    for pair in ready.ruled.tolist():
+        a, b = (ready.names[n] for n in ready.pairs[pair])
+        for problem, run, allowed, least in stages(ready, pair, curve.courses, curve.off, tolerance):
+            k = run.number
+            ends = np.where(run.high == 1.0, curve.times[k + 1], curve.times[k] + run.high * lengths[k])
+            times = np.append(curve.times[k[0]] + run.low[0] * lengths[k[0]], ends)
+            one = _first(ready, problem, Curve(None, times, run.courses, run.off), allowed, number)
+            if one.verdict == Verdict.FREE:
+                continue
+            if least is not None:
+                one = replace(one, touching_at=_deeper(ready, pair, curve, (one.free_until, times[-1]), least))
+            found.append(replace(one, names=(a, b)))
+    first, touching = min(found, key=lambda one: one.free_until), min(one.touching_at for one in found)
+    ambiguous = first.verdict == Verdict.FREE or touching == np.inf
+    return replace(first, verdict=first.verdict if ambiguous else Verdict.COLLIDING, touching_at=touching)
+
+
+def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
+    """Find the first contact of a problem's pairs on one curve, on whose courses the moving bodies have their places.
+
+    `ready` has the motions that these bodies follow.
+    """
     waiting = [(curve, 0)]  # pieces that are not proven yet, the earliest last, and the numbers of cuts
     touching, doubt = np.inf, None  # the earliest collision, and the first place that is too near
     while waiting:
         piece, cuts = waiting.pop()
-        proven = prove(ready, piece.courses, FOR_PROOF * tolerance, piece.off)
+        proven = prove(problem, piece.courses, FOR_PROOF * tolerance, piece.off)
         expect_short(proven.verdicts, piece.times, number)
         hit = np.flatnonzero(proven.verdicts == codes.COLLIDING)[:1]
         if len(hit):
@@ -141,19 +171,40 @@ def _first(ready: Problem, curve: Curve, tolerance: float, number: int) -> Traje
             continue
         # The others are proven only if the first one turns out to be free.
         first, pair = unproven[0], int(proven.pairs[unproven[0]])
-        gap = distance_at(ready, pair, piece.courses[first, 0]) - ready.margins[pair]
+        gap = distance_at(problem, pair, piece.courses[first, 0]) - problem.margins[pair]
         if cuts == MOST_CUTS or gap <= tolerance:
             doubt = float(piece.times[first]), pair
             break
         waiting += [(_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1) for k in reversed(unproven)]
     if doubt is None:
         return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
-    a, b = (ready.names[n] for n in ready.pairs[doubt[1]])
+    a, b = (problem.names[n] for n in problem.pairs[doubt[1]])
     # Times of parts are rounded.
     free = max(doubt[0] - CURVE_ROUNDINGS * float(np.abs(curve.times).max()), float(curve.times[0]))
-    touching = touching if touching == np.inf else _earlier(ready, curve, free, touching)
-    verdict = Verdict.AMBIGUOUS if touching == np.inf else Verdict.COLLIDING
+
+    def colliding(times: Floats) -> Ints:
+        hit = verdicts.classified(problem, codes.EXACT, configurations_at(ready, curve, times)).verdicts
+        return np.flatnonzero(hit == codes.COLLIDING)
+
+    # Where a collision is known up to rounding only, there may be none.
+    known = touching < np.inf and len(colliding(np.array([touching]))) > 0
+    touching = _earlier(colliding, free, touching) if known else np.inf
+    verdict = Verdict.COLLIDING if known else Verdict.AMBIGUOUS
     return TrajectoryContact(verdict, free, touching, (a, b))
+
+
+def _deeper(ready: Problem, pair: int, curve: Curve, between: tuple[float, float], least: float) -> float:
+    """Return a time at which a pair is no farther apart than `least`, with one just before it at which it is.
+
+    inf if there is none among `MEASURED` times.
+    """
+
+    def deep(times: Floats) -> Ints:
+        return np.flatnonzero(distances_at(ready, pair, configurations_at(ready, curve, times)) <= least)
+
+    times = np.linspace(*between, MEASURED)
+    hit = deep(times)[:1]
+    return _earlier(deep, between[0], float(times[hit[0]])) if len(hit) else np.inf
 
 
 def _of(curve: Curve, rows: slice) -> Curve:
@@ -163,7 +214,7 @@ def _of(curve: Curve, rows: slice) -> Curve:
 def _cut(ready: Problem, piece: Curve) -> Curve:
     """Cut one piece into parts; bodies that move get courses of their own, since a shorter turn is missed by less."""
     shares = np.arange(PARTS + 1) / PARTS
-    courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
+    courses = parts(ready.robot, np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
     off = np.repeat(piece.off + CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1), PARTS, axis=0)
     begin, end = piece.times
     times = np.where(shares == 1.0, end, begin + shares * (end - begin))
@@ -173,18 +224,13 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
     return Curve(None, times, courses, off)
 
 
-def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> float:
-    """Return a time of collision with a free one just before it, after a free time and at most at `touching`.
-
-    inf if there is no collision at `touching`, where it is known up to rounding only.
-    """
-    if not len(hits(ready, curve, np.array([touching]))):
-        return np.inf
+def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
+    """Return a time that is hit with a free one just before it, after a free time and at most at `touching`."""
     while True:
         times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
         times = times[(times > free) & (times < touching)]
         if len(times) == 0:
             return touching
-        hit = hits(ready, curve, times)
+        hit = hits(times)
         at = int(hit[0]) if len(hit) else len(times)
         free, touching = float(times[at - 1]) if at else free, float(times[at]) if at < len(times) else touching

@@ -8,22 +8,29 @@ so the proof of motions also settles whether the piece stays in front; see docs/
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from loewner import queries
 from loewner._kernels import codes, columns
+from loewner._matrices import lengths
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, bodies_of, packed_of
 from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
 from loewner.robots import motions
+from loewner.robots.courses import CURVE_ROUNDINGS, configurations, parts
 from loewner.robots.problem import Problem
+from loewner.robots.robot import Robot
 
-# Lengths of the first stretch that are tried, as shares of the motion: the longest on which the contact recedes is
+# Lengths of a stretch's last part that are tried, as shares of a course: the longest on which the contact recedes is
 # used.
 STRETCHES = 2.0 ** -np.arange(16)
 
-# Values at the end of a stretch deviate from the motion by less than this share: `motion_path` rounds by 7 units.
+# Values at the end of a stretch deviate from a straight motion by less than this share: `motion_path` rounds by 7
+# units. On a course of a higher degree they deviate by less than `CURVE_ROUNDINGS`.
 OFF = 32 * 2.0**-53
 
 # Distances below this share of the robot's reach have no reliable normal.
@@ -39,44 +46,184 @@ FOR_PROOF = 0.25
 # thousandth of it. Pieces farther apart must keep their margin.
 TOUCHING = 1e-9
 
+# Two bodies that are farther apart than their margin and the tolerance by this share of the robot's reach have parted.
+PARTED = 1e-4
 
-def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[int, float]:
-    """Settle a motion for one pair that may be in contact at the motion's start or end.
+# Places on each course at which the distance is measured first, and the largest number of places.
+SAMPLES, MOST_SAMPLES = 8, 2**17
+
+
+class Stretch(NamedTuple):
+    """The part of a curve on which a pair may be in contact; on the rest of the curve it keeps its margin.
+
+    Attributes
+    ----------
+    pair : int
+        Index of the pair.
+    leaving : bool
+        Whether the stretch begins where the curve begins; else it ends where the curve ends.
+    until : tuple of (int, float)
+        The segment of the curve, and the fraction of it, at which the stretch ends or, if not `leaving`, begins.
+    depth : float
+        Metres by which pieces of the two bodies may overlap on the stretch.
+    """
+
+    pair: int
+    leaving: bool
+    until: tuple[int, float]
+    depth: float
+
+
+class Settled(NamedTuple):
+    """Verdicts of one pair on the n segments of a curve, and its stretches of contact if all segments are free.
+
+    Attributes
+    ----------
+    verdicts : ndarray of int8, shape (n,)
+        FREE; COLLIDING if the two get deeper into each other than allowed, or touch after they have parted; else
+        AMBIGUOUS.
+    fractions : ndarray, shape (n,)
+        Fractions of the segments; NaN if FREE.
+    stretches : tuple of Stretch
+    """
+
+    verdicts: NDArray[np.int8]
+    fractions: Floats
+    stretches: tuple[Stretch, ...]
+
+
+class Run(NamedTuple):
+    """Consecutive courses that are parts of a curve's segments, possibly passed backwards.
+
+    Attributes
+    ----------
+    number : ndarray of int64, shape (n,)
+        The segments.
+    low, high : ndarray, shape (n,)
+        Their fractions at which the courses begin and end.
+    courses : ndarray, shape (n, degree + 1, dof)
+    off : ndarray, shape (n, dof)
+        How far values may deviate from the courses.
+    """
+
+    number: Ints
+    low: Floats
+    high: Floats
+    courses: Floats
+    off: Floats
+
+    @classmethod
+    def whole(cls, courses: Floats, off: Floats) -> Run:
+        """Take whole segments; deviations also cover the rounding of control points when courses are cut."""
+        roundings = OFF if courses.shape[1] == 2 else CURVE_ROUNDINGS
+        off = off + roundings * np.maximum(np.abs(courses).max(axis=1), 1.0)
+        return cls(np.arange(len(courses)), np.zeros(len(courses)), np.ones(len(courses)), courses, off)
+
+    def place(self, k: int, fraction: float) -> tuple[int, float]:
+        """Return the segment that contains a fraction of a course, and the fraction of that segment."""
+        return int(self.number[k]), float(self.low[k] + fraction * (self.high[k] - self.low[k]))
+
+    def backwards(self) -> Run:
+        """Pass the courses from the last to the first, each from its end to its start."""
+        courses, off = self.courses[::-1, ::-1], self.off[::-1]
+        return Run(
+            self.number[::-1], self.high[::-1], self.low[::-1], np.ascontiguousarray(courses), np.ascontiguousarray(off)
+        )
+
+    def rows(self, first: int, last: int) -> Run:
+        """Take the courses from the first to before the last."""
+        rows = slice(first, last)
+        return Run(self.number[rows], self.low[rows], self.high[rows], self.courses[rows], self.off[rows])
+
+    def cut(self, robot: Robot, at: tuple[int, float]) -> tuple[Run, Run]:
+        """Divide the courses at a fraction of one of them."""
+        k, fraction = at
+        if fraction in (0.0, 1.0):
+            return self.rows(0, k + int(fraction)), self.rows(k + int(fraction), len(self.number))
+        two, ends = np.repeat(self.courses[k : k + 1], 2, axis=0), np.array([0.0, fraction, 1.0])
+        first, second = parts(robot, two, ends[:-1], ends[1:])
+        _, middle = self.place(k, fraction)
+        before, after = self.rows(0, k + 1), self.rows(k, len(self.number))
+        return (
+            before._replace(high=_with(before.high, -1, middle), courses=_with(before.courses, -1, first)),
+            after._replace(low=_with(after.low, 0, middle), courses=_with(after.courses, 0, second)),
+        )
+
+
+class Stage(NamedTuple):
+    """A part of a curve, with the proof that a pair needs there.
+
+    Attributes
+    ----------
+    problem : Problem
+        The pair, or on a stretch of contact its pieces and the planes behind which they may not go.
+    run : Run
+    tolerance : float
+        Metres by which `problem` is in doubt too early.
+    least : float or None
+        The signed distance at which the pair collides on a stretch of contact; None elsewhere.
+    """
+
+    problem: Problem
+    run: Run
+    tolerance: float
+    least: float | None = None
+
+
+def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> Settled:
+    """Settle a curve for one pair that may be in contact at the curve's start or end.
 
     Parameters
     ----------
     ready : Problem
     pair : int
         Index of the pair, for which `ready.leaving` or `ready.reaching` is true.
-    a, b : ndarray, shape (dof,)
-        The start and the end of the straight motion.
+    courses : ndarray, shape (n, degree + 1, dof)
+        The segments of the curve; a straight motion has one.
+    off : ndarray, shape (n, dof)
+        How far values may deviate from the courses.
     tolerance : float
         Distance in metres by which the contact may get deeper.
-
-    Returns
-    -------
-    verdict : int
-        FREE; COLLIDING if the two get deeper into each other than allowed; else AMBIGUOUS.
-    fraction : float
-        Fraction of the motion; NaN if FREE.
     """
-    middle = ready.robot.between(a, b, 0.5)
-    # Stretches from the end where contact is allowed, with the fractions of the motion at which they begin and end. The
-    # depth of a contact at the start of a motion is a fact; at its end it is a choice.
-    stretches = {
-        (True, False): [(a, b, 0.0, 1.0, np.inf)],
-        (False, True): [(b, a, 1.0, 0.0, tolerance)],
-        (True, True): [(a, middle, 0.0, 0.5, np.inf), (b, middle, 1.0, 0.5, tolerance)],
-    }
-    for first, last, low, high, deepest in stretches[bool(ready.leaving[pair]), bool(ready.reaching[pair])]:
-        doubtful, least = _leaves(ready, pair, first, last, tolerance, deepest)
-        if doubtful:
-            fractions = [low + (high - low) * share for share in doubtful]
-            distances = [distance_at(ready, pair, ready.robot.between(a, b, fraction)) for fraction in fractions]
-            worst = int(np.argmin(distances))
-            verdict = codes.COLLIDING if distances[worst] <= least else codes.AMBIGUOUS
-            return int(verdict), fractions[worst]
-    return codes.FREE, np.nan
+    verdicts, fractions = np.full(len(courses), codes.FREE, dtype=np.int8), np.full(len(courses), np.nan)
+    stretches = []
+    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
+        left = _leave(ready, pair, run, tolerance, deepest)
+        if left.beside is not None:
+            stretches.append(Stretch(pair, leaving, run.place(*left.until), max(0.0, tolerance - left.at_start)))
+        if not left.doubts:
+            continue
+        numbers, places = (
+            np.array(column) for column in zip(*(run.place(k, f) for k, f, _ in left.doubts), strict=True)
+        )
+        distances = distances_at(ready, pair, configurations(ready.robot, courses[numbers], places))
+        hit = distances <= [least for _, _, least in left.doubts]
+        for k in np.unique(numbers):
+            own = np.flatnonzero(numbers == k)
+            worst = own[distances[own].argmin()]
+            if verdicts[k] != codes.COLLIDING:
+                verdicts[k] = codes.COLLIDING if hit[worst] else codes.AMBIGUOUS
+                fractions[k] = places[worst]
+    return Settled(verdicts, fractions, tuple(stretches) if (verdicts == codes.FREE).all() else ())
+
+
+def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[Stage]:
+    """Divide a curve into the parts on which a pair may be in contact and the others, in order.
+
+    See `settle` for the parameters. If a contact at the end is not as its rule allows, it is no contact that is
+    allowed.
+    """
+    found, alone = [], ready.only(np.array([pair]))
+    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
+        left = _leave(ready, pair, run, tolerance, deepest)
+        if left.beside is None or (left.doubts and not leaving):
+            found.append(Stage(alone, run if leaving else run.backwards(), tolerance))
+            continue
+        stretch, rest = run.cut(ready.robot, left.until)
+        if leaving:
+            found.append(Stage(left.beside, stretch, left.for_proof, left.least))
+        found.append(Stage(alone, rest if leaving else rest.backwards(), tolerance))
+    return [stage for stage in found if len(stage.run.number)]
 
 
 def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
@@ -96,69 +243,197 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
     return None
 
 
-def _leaves(
-    ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
-) -> tuple[list[float], float]:
-    """Find fractions at which a motion may not be free for a pair that may start in contact, and a critical distance.
+class _Left(NamedTuple):
+    """How a pair leaves the contact at the start of a run.
 
-    The critical distance is the pair's margin or its distance at the start. If the signed distance at a fraction is no
-    larger, the pair collides there.
+    Attributes
+    ----------
+    doubts : list of (int, float, float)
+        Courses and fractions at which the run may not be free, each with a critical distance. If the signed distance
+        there is no larger, the pair collides.
+    at_start : float
+        The signed distance at the start.
+    until : tuple of (int, float)
+        The course and the fraction at which the stretch of contact ends.
+    beside : Problem or None
+        The pieces and the planes behind which they may not go on the stretch; None without a stretch.
+    for_proof : float
+        The tolerance for the proof that they do.
+    least : float
+        The critical distance on the stretch.
     """
-    off = OFF * np.maximum(np.maximum(np.abs(a), np.abs(b)), 1.0)[None]
+
+    doubts: list[tuple[int, float, float]]
+    at_start: float
+    until: tuple[int, float] = (0, 0.0)
+    beside: Problem | None = None
+    for_proof: float = 0.0
+    least: float = 0.0
+
+
+def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
+    """Return runs from the ends where contact is allowed, whether from the start, and the deepest contact there.
+
+    The depth of a contact at the start of a motion is a fact; at its end it is a choice.
+    """
+    whole = Run.whole(courses, off)
+    if not ready.reaching[pair]:
+        return [(whole, True, np.inf)]
+    if not ready.leaving[pair]:
+        return [(whole.backwards(), False, tolerance)]
+    # Between the two contacts, the pair is apart; any place gives a sound proof.
+    at, distances, _ = _samples(ready, pair, whole)
+    middle = _on_course(at[distances.argmax()])
+    before, after = whole.cut(ready.robot, middle)
+    runs = [(before, True, np.inf), (after.backwards(), False, tolerance)]
+    return [run for run in runs if len(run[0].number)]  # the distance may be largest at an end
+
+
+def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float) -> _Left:
+    """Prove that a pair that may be in contact at the start of a run leaves it."""
     alone = ready.only(np.array([pair]))
-    margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, a)
-    found = motions.settle(alone, np.stack([a, b])[None], FOR_PROOF * tolerance, off)
-    if found.verdicts[0] == codes.FREE:
-        return [], margin
-    if at_start > margin + tolerance:  # no contact to end
-        return [float(found.fractions[0])], margin
+    margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, run.courses[0, 0])
+    found = motions.settle(alone, run.courses, FOR_PROOF * tolerance, run.off)
+    unproven = np.flatnonzero(found.verdicts != codes.FREE).tolist()
+    apart = [(k, float(found.fractions[k]), margin) for k in unproven]
+    if not unproven or at_start > margin + tolerance:  # no contact to end
+        return _Left(apart, at_start)
     if at_start < -deepest:
-        return [0.0], -deepest
-    least = at_start - tolerance if at_start <= margin + TOUCHING * _reach(ready, pair, a, b) else margin
-    (beside, for_proof), doubtful = _beside_planes(ready, pair, a, b, tolerance), []
-    for share in STRETCHES.tolist():
-        middle = b if share == 1.0 else ready.robot.between(a, b, share)
-        found = motions.settle(beside, np.stack([a, middle])[None], for_proof, off)
-        if found.verdicts[0] == codes.FREE:
+        return _Left([(0, 0.0, -deepest)], at_start)
+    reach = _reach(ready, pair, run)
+    least = at_start - tolerance if at_start <= margin + TOUCHING * reach else margin
+    end, most = _end_of_contact(ready, pair, run.rows(0, unproven[-1] + 1), margin + tolerance, PARTED * reach)
+    beside, for_proof = _beside_planes(ready, pair, run, end + most, tolerance)
+    before = motions.settle(beside, run.courses[:end], for_proof, run.off[:end])
+    doubts = [(k, float(before.fractions[k]), least) for k in np.flatnonzero(before.verdicts != codes.FREE).tolist()]
+    after, last, within = [doubt for doubt in apart if doubt[0] > end], run.rows(end, end + 1), []
+    for share in (most * STRETCHES).tolist():
+        first, rest = last.cut(ready.robot, (0, share))
+        proven = motions.settle(beside, first.courses, for_proof, first.off)
+        if proven.verdicts[0] == codes.FREE:
             break
-        doubtful.append(share * float(found.fractions[0]))
+        within.append((end, share * float(proven.fractions[0]), least))
     else:
-        return doubtful, least
-    if share < 1.0:
-        found = motions.settle(alone, np.stack([middle, b])[None], FOR_PROOF * tolerance, off)
-    if found.verdicts[0] == codes.FREE:
-        return [], margin
-    return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], least
+        return _Left([*doubts, *within, *after], at_start, (end, most), beside, for_proof, least)
+    if len(rest.number):
+        proven = motions.settle(alone, rest.courses, FOR_PROOF * tolerance, rest.off)
+    if proven.verdicts[0] == codes.FREE:
+        return _Left([*doubts, *after], at_start, (end, share), beside, for_proof, least)
+    within.append((end, share + (1.0 - share) * float(proven.fractions[0]), least if most == 1.0 else margin))
+    return _Left([*doubts, *within, *after], at_start, (end, most), beside, for_proof, least)
+
+
+def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
+    """Return the course and the fraction at which a pair first has parted, if it comes near again; else the run's end.
+
+    The distance is measured at places between which the pair moves too little to part and to come near.
+
+    Parameters
+    ----------
+    ready : Problem
+    pair : int
+    run : Run
+    near : float
+        Metres; the pair is near up to this distance.
+    parted : float
+        Metres by which it is farther apart when it has parted.
+    """
+    *center, radius, _ = ready.balls[ready.pairs[pair, 0]].tolist()
+    at, distances, poses = _samples(ready, pair, run)
+    while True:
+        away = np.flatnonzero(distances > near + parted)[:1]
+        again = away if not len(away) else away[0] + np.flatnonzero(distances[away[0] :] <= near)[:1]
+        if len(again):
+            return _on_course(at[away[0]])
+        change = np.diff(poses, axis=0)
+        turned = np.linalg.norm(change[..., :3], axis=(1, 2))
+        moved = lengths(change[..., :3] @ center + change[..., 3]) + radius * turned
+        # How far the pair has to move from one place to the next for it to part and come near between them.
+        far = near + parted
+        low, high = np.minimum(distances[:-1], distances[1:]), np.maximum(distances[:-1], distances[1:])
+        needed = high - low + 2.0 * np.where(high <= far, far - high, np.where(low >= far, low - near, parted))
+        wide = np.flatnonzero(moved > needed)
+        if len(wide) == 0:
+            return _on_course(at[-1])
+        if len(at) + len(wide) > MOST_SAMPLES:
+            return 0, 1.0 / SAMPLES  # contact is allowed no farther than it was measured
+        middle = _samples(ready, pair, run, (at[wide] + at[wide + 1]) / 2.0)
+        at, distances, poses = (
+            np.insert(old, wide + 1, new, axis=0) for old, new in zip((at, distances, poses), middle, strict=True)
+        )
+
+
+def _on_course(at: float) -> tuple[int, float]:
+    """Return the course on which a place lies, at its end rather than at the start of the next one."""
+    k = max(int(np.ceil(at)) - 1, 0)
+    return k, float(at - k)
+
+
+def _samples(ready: Problem, pair: int, run: Run, at: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+    """Return places on a run, and there the distances of a pair and the poses of its first body in the second's frame.
+
+    Places are numbers of courses plus fractions; by default they are spread evenly. Poses have the shape (N, 3, 4).
+    """
+    i, j = (int(k) for k in ready.pairs[pair])
+    if at is None:
+        each = SAMPLES if SAMPLES * len(run.number) < MOST_SAMPLES else 1
+        at = np.arange(each * len(run.number) + 1) / each
+    k = np.minimum(at.astype(np.int64), len(run.number) - 1)
+    distances, places = np.empty(len(at)), np.empty((len(at), 3, 4))
+    for first, T in ready.poses_in_turn(configurations(ready.robot, run.courses[k], at - k)):
+        now = slice(first, first + len(T))
+        distances[now] = queries.distance(ready.body(i), T[:, i], ready.body(j), T[:, j], exact=True).distance
+        away = T[:, i, :3] - np.pad(T[:, j, :3, 3:], ((0, 0), (0, 0), (3, 0)))
+        places[now] = T[:, j, :3, :3].transpose(0, 2, 1) @ away
+    return at, distances, places
+
+
+def _with(array: Floats, k: int, value: Floats | float) -> Floats:
+    """Return a copy of an array with another entry."""
+    array = array.copy()
+    array[k] = value
+    return array
+
+
+def distances_at(ready: Problem, pair: int, Q: Floats) -> Floats:
+    """Compute the signed distances of a pair of bodies at configurations, shape (N, dof)."""
+    i, j = (int(k) for k in ready.pairs[pair])
+    T = ready.poses(Q)
+    return np.asarray(queries.distance(ready.body(i), T[:, i], ready.body(j), T[:, j], exact=True).distance)
 
 
 def distance_at(ready: Problem, pair: int, q: Floats) -> float:
     """Compute the signed distance of a pair of bodies at a configuration."""
-    i, j = (int(k) for k in ready.pairs[pair])
-    T = ready.poses(q[None])[0]
-    return float(queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance)
+    return float(distances_at(ready, pair, q[None])[0])
 
 
-def _reach(ready: Problem, pair: int, a: Floats, b: Floats) -> float:
-    """Bound how far points of the robot get from the second body of a pair during a motion."""
-    T = ready.poses(a[None])[0, ready.pairs[pair, 1]]
-    return float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[:3, 3]).sum())
+def _reach(ready: Problem, pair: int, run: Run) -> float:
+    """Bound how far points of the robot get from the second body of a pair during a run."""
+    T, tree = ready.poses(run.courses[:1, 0])[0, ready.pairs[pair, 1]], ready.robot.tree
+    values, moved = np.abs(run.courses).max(axis=(0, 1)), tree.kind != columns.FIXED
+    # Several joints may follow one value, each some times as far.
+    times = np.bincount(tree.column[moved], np.abs(tree.multiplier[moved]), len(values))
+    far = (values * np.maximum(times, 1.0)).sum() + np.abs(tree.offset[moved]).sum()
+    return float(ready.motions.tables.chain[1] + far + np.abs(T[:3, 3]).sum())
 
 
-def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[Problem, float]:
+def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: float) -> tuple[Problem, float]:
     """Pair the pieces of the first body with planes in front of which they begin, in place of the touched pieces.
 
     Also return the tolerance for the proof that they stay in front. The plane of touching pieces leaves most of the
-    tolerance; the plane of separate pieces leaves only their margin.
+    tolerance; the plane of separate pieces leaves only their margin. Normals are sought up to a place on the run, the
+    number of a course plus a fraction.
     """
     i, j = (int(k) for k in ready.pairs[pair])
-    shares = np.append(0.0, STRETCHES[::-1])
-    margin, T = float(ready.margins[pair]), ready.poses(ready.robot.between(a, b, shares))
+    places = np.append(0.0, end * STRETCHES[::-1])
+    k = np.minimum(places.astype(np.int64), len(run.number) - 1)
+    margin, T = float(ready.margins[pair]), ready.poses(configurations(ready.robot, run.courses[k], places - k))
     ours, theirs = _pieces(ready, i), _pieces(ready, j)
     every = np.moveaxis(np.indices((len(ours), len(theirs))), 0, -1).reshape(-1, 2)
     at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
     touching = at_start <= margin + tolerance
     apart, planes = every[~touching], every[touching]
-    reach = _reach(ready, pair, a, b)
+    reach = _reach(ready, pair, run)
     # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
     # have one. Any normal is safe, since the proof fails with a bad one.
     u, v = planes.T

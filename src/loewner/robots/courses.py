@@ -46,9 +46,13 @@ def elevated(points: Floats, by: int) -> Floats:
     return points
 
 
-def parts(courses: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the part of each course between two fractions, shape (N,) each, by de Casteljau's scheme."""
+def parts(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the part of each course between two fractions, shape (N,) each, by de Casteljau's scheme if curved."""
     degree, made = courses.shape[1] - 1, np.empty_like(courses)
+    if degree == 1:
+        for k, fractions in enumerate((low, high)):
+            made[:, k] = interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])
+        return made
     for k in range(degree + 1):
         points = courses
         for step in range(degree):

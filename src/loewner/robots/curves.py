@@ -25,7 +25,7 @@ from loewner.robots.edges import checked_path
 from loewner.robots.motions import CertifiedMotions, Found
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import Model
-from loewner.robots.proofs import prove
+from loewner.robots.proofs import apply_rules, prove
 from loewner.robots.robot import Robot
 from loewner.robots.verdicts import classified
 from loewner.robots.written_proofs import proof_of
@@ -74,9 +74,10 @@ class CertifiedTrajectory:
     Attributes
     ----------
     verdict : Verdict
-        FREE: every pair is proven to be farther apart than its margin at every instant. COLLIDING: the robot collides
-        at ``time``, which may be rounded. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
-        arithmetic could not settle it; treat it as not free.
+        FREE: every pair is proven to be farther apart than its margin at every instant, except for contact at the ends
+        that `Scene.leave` or `Scene.reach` allows. COLLIDING: the robot collides at ``time``, which may be rounded.
+        AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or arithmetic could not settle it;
+        treat it as not free.
     time : float
         Seconds; NaN if FREE. If COLLIDING, the robot may also collide earlier.
     names : tuple of str
@@ -145,17 +146,17 @@ def certified(
         at = np.flatnonzero(degrees == degree).tolist()
         courses = np.concatenate([curves[k].courses for k in at])
         off = np.concatenate([curves[k].off for k in at])
+        firsts = np.cumsum([0, *(len(curves[k].courses) for k in at)])
         proven = prove(ready, courses, tolerance, off)
-        first = 0
-        for k in at:
-            last = first + len(curves[k].courses)
+        if not joint_error.any():
+            apply_rules(ready, courses, off, firsts, tolerance, proven)
+        for k, first, last in zip(at, firsts[:-1].tolist(), firsts[1:].tolist(), strict=True):
             expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)
             one = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             if model is not None and one.verdict == Verdict.FREE:
                 one = replace(one, proof=proof_of(model, ready, *_joined(curves[k])))
             found[k] = one
-            first = last
     return [one for one in found if one is not None]
 
 
@@ -184,13 +185,19 @@ def cut_in_time(robot: Robot, ready: Problem, curve: Curve) -> Curve:
     return Curve(None, np.append(cut.times[:, 0], curve.times[-1]), cut.courses, cut.off)
 
 
-def hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
-    """Return which of some times collide, with the moving bodies at their poses then."""
+def configurations_at(ready: Problem, curve: Curve, times: Floats) -> Floats:
+    """Return the configurations at times of a curve, with the moving bodies at their poses then."""
     k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
     shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
     Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
     if ready.paths is not None:
         Q = in_time.with_bodies(ready, Q[:, : Q.shape[1] - in_time.WIDTH * len(ready.paths.far)], times)
+    return Q
+
+
+def hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
+    """Return which of some times collide."""
+    Q = configurations_at(ready, curve, times)
     return np.flatnonzero(classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)
 
 

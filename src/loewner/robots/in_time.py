@@ -21,7 +21,7 @@ from loewner.robots import motions, verdicts
 from loewner.robots.courses import CURVE_ROUNDINGS, elevated, parts, straight
 from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
-from loewner.robots.proofs import deviations, refuse_starts
+from loewner.robots.proofs import apply_rules, deviations, refuse_starts
 from loewner.robots.robot import Robot, interpolated
 
 # Values of a floating joint.
@@ -113,12 +113,7 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     cut = np.flatnonzero(counts[owner] > 1)
     if len(cut):
         whole = of_robot[cut]
-        if curved:
-            of_robot[cut] = parts(whole, starts[cut], ends[cut])
-        else:
-            of_robot[cut, 0], of_robot[cut, 1] = (
-                interpolated(robot, whole[:, 0], whole[:, 1], f[cut, None]) for f in (starts, ends)
-            )
+        of_robot[cut] = parts(robot, whole, starts[cut], ends[cut])
         strays[cut] += CURVE_ROUNDINGS * np.abs(whole).max(axis=1)
     times = np.stack([begin, end], axis=1)
     return Pieces(owner, starts, ends, times, *_joined(paths, begin, end, of_robot, strays))
@@ -193,6 +188,9 @@ def prove_edges(
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
     found = motions.settle(ready, cut.courses, tolerance, cut.off)
     refuse_starts(ready, cut.courses[:, 0], found)
+    if off is None:
+        first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
+        apply_rules(ready, cut.courses, cut.off, first, tolerance, found)
     found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
     made = found if len(cut.owner) == len(a) else _gathered(cut, found, len(a))
     at = (made.verdicts == codes.COLLIDING).nonzero()[0]

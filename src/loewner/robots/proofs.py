@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from loewner._kernels import codes
-from loewner._validate import Floats
+from loewner._validate import Floats, Ints
 from loewner.robots import contacts, motions, verdicts
+from loewner.robots.contacts import Stretch
 from loewner.robots.courses import configurations, straight
 from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
@@ -44,21 +45,57 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
     courses = straight(ready.robot, a, b)
     off = deviations(courses, joint_error)
     found = prove(ready, courses, tolerance, off)
-    at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) and off is None else ready.ruled[:0]
+    if off is None:
+        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), np.arange(len(courses) + 1), tolerance, found)
+    return found
+
+
+def apply_rules(
+    ready: Problem, courses: Floats, off: Floats, first: Ints, tolerance: float, found: Found
+) -> dict[int, tuple[Stretch, ...]]:
+    """Prove curves that are not proven free, with contact at their ends as `Scene.leave` and `Scene.reach` allow.
+
+    Parameters
+    ----------
+    ready : Problem
+    courses : ndarray, shape (N, degree + 1, dof)
+        The segments of all curves.
+    off : ndarray, shape (N, dof)
+        How far values may deviate from the courses.
+    first : ndarray of int, shape (curves + 1,)
+        The first segment of each curve, and N.
+    tolerance : float
+        In metres.
+    found : Found
+        The results of `prove`, which are changed.
+
+    Returns
+    -------
+    dict
+        The stretches of contact on each curve that is free by the rules.
+    """
+    stretches: dict[int, tuple[Stretch, ...]] = {}
+    at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
     if len(at) == 0:
-        return found
-    rest = prove(ready.unruled, courses[at], tolerance)
+        return stretches
+    rest = prove(ready.unruled, courses[at], tolerance, off[at] if off.any() else None)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
     found.work[at] += rest.work
-    for k in at[rest.verdicts == codes.FREE]:
+    for curve in np.unique(np.searchsorted(first, at[rest.verdicts == codes.FREE], side="right") - 1).tolist():
+        own = slice(first[curve], first[curve + 1])
+        verdicts, fractions, pairs = (array[own] for array in (found.verdicts, found.fractions, found.pairs))
+        kept: tuple[Stretch, ...] = ()
         for pair in ready.ruled.tolist():
-            verdict, fraction = contacts.settle(ready, pair, a[k], courses[k, 1], tolerance)
-            if verdict != codes.FREE:
-                found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, fraction, pair
-                if verdict == codes.COLLIDING:
-                    break
-    return found
+            settled = contacts.settle(ready, pair, courses[own], off[own], tolerance)
+            kept += settled.stretches
+            worse = (settled.verdicts != codes.FREE) & np.isin(verdicts, (codes.FREE, codes.AMBIGUOUS))
+            verdicts[worse], fractions[worse], pairs[worse] = settled.verdicts[worse], settled.fractions[worse], pair
+            if (verdicts == codes.COLLIDING).any():
+                break
+        if (verdicts == codes.FREE).all():
+            stretches[curve] = kept
+    return stretches
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:

@@ -1,0 +1,344 @@
+"""`Scene.leave` and `Scene.reach` on curves: contact at the beginning and the end of a whole trajectory."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
+
+import loewner
+from families import translation
+from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, planners, queries
+from loewner.cli.main import main
+from loewner.robots import contacts
+from loewner.robots.curves import curves_of
+from test_contacts import HAND, START, TOLERANCE, can_on_table, height
+
+FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
+BOTH = {"leave": ["table"], "reach": ["table"]}
+
+# From the table, along it, up, across, down and along it again; the hand turns only where the can is high.
+CARRY = np.array(
+    [[0, 0, 0], [0.05, 0, 0], [0.05, 0.1, 0], [0.2, 0.3, 0.2], [0.4, 0.1, 0], [0.4, 0, 0], [0.5, 0, 0]], dtype=float
+)
+
+
+def points_of(curve, rate=1000.0):
+    """The points that a controller gets, which it joins by straight lines."""
+    times = np.linspace(curve.x[0], curve.x[-1], int(rate * (curve.x[-1] - curve.x[0])) + 1)
+    return planners.ControllerPoints(times, curve(times))
+
+
+FORMS = {
+    "linear": planners.ControllerPoints,
+    "monotone": PchipInterpolator,
+    "one thousand points a second": lambda t, q: points_of(PchipInterpolator(t, q)),
+    "trapezoidal": lambda t, q: planners.trajectory(Robot.from_urdf(text=HAND), q, acceleration=1.0),
+    "limited jerk": lambda t, q: planners.trajectory(Robot.from_urdf(text=HAND), q, acceleration=1.0, jerk=10.0),
+}
+
+
+def timed(form, rows):
+    """A curve of a form through rows that are half a second apart."""
+    return FORMS[form](0.5 * np.arange(len(rows)), np.asarray(rows, dtype=float))
+
+
+def dense(curve, rate=5000.0):
+    """Times and configurations of a curve, evaluated without the code that proves it."""
+    if isinstance(curve, planners.Trajectory):
+        times = np.linspace(0.0, curve.duration, int(rate * curve.duration))
+        return times, curve.positions(times)
+    if isinstance(curve, planners.ControllerPoints):
+        times = np.linspace(curve.times[0], curve.times[-1], int(rate * (curve.times[-1] - curve.times[0])))
+        return times, np.stack([np.interp(times, curve.times, column) for column in curve.positions.T], axis=1)
+    first, last = (curve.t[[curve.k, -1 - curve.k]]) if hasattr(curve, "t") else curve.x[[0, -1]]
+    times = np.linspace(first, last, int(rate * (last - first)))
+    return times, curve(times)
+
+
+def leaves(distances, margin, parted, deepest=np.inf):
+    """Whether samples of the signed distance of one pair of pieces, or several (N, pairs), follow the rule of leave."""
+    distances = distances.reshape(len(distances), -1)
+    nearest, start = distances.min(axis=1), distances[0]
+    last = np.flatnonzero(nearest <= margin).max(initial=-1)
+    if last < 0:
+        return True
+    allowed = np.where(start <= margin + TOLERANCE, np.minimum(start, margin) - 1.02 * TOLERANCE, margin - 1e-12)
+    kept = (distances[: last + 1] >= allowed).all() and start.min() >= -deepest - 1e-12
+    return bool(kept and nearest[0] <= margin + TOLERANCE and (nearest[: last + 1] <= parted).all())
+
+
+def parted(checker, Q, margin):
+    """The distance from which on the pair has parted."""
+    ready = checker._ready()
+    run = contacts.Run.whole(np.stack([Q[:-1], Q[1:]], axis=1), np.zeros_like(Q[1:]))
+    return margin + TOLERANCE + contacts.PARTED * contacts._reach(ready, int(ready.ruled[0]), run) + 1e-9
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("margin", [0.0, 0.004])
+def test_a_carry_is_free_and_keeps_the_rule_at_5_khz(form, margin):
+    """A can is lifted from the table and put back; dense samples agree with the proof, and with the first contact."""
+    checker = can_on_table(margin, **BOTH)
+    curve = timed(form, CARRY)
+    found = checker.certify_trajectory(curve)
+    assert found.verdict == FREE
+    assert (found.segments.verdict == FREE).all()
+    assert checker.first_contact(curve).verdict == FREE
+    _, Q = dense(curve)
+    distances, top = height(Q), height(Q).argmax()
+    far = parted(checker, Q, margin)
+    assert leaves(distances[: top + 1], margin, far)
+    assert leaves(distances[top:][::-1], margin, far, TOLERANCE)
+    without = can_on_table(margin).certify_trajectory(curve)
+    assert (without.verdict, without.first) == (COLLIDING, 0.0)
+
+
+CHANGES = {
+    "deeper by a millimetre before the lift": lambda rows: rows[1].__setitem__(1, -1e-3),
+    "deeper by a millimetre where it is put down": lambda rows: rows[5].__setitem__(1, -1e-3),
+    "ends deeper by a millimetre": lambda rows: rows[5:, 1].__isub__(1e-3),
+    "touches between": lambda rows: rows[3].__setitem__(1, 0.0),
+    "slides through the table": lambda rows: rows[2:5, 1].__imul__(-1.0),
+    "lifts a corner into the table": lambda rows: rows[1].__setitem__(2, 0.05),
+}
+
+
+@pytest.mark.parametrize("form", ["linear", "limited jerk"])
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_changed_carry_is_not_free(form, change):
+    """A carry that gets deeper, or that touches the table again on its way, is refused."""
+    rows = CARRY.copy()
+    CHANGES[change](rows)
+    checker, curve = can_on_table(**BOTH), timed(form, rows)
+    assert checker.certify_trajectory(curve).verdict != FREE
+    assert checker.first_contact(curve).verdict != FREE
+
+
+def test_rules_about_other_pairs_or_ends_do_not_help():
+    """A carry needs the rule of the pair that touches, at the end at which it touches, and no joint error."""
+    curve = timed("monotone", CARRY)
+    for rules in ({"leave": ["table"]}, {"reach": ["table"]}, {"leave": ["shelf"], "reach": ["shelf"]}):
+        checker = can_on_table(**rules)
+        checker.scene.add("shelf", Body.box([0.1, 0.1, 0.1]), translation(z=3.0))
+        assert checker.certify_trajectory(curve).verdict == COLLIDING
+    assert can_on_table(**BOTH).certify_trajectory(curve, joint_error=1e-12).verdict != FREE
+    checker = can_on_table(**BOTH)
+    checker.scene.add("wall", Body.box([0.05, 0.05, 0.05]), translation(x=0.2, z=0.35))
+    found = checker.certify_trajectory(curve)
+    assert found.verdict == COLLIDING
+    assert "wall" in found.names
+    assert (found.segments.verdict == FREE).sum() >= 3  # with those that the rules allow
+
+
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 60))])
+def test_random_curves_keep_the_rules_in_dense_samples(seed):
+    """FREE curves keep the rules by plane geometry, and nearly all curves that keep them are FREE."""
+    rng = np.random.default_rng(seed)
+    forms = [PchipInterpolator, CubicSpline, planners.ControllerPoints, make_interp_spline]
+    verdicts = []
+    for _ in range(10):
+        margin, sunk = rng.choice([0.0, 0.004]), rng.choice([0.0, 1e-17, 0.002, -0.003])
+        rows = np.zeros((4, 3))
+        rows[1:] = np.cumsum(rng.normal(size=(3, 3)) * [0.1, 0.0, rng.choice([0.0, 1e-3, 0.1])], axis=0)
+        rise = np.abs(rng.normal(size=3)) * 10.0 ** rng.uniform(-4, -1, size=3) * (rng.random(3) < 0.7)
+        rows[1:, 1] = np.cumsum(rise * rng.choice([1.0, 1.0, 1.0, -1.0], size=3))
+        ends = bool(rng.integers(2))
+        curve = rng.choice(np.array(forms, dtype=object))(np.arange(4.0), rows[::-1] if ends else rows)
+        checker = can_on_table(margin, sunk, **{"reach" if ends else "leave": ["table"]})
+        found, contact = checker.certify_trajectory(curve, tolerance=TOLERANCE), checker.first_contact(curve)
+        times, Q = dense(curve, 1000.0)
+        distances, far = height(Q, sunk), parted(checker, Q, margin)
+        kept = leaves(distances[::-1], margin, far, TOLERANCE) if ends else leaves(distances, margin, far)
+        assert kept or found.verdict != FREE
+        assert kept or contact.verdict != FREE
+        free = times < contact.free_until
+        assert ends or not free.any() or leaves(distances[free], margin, far)
+        assert contact.free_until <= contact.touching_at
+        verdicts.append((found.verdict == FREE, kept))
+    assert np.equal(*zip(*verdicts, strict=True)).sum() >= 8
+
+
+def test_a_straight_curve_is_a_motion_of_certify_edges():
+    """One segment has the verdict of the same motion, and so have seven, whose stretch ends in another place."""
+    rng = np.random.default_rng(3)
+    ends = rng.uniform([-0.4, -0.05, -0.2], [0.4, 0.1, 0.2], size=(9, 3)) * 10.0 ** rng.uniform(-3, 0, size=(9, 1))
+    for rules in ({"leave": ["table"]}, BOTH):
+        checker = can_on_table(0.004, 0.002, **rules)
+        wanted = checker.certify_edges(START, ends).verdict
+        for count in (2, 8):
+            rows = np.linspace(START, ends, count)
+            given = [planners.ControllerPoints(np.arange(count), rows[:, k]) for k in range(9)]
+            found = np.array([one.verdict for one in checker.certify_trajectory(given)])
+            np.testing.assert_array_equal(found == FREE, wanted == FREE)
+
+
+def test_first_contact_is_the_first_that_is_not_allowed():
+    """Known times: after the contact that is allowed, the can comes down at 3.5 s, or is pushed in from 1 s on."""
+    checker = can_on_table(leave=["table"])
+    rows = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0.1, 0.1, 0], [0.1, -0.1, 0]], dtype=float)
+    found = checker.first_contact(planners.ControllerPoints(np.arange(5.0), rows))
+    assert (found.verdict, found.names) == (COLLIDING, ("can", "table"))
+    assert found.free_until < 3.5
+    assert found.free_until == pytest.approx(3.5, abs=1e-4)
+    assert found.touching_at == pytest.approx(3.5, abs=1e-9)
+    rows[2:, 1] = -0.01, 0.1, 0.1
+    found = checker.first_contact(planners.ControllerPoints(np.arange(5.0), rows), tolerance=1e-4)
+    assert (found.verdict, found.names) == (COLLIDING, ("can", "table"))
+    assert 1.0 <= found.free_until < 1.01 <= found.touching_at < 1.0101
+
+
+def test_a_stretch_is_recorded_with_its_end_and_depth():
+    """The contact of the record ends where the can has left the table, and may be as deep as at the start."""
+    checker = can_on_table(0.0, 0.002, leave=["table"])
+    curve = PchipInterpolator([0, 1, 2, 3, 4], [[0, 0, 0], [0.1, 0, 0], [0.1, 0.001, 0], [0.1, 0.2, 0], [0.2, 0.3, 0]])
+    ready = checker._ready()
+    given = curves_of(checker.robot, checker.scene, curve)[0]
+    settled = contacts.settle(ready, int(ready.ruled[0]), given.courses, given.off, TOLERANCE)
+    (stretch,) = settled.stretches
+    assert stretch.leaving
+    assert stretch.depth == pytest.approx(0.002 + TOLERANCE, abs=1e-9)
+    segment, fraction = stretch.until
+    assert segment == 2
+    assert float(fraction * 2**30).is_integer()
+    at = segment + fraction
+    assert (height(curve(np.linspace(at, 4, 1000)), 0.002) > 0).all()
+
+
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 40))])
+def test_bodies_of_several_pieces_and_thin_tables(seed):
+    """Each pair of pieces keeps the rule in dense exact distances: with flanges, a table of 1 mm, and deep starts."""
+    rng = np.random.default_rng(seed)
+    cans = [
+        Body.boxes([[0, 0, 0.1], [0.06, 0, 0.12]], [[0.06, 0.06, 0.2], [0.1, 0.02, 0.02]]),
+        Body.boxes([[0, 0, 0.1], [0, 0, 0.005]], [[0.02, 0.02, 0.2], [0.12, 0.12, 0.01]]),
+        Body.cylinder(0.03, 0.2).transformed(translation(z=0.1)),
+    ]
+    free = 0
+    for _ in range(8):
+        scene, thin, sunk = Scene(margin=rng.choice([0, 0.003])), rng.choice([0.1, 0.001]), rng.choice([0, 0.003, 0.02])
+        boxes = [[0, 0, -thin / 2], [0.3, 0, 0.1], [-0.5, 0, -0.2]], [[0.5, 0.5, thin], [0.05, 0.3, 0.2], [0.3] * 3]
+        scene.add("table", Body.boxes(*boxes))
+        scene.add("can", rng.choice(np.array(cans, dtype=object)))
+        scene.attach("can", "hand", translation(z=-sunk), leave=["table"])
+        checker = CollisionChecker(Robot.from_urdf(text=HAND), scene)
+        rows = np.zeros((4, 3))
+        rise = np.abs(rng.normal(size=(3, 1))) * 10.0 ** rng.uniform(-3.5, -1, size=(3, 1))
+        across = rng.normal(size=(3, 2)) * [rng.choice([0, 0.02, 0.2]), rng.choice([0, 1e-3, 0.05, 0.5])]
+        rows[1:] = np.cumsum(np.concatenate([across[:, :1], rise, across[:, 1:]], axis=1), axis=0)
+        curve = CubicSpline(np.arange(4.0), rows, bc_type="clamped")
+        if checker.certify_trajectory(curve, tolerance=TOLERANCE).verdict != FREE:
+            continue
+        free += 1
+        ready, (_, Q) = checker._ready(), dense(curve, 300.0)
+        i, j = ready.pairs[ready.ruled[0]].tolist()
+        ours, theirs, T = contacts._pieces(ready, i), contacts._pieces(ready, j), ready.poses(Q)
+        every = [(a, b) for a in range(len(ours)) for b in range(len(theirs))]
+        distances = [queries.distance(ours[a], T[:, i], theirs[b], T[:, j], exact=True).distance for a, b in every]
+        assert leaves(np.stack(distances, axis=1), scene.margin, parted(checker, Q, scene.margin))
+    assert free > 0
+
+
+def test_a_joint_that_another_one_follows_moves_the_robot_farther():
+    """The plane is wide enough for a joint that moves 200 times as far as the value: sliding 20 m stays FREE."""
+    axis = '<axis xyz="1 0 0"/><limit lower="-100" upper="100" effort="1" velocity="1"/>'
+    text = HAND.replace('<link name="base"/>', '<link name="base"/><link name="far"/>')
+    text = text.replace('<parent link="base"/>', '<parent link="far"/>', 1).replace(
+        "</robot>",
+        f'<joint name="follows" type="prismatic"><parent link="base"/><child link="far"/>{axis}'
+        '<mimic joint="x" multiplier="200"/></joint></robot>',
+    )
+    scene = Scene()
+    scene.add("table", Body.box([100.0, 1.0, 2.0]), translation(z=-0.7))
+    scene.leave("hand", "table")
+    checker = CollisionChecker(Robot.from_urdf(text=text), scene)
+    assert checker.certify_edges(START, [0.1, 0.0, 0.0], tolerance=1e-3).verdict == FREE
+    assert checker.certify_edges(START, [0.1, -0.1, 0.0], tolerance=1e-3).verdict == COLLIDING
+    down = planners.ControllerPoints([0, 1, 2], [START, [0.1, 0.0, 0.0], [0.1, -0.1, 0.0]])
+    assert checker.certify_trajectory(down, tolerance=1e-3).verdict == COLLIDING
+
+
+def belt(**rules):
+    """A hand without turns above a box that moves along x at 0.5 m/s, with its top at z = 0.3."""
+    scene = Scene(margin=0.001)
+    scene.add("box", Body.box([0.1, 0.1, 0.1]))
+    scene.follow("box", [0.0, 2.0, 4.0], [translation(x, z=0.25) for x in (-1.0, 0.0, 1.0)])
+    for rule, pairs in rules.items():
+        for pair in pairs:
+            getattr(scene, rule)(*pair)
+    return CollisionChecker(Robot.from_urdf(text=HAND), scene)
+
+
+def test_a_hand_meets_a_box_on_a_belt():
+    """A motion that follows the box may end in contact with it: neither deeper, nor earlier or later than the box."""
+    checker, plain = belt(reach=[("box", "hand")]), belt()
+    above, there, along = [-0.75, 0.2, 0.0], [-0.25, 0.0, 0.0], [0.25, 0.0, 0.0]
+    found = checker.certify_edges(above, [there, [-0.25, -1e-3, 0.0]], t0=0.5, t1=1.5).verdict
+    np.testing.assert_array_equal(found, [FREE, COLLIDING])
+    assert plain.certify_edges(above, there, t0=0.5, t1=1.5).verdict == COLLIDING
+    # From 1.5 s on the hand moves with the box; the box has a knot at 2 s.
+    for rows, verdict in (
+        ([above, there, along], FREE),
+        ([above, there, [0.25, -1e-3, 0.0]], COLLIDING),
+        ([above, [-0.25, -1e-3, 0.0], along], COLLIDING),
+    ):
+        curve = planners.ControllerPoints([0.5, 1.5, 2.5], rows)
+        found = checker.certify_trajectory(curve)
+        assert found.verdict == verdict
+        assert len(found.times) == 4
+        assert checker.first_contact(curve).verdict == verdict
+        assert plain.certify_trajectory(curve).verdict == COLLIDING
+    parts = planners.ControllerPoints([0.5, 1.5, 2.0, 2.5], [above, there, [0.0, 0.01, 0.0], along])
+    assert checker.certify_trajectory(parts).verdict == COLLIDING
+    late = planners.ControllerPoints([0.6, 1.6, 2.6], [above, there, [0.25, 0.2, 0.0]])
+    assert checker.certify_trajectory(late).verdict != FREE
+    leaving = belt(leave=[("box", "hand")])
+    up = planners.ControllerPoints([1.5, 2.5, 3.0], [there, along, [0.6, 0.3, 0.0]])
+    assert leaving.certify_trajectory(up).verdict == leaving.first_contact(up).verdict == FREE
+    assert leaving.certify_edges(there, along, t0=1.5, t1=2.5).verdict == FREE
+    assert leaving.certify_edges(there, [0.25, -0.01, 0.0], t0=1.5, t1=2.5).verdict == COLLIDING
+
+
+def test_a_can_is_lifted_off_a_tray_that_turns():
+    """The plane of contact is carried by a body that moves along a path and turns about its normal."""
+
+    def turned(angle, x, z):
+        T, (c, s) = translation(x, z=z), (np.cos(angle), np.sin(angle))
+        T[:2, :2] = [[c, -s], [s, c]]
+        return T
+
+    scene = Scene()
+    scene.add("tray", Body.box([0.5, 0.5, 0.02]))
+    scene.follow("tray", [0.0, 1.0, 2.0], [turned(0, 0, -0.01), turned(1.0, 0.5, -0.01), turned(1.5, 0.6, 0.04)])
+    scene.add("can", Body.cylinder(0.03, 0.2))
+    scene.attach("can", "hand", translation(z=0.1), leave=["tray"])
+    checker = CollisionChecker(Robot.from_urdf(text=HAND), scene)
+    for end, last, verdict in (
+        ([0.5, 0.0, 0.0], 1.0, FREE),
+        ([0.6, 0.051, 0.0], 2.0, FREE),
+        ([0.6, 0.045, 0.0], 2.0, COLLIDING),
+        ([0.5, -1e-3, 0.0], 1.0, COLLIDING),
+    ):
+        curve = CubicSpline([0.0, last], [START, end], bc_type="natural")
+        assert checker.certify_edges(START, end, t0=0.0, t1=last).verdict == verdict
+        assert checker.certify_trajectory(curve).verdict == checker.first_contact(curve).verdict == verdict
+
+
+def test_the_audit_of_a_carry_is_free(tmp_path: Path, capsys):
+    """From the planner to the command line, by files: the scene with its rules, the trajectory, and exit status 0."""
+    checker = can_on_table(0.002, **BOTH)
+    path = planners.plan(checker, START, [0.5, 0.0, 0.0])
+    carry = planners.trajectory(checker.robot, path, acceleration=1.0, jerk=10.0, checker=checker)
+    assert carry.certify(checker).verdict == FREE
+    with pytest.raises(InputError, match="proof"):
+        carry.certify(checker, proof=True)
+    carry.save(tmp_path / "carry.yaml")
+    (tmp_path / "hand.urdf").write_text(HAND)
+    loewner.save_scene(checker.scene, tmp_path / "scene.yaml")
+    arguments = ["audit", str(tmp_path / "hand.urdf"), str(tmp_path / "carry.yaml"), "--scene"]
+    assert main([*arguments, str(tmp_path / "scene.yaml")]) == 0
+    assert "FREE" in capsys.readouterr().out
+    checker.scene.attach("can", "hand", translation(z=0.1), leave=["table"])
+    loewner.save_scene(checker.scene, tmp_path / "other.yaml")
+    assert main([*arguments, str(tmp_path / "other.yaml")]) == 1
+    assert "can" in capsys.readouterr().out
