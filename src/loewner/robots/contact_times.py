@@ -175,12 +175,13 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
 
 
 def _earlier(ready: Problem, curve: Curve, free: float, touching: float) -> float:
-    """Return a time of collision with a free one just before it, after a free time and at most at `touching`.
+    """Return a time of collision with a free one just before it, from `free` to `touching`; `free` if it collides.
 
     inf if there is no collision at `touching`, where it is known up to rounding only.
     """
-    if not len(_hits(ready, curve, np.array([touching]))):
-        return np.inf
+    first, last = np.isin((0, 1), _hits(ready, curve, np.array([free, touching])))
+    if first or not last:
+        return free if first else np.inf
     while True:
         times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
         times = times[(times > free) & (times < touching)]
