@@ -945,7 +945,7 @@ class Scene:
         -------
         tuple of Contact
             Each pair once, in the order in which the bodies were added. Pairs that are not listed are allowed or proven
-            free. Attached bodies are left out: a `CollisionChecker` knows where they are.
+            free. Attached bodies are left out: a `CollisionChecker` checks them.
 
         Raises
         ------

@@ -60,7 +60,7 @@ class _Descriptor(io.FileIO):
     """A file whose reader may end early (`| head`): the rest goes nowhere, and the exit status remains the verdict."""
 
     def write(self, data: Any) -> int:
-        """Write, or discard what nobody reads."""
+        """Write, or discard the data if there is no reader."""
         try:
             return super().write(data)
         except BrokenPipeError:

@@ -28,13 +28,16 @@ from loewner.robots.proof_models import model_of
 from loewner.robots.robot import chain_to
 from loewner.robots.written_proofs import proof_of
 
+# More than any search gets to.
+MOST_ITERATIONS = 2**40
+
 
 class Common(TypedDict, total=False):
     """Options of `plan` for paths and for trajectories."""
 
     joints: str | Iterable[str] | None
     joint_error: ArrayLike
-    max_iterations: int
+    max_iterations: int | None
     timeout: float
     simplify: bool
     seed: int
@@ -89,7 +92,7 @@ def plan(
     certified: bool = True,
     joint_error: ArrayLike = 0.0,
     resolution: float = 0.05,
-    max_iterations: int = 100_000,
+    max_iterations: int | None = None,
     timeout: float = 10.0,
     simplify: bool = True,
     seed: int = 0,
@@ -123,8 +126,9 @@ def plan(
     resolution : float
         For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
         in the units of the joints. OMPL planners that divide motions themselves always use it.
-    max_iterations : int
-        Number of random configurations that the compiled planner draws before it gives up.
+    max_iterations : int, optional
+        Number of random configurations that the compiled planner draws before it gives up. Default: no limit, so that
+        only the timeout ends the search.
     timeout : float
         Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
         always use the whole time.
@@ -179,7 +183,8 @@ def plan(
         do not keep the axis, or
         are not proven free within the joint error (the message states the largest error that is proven); if no short
         motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
-        found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
+        found within the iterations or in time (the message reports how far the search got, and which pairs prevent the
+        motions between the trees); or if OMPL's path fails the
         final check (the message names the motion). In time also if the start collides at the start time (the message
         names pairs and depths), or no goal can be reached by the latest arrival within the velocities.
     InputError
@@ -229,7 +234,8 @@ def plan(
     """
     resolution = _validate.positive_scalar(resolution, "resolution")
     timeout = _validate.positive_scalar(timeout, "timeout")
-    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 1, 2**40)
+    most = MOST_ITERATIONS if max_iterations is None else max_iterations
+    max_iterations = _validate.whole_number(most, "max_iterations", 1, MOST_ITERATIONS)
     seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)

@@ -189,8 +189,8 @@ def rates_between(way_a, arm_a, way_b, arm_b):
 def _nearing_speed(A, way_a, B, way_b):
     """Bound on the rate at which the distance of two pieces changes, after the bound on the speed of any two points.
 
-    Along the line of the nearest points, the turn of a body moves either of them alike. So whichever lies nearer to the
-    body's axis counts: next to a floor that turns, points of the floor that are far away do not.
+    Along the line of the nearest points, the turn of a body moves both of them alike, so that the one nearer to the
+    body's axis counts: beside a floor that turns, points of the floor that are far away do not.
     """
     table_a, table_b = A.table, B.table
     reach_a, reach_b = table_a[A.piece, REACH], table_b[B.piece, REACH]
