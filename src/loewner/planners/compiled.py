@@ -36,6 +36,9 @@ CAPACITY = 2048
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
 
+# More iterations than any search makes.
+UNLIMITED = 2**40
+
 # Default number of cuts to try: more find little, and take longer than the search itself.
 CUTS = 60
 

@@ -185,8 +185,8 @@ def plan_in_time(
     goals = space.unwound(q, space.checked_goals(q, goals, judge_of_still, names))
     if not judge.free_at(first[None])[0]:
         raise PlanningError(
-            f"start: expected a configuration that is free at the start time {judge.begin:.15g} s, found a collision of "
-            f"{judge.touching(first)}"
+            f"start: expected a configuration that is free at the start time {judge.begin:.15g} s, found a collision "
+            f"of {judge.touching(first)}"
         )
     needs = judge.seconds(first, np.column_stack([goals, np.zeros(len(goals))]))
     if needs.min() == 0.0:

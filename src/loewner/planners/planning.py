@@ -28,9 +28,6 @@ from loewner.robots.proof_models import model_of
 from loewner.robots.robot import chain_to
 from loewner.robots.written_proofs import proof_of
 
-# More than any search gets to.
-MOST_ITERATIONS = 2**40
-
 
 class Common(TypedDict, total=False):
     """Options of `plan` for paths and for trajectories."""
@@ -234,8 +231,8 @@ def plan(
     """
     resolution = _validate.positive_scalar(resolution, "resolution")
     timeout = _validate.positive_scalar(timeout, "timeout")
-    most = MOST_ITERATIONS if max_iterations is None else max_iterations
-    max_iterations = _validate.whole_number(most, "max_iterations", 1, MOST_ITERATIONS)
+    most = compiled.UNLIMITED if max_iterations is None else max_iterations
+    max_iterations = _validate.whole_number(most, "max_iterations", 1, compiled.UNLIMITED)
     seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
@@ -368,7 +365,7 @@ def shorten(
     """
     resolution = _validate.positive_scalar(resolution, "resolution")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
-    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, 2**40)
+    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, compiled.UNLIMITED)
     seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
     rows = checked_path(checked_checker(checker).robot, path)
     judge = Judge.of(checker, step, joint_error)
