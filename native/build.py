@@ -114,7 +114,7 @@ API_CONSTANTS = {
     "MOST_ITERATIONS": compiled_planner.AT_A_TIME,
     "A_WHILE": compiled_planner.A_WHILE,
     "USUAL_CUTS": compiled_planner.CUTS,
-    "USUAL_ITERATIONS": 100_000,
+    "USUAL_ITERATIONS": compiled_planner.UNLIMITED,
     "MOST_ROOM": compiled_planner.MOST_ROOM,
 }
 API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + [

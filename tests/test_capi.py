@@ -104,6 +104,22 @@ def test_an_arm_answers_as_in_python(pair):
         assert np.array_equal(placed, by_pair)
 
 
+@pytest.mark.parametrize("count", [2**61, 2**63, 2**64 - 1])
+def test_numbers_of_rows_that_wrap_around_are_refused(pair, count):
+    """Their sizes in bytes, modulo 2^64, may be small, and the rest of the memory must not be read."""
+    _, mine = pair
+    rows, out, n = np.zeros((8, mine.dof)), np.zeros(8, dtype=np.int8), capi.size(count)
+    for query in ("classify", "collide"):
+        with pytest.raises(capi.Error, match=f"configurations: expected at most [0-9]+, found {count}"):
+            capi.ask(f"checker_{query}", mine, mine.workspace, rows, n, out)
+    with pytest.raises(capi.Error, match="configurations: expected at most"):
+        capi.ask("checker_link_poses", mine, rows, n, out)
+    with pytest.raises(capi.Error, match="starts: expected at most"):
+        capi.ask("checker_certify_edges", mine, mine.workspace, rows, rows, n, None, out, None, None)
+    with pytest.raises(capi.Error, match="points: expected at most"):
+        capi.ask("checker_certify_curves", mine, mine.workspace, rows, n, ctypes.c_int32(3), None, out, None, None)
+
+
 def test_motions_one_by_one_between_other_queries(pair):
     """What is learned from motion to motion survives other queries in the same workspace, and changes no answer."""
     checker, mine = pair

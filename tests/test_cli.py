@@ -20,6 +20,7 @@ import trimesh
 
 import loewner
 import made_parts
+from families import translation
 from gantry import LEFT, RADIUS, RIGHT, clearance, gantry
 from loewner import cli, planners
 from loewner._native import library
@@ -1398,19 +1399,26 @@ def test_tables_in_a_pipe_are_not_broken(capsys, monkeypatch):
     assert "0.123456789" in lines[0]
 
 
-@pytest.mark.parametrize("command", [("robot", "check", *WITH_WALL, "--random", "2"), ("clearance", "a.npz", "b.npz")])
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [
+        (("robot", "check", *WITH_WALL, "--random", "2"), 1),
+        (("clearance", "a.npz", "b.npz"), 1),
+        (("clearance", "a.npz", "far.npz"), 0),
+    ],
+)
 @pytest.mark.parametrize("rich", [True, False])
-def test_a_reader_that_left_is_not_a_collision(folder, capsys, monkeypatch, command, rich):
-    """Nobody has read the whole answer, so the status is that of errors, whichever program prints the tables."""
-    for name in ("a.npz", "b.npz"):
-        loewner.Body.sphere(1.0).save(name)
+def test_a_reader_that_left_changes_no_verdict(folder, capsys, monkeypatch, command, status, rich):
+    """The status is the verdict's although the answer is not read to its end, whichever program prints the tables."""
+    for name, x in (("a.npz", 0.0), ("b.npz", 0.0), ("far.npz", 3.0)):
+        loewner.Body.sphere(1.0).transformed(translation(x)).save(name)
     if not rich:
         monkeypatch.setitem(sys.modules, "rich.table", None)
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "w") as out:
         monkeypatch.setattr(sys, "stdout", out)
-        assert cli.main(list(command)) == 2
+        assert cli.main(list(command)) == status
     assert capsys.readouterr().err == ""
 
 

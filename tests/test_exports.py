@@ -275,3 +275,15 @@ def test_meshes_of_an_older_urdf_stay(tmp_path):
     with pytest.raises(loewner.FileError, match="found a directory"):
         Body.from_points(rng.normal(size=(8, 3))).to_urdf(tmp_path / "other.urdf")
     assert {file.name for file in tmp_path.iterdir()} == before | {"other.urdf"}
+
+
+@pytest.mark.parametrize("size", [1e-2, 1e-4, 1e-5, 1e-6, 1e-7])
+def test_mujoco_reads_small_pieces(size):
+    """Also pieces whose volume, for MuJoCo, is too small for a solid; those that it refuses are refused here."""
+    hull, thin = 0.5 * np.random.default_rng(0).normal(size=(2, 20, 3))
+    for body in (Body.from_points(size * hull), Body.cone(size, size), Body.from_points(thin * [1.0, size, 0.1])):
+        model = mujoco.MjModel.from_xml_string(body.to_mjcf())
+        low, high = body.outer.bounding_box()
+        assert 0.2 < model.geom_rbound[0] / np.linalg.norm(high - low) < 2.0
+    with pytest.raises(InputError, match="surface is at least 1e-14 m².*metres"):
+        Body.from_points(1e-8 * hull).to_mjcf()

@@ -476,3 +476,37 @@ def test_a_slow_pair_does_not_widen_the_bracket_of_a_fast_one(order):
         before, after = distance(a, at, b, None, exact=True).distance
         assert answer.verdict == COLLIDING
         assert before - after <= 2.0 * TOLERANCE
+
+
+def test_clouds_above_floors_that_turn():
+    """Points of the floor that are far away move fast, which does not count; dense samples of the points' heights."""
+    rng, radius, t = np.random.default_rng(59), 0.02, np.linspace(0.0, 1.0, 4001)
+    for _ in range(20):
+        points = rng.normal(size=(50, 3)) * rng.choice([0.05, 0.3]) + rng.normal(size=3)
+        n, offset = units(rng), rng.normal()
+        floor = Body.half_space(n, offset, extent=rng.choice([1e2, 1e4]))
+        turn = rng.uniform(-1.5, 1.5, (2, 3))
+        floor_ends = pose(rng.normal(size=3), rng.normal(size=3))
+        floor_ends = floor_ends, floor_ends @ pose(0.4 * turn[0], rng.normal(size=3))
+        start = pose(rng.normal(size=3), np.zeros(3))
+        # The lowest point at the start is 2 m above the floor's plane.
+        up = floor_ends[0][:3, :3] @ n
+        lift = 2.0 + offset + up @ floor_ends[0][:3, 3] - (points @ start[:3, :3].T @ up).min()
+        start[:3, 3] = lift * up
+        ends = start, pose(turn[1]) @ start
+        ends[1][:3, 3] = start[:3, 3] - rng.uniform(1.0, 8.0) * up
+        T, F = on_the_way(ends, t), on_the_way(floor_ends, t)
+        placed_points = points @ T[:, :3, :3].swapaxes(-1, -2) + T[:, None, :3, 3]
+        local = (placed_points - F[:, None, :3, 3]) @ F[:, :3, :3]
+        low = (local @ n).min(axis=1) - offset - radius
+        cloud = Body.from_cloud(points, radius=radius)
+        for pair in ((cloud, ends, floor, floor_ends), (floor, floor_ends, cloud, ends)):
+            found = first_contact(*pair, tolerance=1e-4)
+            if (low > 0).all():
+                assert found.verdict == FREE
+                continue
+            first = t[np.argmax(low <= 0)]
+            assert found.verdict == COLLIDING
+            assert found.free_until <= first <= found.touching_at + 1.1 * t[1]
+            assert (low[t < found.free_until] > 0).all()
+            assert abs(np.interp(found.free_until, t, low)) <= 2e-4

@@ -404,7 +404,14 @@ def test_a_body_follows_and_stops(slider):
     assert scene.collide()
     scene.follow("a", [0.0, 1.0], [translation(), translation(x=1.0)])
     assert scene.static_names == ("b",)
-    assert not scene.collide()  # bodies that move are not checked against others of the scene
+    for time, touch in ((0.0, False), (0.29, False), (0.31, True), (0.69, True), (0.71, False), (9.0, False)):
+        assert scene.collide(time) == touch == bool(scene.pairs(time))
+    assert scene.static_names == ("b",)
+    for query in (scene.collide, scene.pairs):
+        with pytest.raises(InputError, match=r"time: expected seconds, since bodies follow motions \(a\), found None"):
+            query()
+        with pytest.raises(InputError, match="time"):
+            query(np.nan)
     checker = CollisionChecker(slider, scene)
     with pytest.raises(InputError, match=r"expected a time, since bodies of the scene follow motions \(a\)"):
         checker.collide(LEFT)
@@ -633,6 +640,9 @@ def test_first_contact_with_what_stands(slider):
     assert found.free_until == pytest.approx((1.0 - 0.15) / 2.0, abs=1e-6)
     assert found.free_until <= found.touching_at
     inside = checker.first_contact(PPoly(np.stack([b - a, 0 * a])[:, None], [0.0, 1.0]))
+    touch = np.array([-0.15 - 2.0**-53, -0.5, np.pi])  # within rounding of the wall, so that the start is open
+    grazing = checker.first_contact(PPoly(np.stack([b - a, touch])[:, None], [0.0, 1.0]))
+    assert (grazing.free_until, grazing.touching_at) == (0.0, 0.0)
     assert (inside.verdict, inside.free_until, inside.touching_at) == (Verdict.COLLIDING, 0.0, 0.0)
     with pytest.raises(InputError, match="tolerance"):
         checker.first_contact(PPoly(np.zeros((2, 1, 3)), [0.0, 1.0]), tolerance=0.0)

@@ -430,6 +430,13 @@ def test_no_path_says_how_far_the_search_came(robot):
     checker = CollisionChecker(robot, scene)
     with pytest.raises(PlanningError, match=r"none within 1000 iterations: of \d+ motions tried.* came within 0\.3\d"):
         planners.plan(checker, LEFT, RIGHT, joints="slide", max_iterations=1000)
+    with pytest.raises(
+        PlanningError, match=r"\d+ motions between the trees, \d+ are COLLIDING, mostly since \w+ and wall"
+    ):
+        planners.plan(checker, LEFT, RIGHT, joints="slide", max_iterations=1000)
+    # By default the search ends by time alone.
+    with pytest.raises(PlanningError, match=r"none within 0\.3 s \(\d+ iterations\)"):
+        planners.plan(checker, LEFT, RIGHT, joints=["x"], timeout=0.3)
     with pytest.raises(PlanningError, match=r"none within 0\.05 s \(\d+ iterations\)"):
         planners.plan(checker, LEFT, RIGHT, joints="slide", timeout=0.05, max_iterations=10**9)
 
@@ -447,6 +454,15 @@ def test_a_gap_too_narrow_to_prove_is_none(robot):
     assert not checker.collide(inside)
     with pytest.raises(PlanningError, match="none within 300 iterations"):
         planners.plan(checker, LEFT, RIGHT, joints="slide", max_iterations=300)
+    # A straight way between them is proven, unless rounding prevents it.
+    for k, side in enumerate((-1, 1)):
+        scene.move(f"half {k}", translation(y=side * (1.0 + RADIUS + 1e-12)))
+    ends = np.array([LEFT, RIGHT]) * [1, 0, 1]
+    with pytest.raises(
+        PlanningError,
+        match=r"motions between the trees, \d+ are AMBIGUOUS, mostly since ball and half \d come within 1e-05",
+    ):
+        planners.plan(checker, *ends, joints=["x"], max_iterations=300)
 
 
 def test_what_cannot_be_settled_is_not_free(checker, undecided):

@@ -107,17 +107,6 @@ def bars(ax):
     }
 
 
-def bars_of(ax):
-    """All bars of each label and row, as in `bars`."""
-    rows = [text.get_text() for text in ax.get_yticklabels()]
-    found = {}
-    for container in ax.containers:
-        for bar in container:
-            row = rows[round(bar.get_y() + bar.get_height() / 2)]
-            found.setdefault((container.get_label(), row), []).append((bar.get_x(), bar.get_x() + bar.get_width()))
-    return found
-
-
 def test_tiers_are_shares_of_each_group():
     """Each bar begins where the cheaper tier ends, and the last ends at 100 %; the first group is on top."""
     ax = plots.tiers(
@@ -162,20 +151,33 @@ def ball_and_wall(checker):
     return CollisionChecker(checker.robot, scene)
 
 
-def test_a_trajectory_is_drawn_by_pairs(ball_and_wall):
-    """Bars are the pieces that collide, and the height of the filled shape is the depth known from geometry."""
-    points = through_the_wall()
-    ax = plots.trajectory(ball_and_wall, points)
+def line_of(ax, label):
+    """The line of a pair in millimetres, at its times."""
+    (line,) = [line for line in ax.get_lines() if line.get_label() == label]
+    return np.array(line.get_xydata()).T
+
+
+def spans_of(ax):
+    """From and to, of the coloured backgrounds."""
+    return [(span.get_x(), span.get_x() + span.get_width()) for span in ax.patches]
+
+
+def test_distances_along_a_trajectory(ball_and_wall):
+    """Backgrounds are the pieces that collide, the line is the distance known from geometry, the dot its least."""
+    ax = plots.trajectory(ball_and_wall, through_the_wall())
     assert ax.get_title() == "COLLIDING"
-    assert bars_of(ax) == {("collides", "ball and wall"): [(0, 1), (1, 2)]}
-    (shape,) = ax.collections
-    t, height = shape.get_paths()[0].vertices.T
+    assert spans_of(ax) == [(0, 1), (1, 2)]
+    t, d = line_of(ax, "ball and wall")
     # At x the ball is 0.15 - |x| deep, as long as the way out along x is the shortest.
-    depth = np.maximum(0.15 - np.abs(np.clip(t - 1, -1, 1) / 2), 0)
-    top = height < 0.4
-    assert top.sum() == pytest.approx(401 * 0.6 / 3, abs=3)  # the ball meets the wall during 0.6 s of 3 s
-    np.testing.assert_allclose((0.4 - height)[top], 0.8 * depth[top] / 0.15, atol=1e-6)
-    assert "depth, up to 150 mm" in [text.get_text() for text in ax.get_legend().get_texts()]
+    wanted = 1e3 * (np.abs(np.where(t < 2, (t - 1) / 2, 0.5 + 0.4 * (t - 2))) - 0.15)
+    np.testing.assert_allclose(d, wanted, atol=1e-5)
+    at, least = line_of(ax, "150 mm deep at 1 s")
+    np.testing.assert_allclose([at[0], least[0]], [1, -150], atol=1e-2)
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts.count("collides in this piece") == 1
+    low, high = ax.get_ylim()
+    assert low < -150
+    assert high > d.max()
 
 
 def test_a_path_is_drawn_by_numbers(ball_and_wall):
@@ -183,23 +185,25 @@ def test_a_path_is_drawn_by_numbers(ball_and_wall):
     points = through_the_wall()
     path, curve = plots.trajectory(ball_and_wall, points.positions), plots.trajectory(ball_and_wall, points)
     assert (path.get_xlabel(), curve.get_xlabel()) == ("number of the configuration", "time, s")
-    assert bars_of(path) == bars_of(curve)
-    shapes = [ax.collections[0].get_paths()[0].vertices for ax in (path, curve)]
-    np.testing.assert_allclose(*shapes, atol=1e-9)
+    assert spans_of(path) == spans_of(curve)
+    np.testing.assert_allclose(*(line_of(ax, "ball and wall") for ax in (path, curve)), atol=1e-9)
     with pytest.raises(InputError, match=r"path: expected shape \(k, 3\) with k >= 2, found \(1, 3\)"):
         plots.trajectory(ball_and_wall, points.positions[:1])
 
 
 def test_a_trajectory_may_be_free_or_ambiguous(ball_and_wall):
-    """A free curve has no rows; one that an error of the joints may bring to the wall has a bar and no depth."""
+    """A free curve has distances and a worst moment, too; with an error of the joints it is ambiguous."""
     aside = planners.ControllerPoints([0, 2], [[-0.5, 0.5, 1.5], [0.5, 0.5, 1.5]])
     ax = plots.trajectory(ball_and_wall, aside)
-    assert (ax.get_title(), ax.get_xlim(), len(ax.get_yticks())) == ("FREE", (0, 2), 0)
-    assert not ax.containers
+    assert (ax.get_title(), ax.get_xlim(), spans_of(ax)) == ("FREE", (0, 2), [])
+    t, d = line_of(ax, "ball and wall")
+    gap = 1e3 * (np.hypot(np.maximum(np.abs((t - 1) / 2) - 0.05, 0), 0.4) - 0.1)
+    np.testing.assert_allclose(d, gap, atol=1e-5)
+    assert any(label.startswith("300 mm apart at ") for label in (line.get_label() for line in ax.get_lines()))
     ax = plots.trajectory(ball_and_wall, aside, joint_error=[0, 0.31, 0])
     assert ax.get_title() == "AMBIGUOUS"
-    assert bars_of(ax) == {("ambiguous", "ball and wall"): [(0, 2)]}
-    assert not ax.collections
+    assert spans_of(ax) == [(0, 2)]
+    np.testing.assert_allclose(line_of(ax, "ball and wall")[1].min(), 300, atol=1e-3)
 
 
 def test_costs_are_where_they_were_measured():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from loewner import Body, CollisionChecker, InputError, PoseError, Robot, Scene, UnknownNameError
 from loewner.robots import reaching
@@ -267,6 +268,10 @@ def test_what_is_not_reached_is_as_near_as_can_be():
     assert np.allclose(found.residual, [[1.5, 0], [0, 1], [0, 0]], atol=1e-6)
     assert np.allclose(found.configuration[:, 0], [2, 1, 0.5], atol=1e-6)
     assert robot.reach("tool", T[:2], all=True).solutions[0].shape == (0, 1)
+    turns = Rotation.random(50, random_state=0)
+    T = np.tile(np.eye(4), (50, 1, 1))
+    T[:, :3, :3] = turns.as_matrix()
+    assert np.allclose(robot.reach("tool", T).residual[:, 1], turns.magnitude(), atol=1e-7)
 
 
 def test_free_solutions_come_first(panda):

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from exact import ExactEllipsoid, rational, root_bounds
 from families import random_poses
@@ -205,3 +206,24 @@ def test_balls_in_solids_are_at_least_so_deep(size: float):
             height, top = n @ center, n @ R[:, axis] * Fraction(size)
             least = min(abs(height), abs(top - height))
             assert (-Fraction(float(found)) - Fraction(1, 4)) * root_bounds(n @ n)[0] <= least
+
+
+def test_the_deepest_point_of_a_cloud_counts():
+    """Of many points in a solid box, wherever they are listed; the normal and the witnesses belong to the depth."""
+    rng, radius, half = np.random.default_rng(59), 0.04, np.array([0.2, 0.25, 0.4])
+    corners = half * [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    hull = ConvexHull(corners)
+    inward = (np.cross(*(corners[hull.simplices][:, k] - corners[hull.simplices][:, 0] for k in (1, 2)))
+              * hull.equations[:, :3]).sum(axis=1) < 0  # fmt: skip
+    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    box = Body.from_surface((corners, faces))
+    points = rng.uniform(-0.6, 0.6, (200, 3))
+    expected = (half - np.abs(points)).min(axis=1).max() + radius
+    T = random_poses(rng, 4)
+    for order in (np.arange(200), np.arange(200)[::-1], *(rng.permutation(200) for _ in range(4))):
+        cloud = Body.from_cloud(points[order], radius=radius)
+        for one, other in ((box, cloud), (cloud, box)):
+            found = distance(one, T, other, T, exact=True)
+            assert np.abs(found.distance + expected).max() < 1e-12
+            along = ((found.witness_b - found.witness_a) * found.normal).sum(axis=-1)
+            assert np.abs(along - found.distance).max() < 1e-12

@@ -8,6 +8,9 @@ import pytest
 from families import translation
 from gantry import LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
 from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
+from loewner._kernels import codes
+from loewner.robots import tracking
+from loewner.robots.proofs import prove_by_rules
 from loewner.robots.tracking import NEAR
 
 # A ball that slides along x, and one at the end of an arm of 1 m that turns about z.
@@ -53,6 +56,26 @@ def test_one_sliding_joint_before_a_wall():
     assert checker.joint_error([[0.0], [0.5]], most=GAP / 2) == GAP / 2
     assert 8e-5 / NEAR <= checker.joint_error([[-0.5], [0.5 + GAP - 1e-4]], most=1e9) <= 1e-4
     assert checker.joint_error([[-0.5], [0.5 + GAP - 5e-7]]) == 0.0
+
+
+def test_the_error_is_proven_for_all_motions_at_once(monkeypatch):
+    """A proof is not monotone in the error, since its intervals are other ones: motions are proven for the result."""
+    checker = CollisionChecker(Robot.from_urdf(text=SLIDER), wall())
+    path, asked = np.zeros((3, 1)), []
+
+    def proven_up_to(ready, a, b, tolerance, error=None):
+        e = 0.0 if error is None else float(error[0])
+        asked.append((len(a), e))
+        # The first motion is proven up to 0.02, except within 1 % of the limit of the second one, which is 0.01.
+        free = [e <= 0.02 and not 0.0099 < e <= 0.01, e <= 0.01]
+        found = prove_by_rules(ready, a, b, tolerance)
+        found.verdicts[:] = np.where(free[-len(a) :], codes.FREE, codes.AMBIGUOUS)
+        return found
+
+    monkeypatch.setattr(tracking, "prove_by_rules", proven_up_to)
+    found = checker.joint_error(path)
+    assert 0.0099 / NEAR <= found <= 0.0099
+    assert asked[-1] == (2, found)
 
 
 def test_one_turning_joint_before_a_wall():

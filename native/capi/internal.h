@@ -261,6 +261,9 @@ loewner_status check_configurations(const loewner_checker *checker, const double
                                     const char *name);
 loewner_status check_poses(const double *poses, size_t n, const char *name);
 
+/* Refuse numbers of rows, of some doubles each, whose size in bytes would wrap around and pass for a small one. */
+loewner_status check_count(size_t n, size_t doubles, const char *name);
+
 /* Exact verdicts of configurations that were checked. */
 loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                        const double *configurations, size_t n, int8_t *verdicts);

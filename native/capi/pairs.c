@@ -20,6 +20,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
 {
     if (side == NULL || side->bodies == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies, found NULL", name);
+    TRY(check_count(n, 1, name));
     int64_t bodies = side->bodies->file->bodies, all = side->body == -1, which = all ? (int64_t)first : side->body;
     size_t last = first + n;
     if (side->body < -1 || side->body >= bodies || (all && (int64_t)last > bodies))

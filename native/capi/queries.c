@@ -13,9 +13,18 @@ _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING 
 
 /* -- arguments ----------------------------------------------------------------------------------------------------- */
 
+loewner_status check_count(size_t n, size_t doubles, const char *name)
+{
+    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles; /* more than any address space has */
+    if (n > most)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected at most %zu, found %zu", name, most, n);
+    return LOEWNER_OK;
+}
+
 loewner_status check_poses(const double *poses, size_t n, const char *name)
 {
     FaultResults fault = {0};
+    TRY(check_count(n, 16, name));
     if (poses == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected poses, found NULL", name);
     Array3 all = {poses, (int64_t)n, 4, 4};
@@ -36,6 +45,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
     const File *file = checker->file;
     size_t count = n * (size_t)file->dof;
     int is = 1;
+    TRY(check_count(n, (size_t)file->dof, name));
     if (configurations == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
     for (size_t k = 0; k < count; k++)
@@ -700,6 +710,7 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
     size_t each = (size_t)checker->file->dof * (size_t)(degree + 1);
     if (checker->file->quaternion_count > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "expected a robot without quaternions: curves of orientations are Python's");
+    TRY(check_count(n, each, "points"));
     TRY(check_configurations(checker, points, n * (size_t)(degree + 1), "points"));
     TRY(check_options(checker, options));
     if (verdicts == NULL && n > 0)

@@ -28,11 +28,18 @@ INNER, OUTER = "#228833", "#777777"
 NEAR = "#111111"
 SCENE, COLLIDING = "#bbbbbb", "#cc3311"
 # Pieces of a trajectory that are not proven free.
-SPANS = {Verdict.COLLIDING: ("collides", "#f5c3b4"), Verdict.AMBIGUOUS: ("ambiguous", "#dddddd")}
+SPANS = {
+    Verdict.COLLIDING: ("collides in this piece", "#f9ddd4"),
+    Verdict.AMBIGUOUS: ("ambiguous in this piece", "#e4e4e4"),
+}
 
 # Colours of curves, in turn; they also differ in lightness, and each has its own marker.
 CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
 LEVEL = "#555555"
+
+# Number of nearest pairs whose distances are drawn along a curve.
+MOST_PAIRS = 6
+
 # The fields of `Settled`: free in blue, colliding in orange, darker where the test costs more.
 TIERS = {
     "free_by_bounds": ("free: bounds", "#d6e9f5"),
@@ -214,10 +221,11 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 
 
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
-    """Draw, along time, where a curve is not proven free: a row for each pair of bodies, with the depths.
+    """Draw the distances of the nearest pairs along a curve, its worst moment, and where it is not proven free.
 
-    A bar shows a piece of the curve whose proof ended at the pair, because the pair collides or is ambiguous. Depths
-    are measured at equal steps in time; pairs that are in contact there have rows, too.
+    A line shows the distance of a pair in millimetres, measured at equal steps in time; below zero it is a depth.
+    Besides the nearest pairs, those at which the proof of a piece ended have lines. Such a piece has a coloured
+    background: a pair collides, or is ambiguous. A dot marks the least of the measured distances.
 
     Parameters
     ----------
@@ -233,13 +241,15 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     Returns
     -------
     matplotlib axes
-        The axes, titled with the verdict; the depths in all rows have the same scale.
+        The axes, titled with the verdict of the whole curve. Lines end above the largest distance of a nearest pair.
 
     Raises
     ------
     InputError
         If `checker` is not a checker; otherwise as for `CollisionChecker.certify_trajectory`, or for
         `CollisionChecker.certify_edges` if the curve is a path.
+    ConvergenceError
+        As for `CollisionChecker.distance`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -251,39 +261,49 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
     >>> points = planners.ControllerPoints([0.0, 1.0, 2.0], [[0.0, 1.57], [1.0, 1.57], [0.0, 1.57]])
     >>> ax = plots.trajectory(checker, points)
-    >>> ax.get_title(), [pair.get_text() for pair in ax.get_yticklabels()]
-    ('COLLIDING', ['cart and post'])
+    >>> ax.get_title(), [line.get_label() for line in ax.get_lines()]
+    ('COLLIDING', ['cart and post', '150 mm deep at 1 s', '_child2'])
     """
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     courses, found = curves.proven(checker, curve, joint_error)
     ticks, _, Q = curves.sampled(checker.robot, courses, found)
-    touching = checker.distance_by_pair(Q, ticks, within=0.0)
+    order = np.argsort(ticks, kind="stable")
+    ticks, Q = ticks[order], Q[order]
     ax = _flat_axes(ax)
-    verdicts, named = found.segments.verdict, [tuple(names) for names in found.segments.names.tolist()]
-    touched = [tuple(names) for names in touching.names.tolist()]
-    pairs = list(dict.fromkeys([names for names in named if any(names)] + touched))
     for verdict, (label, colour) in SPANS.items():
-        pieces = np.flatnonzero(verdicts == verdict)
-        if len(pieces):
-            rows = [pairs.index(named[k]) for k in pieces]
-            ax.barh(rows, np.diff(found.times)[pieces], left=found.times[pieces], height=0.8, color=colour, label=label)
-    depths = np.zeros((len(pairs), len(ticks)))
-    depths[[pairs.index(names) for names in touched], touching.configuration] = np.maximum(-touching.distance, 0.0)
-    deepest, order = depths.max(initial=0.0), np.argsort(ticks, kind="stable")
-    label = f"depth, up to {1e3 * deepest:.3g} mm"
-    for row in np.flatnonzero(depths.any(axis=1)).tolist():
-        base, heights = row + 0.4, 0.8 * depths[row, order] / deepest
-        ax.fill_between(ticks[order], base - heights, base, color=COLLIDING, linewidth=0, label=label)
-        ax.text(1.01, row, f"{1e3 * depths[row].max():.3g} mm", transform=ax.get_yaxis_transform(), va="center")
-        label = "_"  # in the legend once
-    ax.set_yticks(range(len(pairs)), [" and ".join(names) for names in pairs])
-    ax.set(xlim=(ticks[0], found.times[-1]), ylim=(max(len(pairs), 1) - 0.5, -0.5))
-    ax.set(xlabel="number of the configuration" if isinstance(curve, np.ndarray) else "time, s")
-    ax.set_title(found.verdict.name)
-    if pairs:
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, fontsize="small", frameon=False)
+        for k in np.flatnonzero(found.segments.verdict == verdict).tolist():
+            ax.axvspan(found.times[k], found.times[k + 1], color=colour, linewidth=0, label=label)
+            label = "_"  # in the legend once
+    if checker.checked_pairs:
+        _draw_distances(ax, checker, ticks, Q, found, "" if isinstance(curve, np.ndarray) else " s")
+    ax.axhline(0.0, color=LEVEL, linewidth=0.8)
+    ax.set(xlim=(found.times[0], found.times[-1]), ylabel="distance, mm", title=found.verdict.name)
+    ax.set_xlabel("number of the configuration" if isinstance(curve, np.ndarray) else "time, s")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize="small", frameon=False)
     return ax
+
+
+def _draw_distances(ax: Any, checker: CollisionChecker, ticks: Floats, Q: Floats, found: Any, unit: str) -> None:
+    """Draw the distances of the nearest pairs, and of those that are not proven free, and mark the least one."""
+    nearest = checker.distance(Q, ticks, exact=True).distance
+    top = 1.05 * max(float(nearest.max()), 0.0) + 1e-3
+    near = checker.distance_by_pair(Q, ticks, within=top)
+    distances: dict[tuple[str, ...], Floats] = {}
+    for names, k, found_there in zip(near.names.tolist(), near.configuration, near.distance, strict=True):
+        distances.setdefault(tuple(names), np.full(len(ticks), np.nan))[k] = found_there
+    unproven = {tuple(names) for names in found.segments.names.tolist()}
+    ranked = sorted(distances, key=lambda names: float(np.nanmin(distances[names])))
+    shown = [names for number, names in enumerate(ranked) if number < MOST_PAIRS or names in unproven]
+    for number, names in enumerate(shown):
+        # A pair with a dip of its own is above the others elsewhere, where it is not measured.
+        ax.plot(ticks, 1e3 * distances[names], color=f"C{number}", linewidth=1.2, label=" and ".join(names))
+    worst = int(nearest.argmin())
+    least, t = 1e3 * float(nearest[worst]), float(ticks[worst])
+    label = f"{abs(least):.3g} mm {'deep' if least < 0 else 'apart'} at {t:.6g}{unit}"
+    ax.plot(t, least, "o", color=NEAR, markersize=6, label=label)
+    low = min(least, 0.0)
+    ax.set_ylim(low - 0.05 * (1e3 * top - low), 1e3 * top)
 
 
 def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) -> Any:

@@ -136,10 +136,10 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
             f"{_validate.shape_text(T.shape)}"
         )
     for k in np.flatnonzero(~(at[1:] > at[:-1]))[:1]:
-        raise InputError(f"times: expected times that increase, found {at[k]:g} and then {at[k + 1]:g}")
+        raise InputError(f"times: expected times that increase, found {at[k]:.15g} and then {at[k + 1]:.15g}")
     with np.errstate(over="ignore"):
         if not np.isfinite(at[-1] - at[0]):
-            raise InputError(f"times: expected a finite duration, found {at[0]:g} .. {at[-1]:g}")
+            raise InputError(f"times: expected a finite duration, found {at[0]:.15g} .. {at[-1]:.15g}")
     positions, quaternions = T[:, :3, 3].copy(), quaternions_of(T[:, :3, :3])
     if repeat:
         cosine = float(quaternions[0] @ quaternions[-1])
@@ -158,14 +158,14 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(
             f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
-            f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:g} and {at[k + 1]:g}; add poses in between"
+            f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:.15g} and {at[k + 1]:.15g}; add poses in between"
         )
     with np.errstate(over="ignore"):
         fast = np.flatnonzero(~(np.abs(np.diff(positions, axis=0)).max(axis=1) / np.diff(at) <= FASTEST))[:1]
     for k in np.append(fast, np.flatnonzero(np.diff(at) < SHORTEST))[:1]:
         raise InputError(
             f"times: expected speeds below {FASTEST:g} m/s and times at least {SHORTEST:g} s apart, found "
-            f"{np.diff(at)[k]:g} s from {at[k]:g} s on"
+            f"{np.diff(at)[k]:g} s from {at[k]:.15g} s on"
         )
     return made
 
@@ -214,14 +214,14 @@ def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
     if not (np.abs([first, last]) < MOST_REPEATED).all():
         raise InputError(
             f"expected times within {MOST_REPEATED:g} repetitions of a motion of {path.period:g} s, found "
-            f"{low.min():g} .. {high.max():g} s"
+            f"{low.min():.15g} .. {high.max():.15g} s"
         )
     counts = (last - first).astype(np.int64) + 1
     total = int(counts.sum())
     if total * len(at) > MOST_KNOTS:
         raise InputError(
             f"expected at most {MOST_KNOTS} knots of moving bodies, found {total * len(at)} between the times "
-            f"{low.min():g} and {high.max():g}; ask for less time at once"
+            f"{low.min():.15g} and {high.max():.15g}; ask for less time at once"
         )
     number = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
     return np.asarray(at[:-1] + path.period * number[:, None]).ravel()

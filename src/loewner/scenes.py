@@ -938,35 +938,63 @@ class Scene:
 
     # -- queries ------------------------------------------------------------------------------
 
-    def pairs(self) -> tuple[Contact, ...]:
+    def pairs(self, time: float | None = None) -> tuple[Contact, ...]:
         """List all pairs of bodies in the world that touch, overlap or come within their margin, except allowed pairs.
+
+        Parameters
+        ----------
+        time : float, optional
+            Seconds; required if bodies follow motions, which are where they are then.
 
         Returns
         -------
         tuple of Contact
-            Each pair once, in the order in which the bodies were added. Pairs of static bodies that are not listed are
-            allowed or proven free. Attached bodies, and bodies that follow motions, are left out.
+            Each pair once, in the order in which the bodies were added. Pairs that are not listed are allowed or proven
+            free. Attached bodies are left out: a `CollisionChecker` checks them.
 
         Raises
         ------
+        InputError
+            If bodies follow motions and there is no time, or it is not a finite number.
         ConvergenceError
             If the exact search could not settle a pair. It never returns "free" instead.
         """
-        now = self._standing_now()
+        now = self._standing_at(time)
         first, second = now._meeting().T
         bodies, poses, names = now.static_bodies, now.static_poses, now.static_names
         found = queries.distance(bodies[first], poses[first], bodies[second], poses[second], exact=True)
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
-    def collide(self) -> bool:
+    def collide(self, time: float | None = None) -> bool:
         """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` gives the details.
+
+        Parameters
+        ----------
+        time : float, optional
+            Seconds; required if bodies follow motions, as for `pairs`. Attached bodies are left out.
 
         Returns
         -------
         bool
             Touching, or coming within the margin, counts as colliding.
+
+        Raises
+        ------
+        InputError
+            As for `pairs`.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("belt", Body.box([2.0, 0.5, 0.1]))
+        >>> scene.add("box", Body.box([0.2, 0.2, 0.2]))
+        >>> poses = np.tile(np.eye(4), (2, 1, 1))
+        >>> poses[1, 2, 3] = 1.0
+        >>> scene.follow("box", [0.0, 1.0], poses)
+        >>> scene.collide(0.0), scene.collide(1.0)
+        (True, False)
         """
-        return len(self._standing_now()._meeting()) > 0
+        return len(self._standing_at(time)._meeting()) > 0
 
     @overload
     def distance(self, a: str, b: str, *, exact: Literal[False] = ...) -> Bounds[float]: ...
@@ -1003,11 +1031,17 @@ class Scene:
             one, T_one, other, T_other = self[a], self.pose(a), self[b], self.pose(b)
         return queries.distance(one, T_one, other, T_other, exact=exact)
 
-    def _standing_now(self) -> Scene:
-        """Return a snapshot with packed bodies, and keep the packing for the next snapshot."""
-        now = self.snapshot()
+    def _standing_at(self, time: float | None) -> Scene:
+        """Return a snapshot with packed bodies, and keep the packing for the next snapshot if no body moves."""
+        now, t = self.snapshot(), None if time is None else _validate.real(time, "time")
+        moving = now.following
+        if moving and t is None:
+            raise InputError(f"time: expected seconds, since bodies follow motions ({', '.join(moving)}), found None")
+        for name, motion in moving.items():
+            now.detach(name, motion.poses(t))
         _ = now.static_bodies
-        self._packed = now._packed  # a snapshot has its own version
+        if not moving:
+            self._packed = now._packed  # a snapshot has its own version
         return now
 
     def _meeting(self) -> Ints:

@@ -38,6 +38,9 @@ DIVISIONS = 2
 # Relative distance allowed between the corners of a polytope and of the box it is written as: a rounding or two.
 BOX_ROUNDING = 1e-13
 
+# Surfaces [m²] and volumes [m³] of meshes that MuJoCo may call too small: its limit is 1e-15.
+SMALLEST = 1e-14
+
 # Polytopes around curved shapes are enlarged by this for the rounding of their corners.
 OUTWARD = 1 + 1e-12
 
@@ -76,7 +79,10 @@ def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
     for number, shape in enumerate(_listed(packed, which)):
         geom = ElementTree.SubElement(body, "geom", name=f"{name}_{number}", type=shape.kind)
         if shape.mesh is not None:
-            ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=numbers(shape.mesh[0].ravel()))
+            vertices = numbers(shape.mesh[0].ravel())
+            mesh = ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=vertices)
+            if _is_small(*shape.mesh, number):
+                mesh.set("inertia", "shell")  # MuJoCo refuses another inertia of such a volume
             geom.set("mesh", f"{name}_{number}")
             continue
         half = {"box": [0.5] * 3, "cylinder": [1.0, 0.5], "capsule": [1.0, 0.5]}.get(shape.kind, 1.0)
@@ -84,6 +90,25 @@ def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
         geom.set("pos", numbers(shape.center))
         geom.set("quat", numbers(np.roll(Rotation.from_matrix(shape.rotation).as_quat(), 1)))
     return text_of(root)
+
+
+def _is_small(vertices: Floats, triangles: Any, number: int) -> bool:
+    """Return whether MuJoCo could not compute the inertia of a mesh as a solid.
+
+    Raises
+    ------
+    InputError
+        If MuJoCo would refuse it as a surface, too.
+    """
+    corners = (vertices - vertices[0])[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
+    if area < SMALLEST:
+        raise InputError(
+            f"expected pieces whose surface is at least {SMALLEST:g} m², since MuJoCo refuses smaller meshes, found "
+            f"one of {area:.3g} m², piece {number}; are the lengths in metres?"
+        )
+    return abs(float((corners[:, 0] * normals).sum())) / 6.0 < SMALLEST
 
 
 def save_text(text: str, path: Path) -> None:

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, _validate, planners, plots
-from loewner._matrices import in_frame, product
+from loewner import Verdict, planners, plots
 from loewner._nodes import some
 from loewner._validate import Floats
-from loewner.cli import configurations, inputs
+from loewner.cli import configurations, inputs, trajectories
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
-from loewner.errors import FileError, InputError, LoewnerError
+from loewner.errors import FileError
 from loewner.planners import limit_use
-from loewner.planners.controller_points import START_TOLERANCE, TIMES, executed
+from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach, approaches, curves
 
 # Width of the picture along time, in characters.
@@ -38,7 +37,6 @@ MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 ROUNDED = 1e-9
 
 DRAWN = (".png", ".svg")
-CONTROLLERS = ("linear", "cubic", "quintic")
 WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
 
 EXAMPLES = """examples:
@@ -81,32 +79,9 @@ def add(commands: Any) -> None:
         "trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)"
     )
     audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
-    audit.add_argument(
-        "--controller",
-        choices=CONTROLLERS,
-        help="interpolation between points (default: from the contents of the file)",
-    )
-    audit.add_argument(
-        "--others",
-        metavar="Q",
-        help="values of joints that the file does not name: a state, a file, or numbers (those of the message's start "
-        "state, or 0)",
-    )
-    audit.add_argument(
-        "--attach",
-        action="append",
-        default=[],
-        metavar="[PART:]BODY=LINK",
-        help="let a link carry a body of the scene, in all parts of a message or in one (may be repeated)",
-    )
+    trajectories.add_options(audit)
     audit.add_argument(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
-    )
-    audit.add_argument(
-        "--start-time",
-        type=float,
-        metavar="T",
-        help="when the trajectory starts, on the clock of bodies that move (what the file says, or 0)",
     )
     audit.add_argument(
         "--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)"
@@ -118,7 +93,7 @@ def add(commands: Any) -> None:
         help="the robot's present state, as a state, a file or numbers: also prove the straight way to the first point",
     )
     audit.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="draw the unproven pairs along the trajectory (.png or .svg)"
+        "-o", "--out", type=Path, metavar="FILE", help="draw distances along the trajectory (.png or .svg)"
     )
     audit.add_argument("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
     audit.add_argument("--json", action="store_true", help="print JSON")
@@ -133,33 +108,21 @@ def _run(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     inputs.refuse_no_pairs(checker, options.urdf)
-    others, present = (
-        None if text is None else robot.checked_one(configurations.given(text, name, options, robot, None), name)
-        for text, name in ((options.others, "--others"), (options.present, "--from"))
-    )
     limits = None if options.limits is None else planners.JointLimits.load(options.limits, robot)
-    parts = _read(options.trajectory, robot, present if others is None else others)
-    carrying = _carrying(options.attach, scene, robot, len(parts))
-    for number, given in enumerate(parts):
-        if isinstance(given, planners.ControllerPoints):
-            parts[number] = _executed(given, options.controller)
-        elif options.start_time is not None:
-            raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
-        elif options.controller not in (None, "linear"):
-            raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
-    for given, held in zip(parts, carrying, strict=True):
-        _expect_carried(scene, given, held)
-    _set_clock(parts, options.start_time)
+    present = None
+    if options.present is not None:
+        present = robot.checked_one(configurations.given(options.present, "--from", options, robot, None), "--from")
+    parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
     for number, given in enumerate(parts):
-        _carry(scene, robot, given, carrying[number])
+        trajectories.carry(scene, robot, given, carrying[number])
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
         remove_older_proof(proof)
         before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
         answers.append(_answer(checker, given, options, limits, proof) | {"before": before})
         if picture is not None:
             plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), picture)
-        _put_down(scene, robot, given, carrying[number])
+        trajectories.put_down(scene, robot, given, carrying[number])
         if not options.json:
             if len(parts) > 1:
                 print(f"{chr(10) * bool(number)}part      {number + 1} of {len(parts)}, {answers[-1]['place']}")
@@ -177,92 +140,11 @@ def _run(options: argparse.Namespace) -> int:
     return {"FREE": BEYOND if exceeded else FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
 
 
-def _read(path: Path, robot: loewner.Robot, others: Floats | None) -> list[planners.ControllerPoints | Floats]:
-    """Read points with times, or a path without times, as `loewner plan` writes it, of shape (two or more, dof)."""
-    try:
-        return list(planners.ControllerPoints.load_all(path, robot=robot, others=others))
-    except LoewnerError:
-        if not configurations.is_path(path, TIMES):
-            raise
-    return [configurations.path_of(path, robot)]
-
-
-def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, count: int) -> list[dict[str, str]]:
-    """Return, for each part, the links by the bodies that they carry, from --attach."""
-    found: list[dict[str, str]] = [{} for _ in range(count)]
-    for text in given:
-        where, _, what = text.rpartition(":")
-        body, equals, link = what.partition("=")
-        whole = where.isascii() and where.isdigit() and 1 <= int(where) <= count
-        if not (equals and body and link) or (where and not whole):
-            parts = f", with a PART from 1 to {count}" if where else ""
-            raise InputError(f"--attach {text}: expected [PART:]BODY=LINK{parts}")
-        if body not in scene:
-            raise _validate.unknown_name(f"--attach {text}: body", body, scene.names)
-        if link not in robot.link_names:
-            raise _validate.unknown_name(f"--attach {text}: link", link, robot.link_names)
-        for part in found if not where else [found[int(where) - 1]]:
-            if part.setdefault(body, link) != link:
-                raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")
-    return found
-
-
-def _expect_carried(scene: loewner.Scene, given: planners.ControllerPoints | Floats, carrying: dict[str, str]) -> None:
-    """Refuse a part on which the robot carries bodies that neither the scene nor --attach lets it carry."""
-    if isinstance(given, planners.ControllerPoints):
-        held = {body: each.link for body, each in scene.attachments.items()} | carrying
-        curves.expect_carried(held, [*given.carried.items(), *((body, "") for body in given.origin.free)])
-
-
-def _set_clock(parts: list[planners.ControllerPoints | Floats], start_time: float | None) -> None:
-    """Let the parts begin one after the other, the first at `start_time`."""
-    end = None if start_time is None else _validate.real(start_time, "--start-time")
-    for given in parts:
-        if isinstance(given, planners.ControllerPoints):
-            given.start_time = given.start_time if end is None else end
-            end = given.start_time + float(given.times[-1])
-
-
-def _carry(
-    scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
-) -> None:
-    """Let links carry bodies from the beginning of a part, each from its present pose."""
-    if not carrying:
-        return
-    touching = part.origin.touching if isinstance(part, planners.ControllerPoints) else {}
-    links = robot.forward_kinematics(_end(robot, part, 0))
-    for body, link in carrying.items():
-        if body in scene.attachments or body in scene.following:
-            raise InputError(f"--attach {body}={link}: expected a body that stands in the scene, found one that moves")
-        T_link_body = in_frame(links[robot.link_names.index(link)], scene.pose(body))
-        scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()))
-
-
-def _put_down(
-    scene: loewner.Scene, robot: loewner.Robot, part: planners.ControllerPoints | Floats, carrying: dict[str, str]
-) -> None:
-    """Leave bodies where a part ends."""
-    if not carrying:
-        return
-    links = robot.forward_kinematics(_end(robot, part, -1))
-    for body, link in carrying.items():
-        T_link_body = scene.attachments[body].T_link_body
-        scene.detach(body, product(links[robot.link_names.index(link)], T_link_body))
-
-
-def _end(robot: loewner.Robot, part: planners.ControllerPoints | Floats, row: int) -> Floats:
-    """Return a configuration of a part, with the robot's columns."""
-    if not isinstance(part, planners.ControllerPoints) or part.names is None:
-        rows = part if isinstance(part, np.ndarray) else part.positions
-        return np.asarray(rows[row])
-    return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
-
-
 def _way_to(
     checker: loewner.CollisionChecker, part: planners.ControllerPoints | Floats, present: Floats, joint_error: float
 ) -> dict[str, Any]:
     """Prove the straight way from the present state to the first point of a part, within the time that it has."""
-    robot, first = checker.robot, _end(checker.robot, part, 0)
+    robot, first = checker.robot, trajectories.end(checker.robot, part, 0)
     begin = part.start_time if isinstance(part, planners.ControllerPoints) else 0.0
     due = float(part.times[0]) if isinstance(part, planners.ControllerPoints) else 0.0
     clock = {"t0": begin, "t1": begin + due} if checker.scene.following else {}
@@ -291,21 +173,6 @@ def _way_to(
 def _numbered(file: Path | None, number: int, count: int) -> Path | None:
     """Return the file of one part, which has the part's number in its name if there are several."""
     return file if file is None or count == 1 else file.with_stem(f"{file.stem}-{number + 1}")
-
-
-def _derivatives(points: planners.ControllerPoints) -> int:
-    """Return the number of derivatives that the points have: 1 with velocities, 2 with accelerations as well."""
-    return sum(one is not None for one in (points.velocities, points.accelerations))
-
-
-def _executed(points: planners.ControllerPoints, controller: str | None) -> planners.ControllerPoints:
-    """Return the points with as many derivatives as a controller uses."""
-    held = [points.velocities, points.accelerations]
-    used = _derivatives(points) if controller is None else CONTROLLERS.index(controller)
-    if any(one is None for one in held[:used]):
-        wanted = ("velocities", "accelerations")[_derivatives(points)]
-        raise InputError(f"--controller {controller}: expected points with {wanted}, found none in the file")
-    return executed(points, used)
 
 
 def _answer(
@@ -344,7 +211,7 @@ def _answer(
         "time": None if free else float(found.time),
         "pair": None if free else list(found.names),
         "timed": timed,
-        "controller": CONTROLLERS[_derivatives(given)] if isinstance(given, planners.ControllerPoints) else None,
+        "controller": trajectories.controller_of(given) if isinstance(given, planners.ControllerPoints) else None,
         "joint_error": options.joint_error,
         "begins": float(times[0]),
         "ends": float(times[-1]),
@@ -360,7 +227,7 @@ def _answer(
         "exceeded": [_for_json(use._asdict()) for use in uses if use.ratio > 1 + limit_use.ROUNDED],
         "beyond_limits": _beyond_limits(robot, curve),
         "jumps": [jump._asdict() for jump in limit_use.jumps(robot, curve)] if timed else [],
-        "doubts": limit_use.doubts(robot, curve, uses, timed and _derivatives(given) > 0),
+        "doubts": limit_use.doubts(robot, curve, uses, timed and given.velocities is not None),
         **_told_by_a_message(given),
     }
 

@@ -1,15 +1,14 @@
 """Run the command line: parse arguments, call the public API, and print.
 
 The exit status is 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or configurations); 2
-for an error, if at least one of many meshes failed, or if the program that reads the output ends before it has read all
-(``loewner verify`` keeps the status of its verdict then); 3 for ambiguous (only for ``loewner check --method
-certified``, ``loewner plan`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ.
+for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check --method certified``,
+``loewner plan`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ. The status stays the same if
+the program that reads the output ends before it has read all (``| head``).
 """
 
 from __future__ import annotations
 
 import argparse
-import io
 import re
 import sys
 import traceback
@@ -22,7 +21,7 @@ from typing import Any
 import loewner
 from loewner import _validate
 from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, report, robot, verify, view
-from loewner.cli.output import ERROR, PrintPath, reader_gone
+from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
 
 
@@ -48,36 +47,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0
     """
     try:
-        options = _parser().parse_args(None if arguments is None else _words(arguments))
-        with _any_name_printed(), _warnings_as_lines():
-            status = int(options.run(options))
-            sys.stdout.flush()
-        return status
+        with standard_output(), _warnings_as_lines():
+            options = _parser().parse_args(None if arguments is None else _words(arguments))
+            return int(options.run(options))
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
     except BrokenPipeError:
-        reader_gone()  # `| head`; not all of the answer has been printed
+        pass  # of standard error
     except KeyboardInterrupt:
         print("loewner: interrupted", file=sys.stderr)
     except Exception:
         # Python's own status for a crash is 1, which here means "colliding".
         traceback.print_exc()
     return ERROR
-
-
-@contextmanager
-def _any_name_printed() -> Iterator[None]:
-    """Escape characters that standard output cannot encode, such as in file names that are not UTF-8."""
-    out = sys.stdout
-    if not isinstance(out, io.TextIOWrapper):
-        yield
-        return
-    before = out.errors
-    out.reconfigure(errors="backslashreplace")
-    try:
-        yield
-    finally:
-        out.reconfigure(errors=before)
 
 
 def _words(arguments: Any) -> list[str]:

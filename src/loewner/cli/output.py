@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -55,9 +56,36 @@ class PrintPath(argparse.Action):
         parser.exit()
 
 
-def reader_gone() -> None:
-    """Send the rest of standard output nowhere; Python would fail again when it closes a pipe without a reader."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+class _Descriptor(io.FileIO):
+    """A file whose reader may end early (`| head`): the rest goes nowhere, and the exit status remains the verdict."""
+
+    def write(self, data: Any) -> int:
+        """Write, or discard the data if there is no reader."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            return super().write(data)
+
+
+@contextmanager
+def standard_output() -> Iterator[None]:
+    """Let standard output survive its reader, and escape characters that it cannot encode, as in names of files."""
+    out = sys.stdout
+    try:
+        raw = _Descriptor(out.fileno(), "w", closefd=False)
+    except (AttributeError, OSError, ValueError):  # a caller in Python has put something else in its place
+        yield
+        return
+    out.flush()
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(raw), out.encoding, "backslashreplace", line_buffering=out.line_buffering
+    )
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stdout = out
 
 
 def remove_older_proof(path: Path | None) -> None:
@@ -120,7 +148,7 @@ class NoProgress(nullcontext["NoProgress"]):
 
 
 def _console(**options: Any) -> Console:
-    """Make a console of Rich that leaves a broken pipe to `main`.
+    """Make a console of Rich that leaves a broken pipe of standard error to `main`.
 
     Rich would end the program with status 1, which here means "colliding".
     """

@@ -93,7 +93,7 @@ def add(commands: Any) -> None:
     plan.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
     plan.add_argument("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
     plan.add_argument(
-        "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (100000)"
+        "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (no limit)"
     )
     plan.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
     plan.add_argument(
@@ -362,7 +362,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
     print(f"length    {answer['length']:.6g}, in the units of the joints")
     if "times" in answer:
         begin, end = answer["times"][0], answer["times"][-1]
-        print(f"time      {end - begin:.6g} s, from {begin:.6g} s to {end:.6g} s")
+        print(f"time      {end - begin:.6g} s, from {begin:.15g} s to {end:.15g} s")
     else:
         print(
             f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "

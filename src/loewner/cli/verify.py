@@ -15,7 +15,7 @@ import loewner
 from loewner import _validate, verify
 from loewner._files import read_regular
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, reader_gone
+from loewner.cli.output import COLLIDING, FREE
 from loewner.errors import InputError
 
 EXAMPLES = """examples:
@@ -75,10 +75,7 @@ def _run(options: argparse.Namespace) -> int:
             faults.append(f"DIFFERENT PATH: {words}")
         else:
             lines.append(f"the motions are those of {options.path.name}")
-    try:
-        print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]), flush=True)
-    except BrokenPipeError:
-        reader_gone()
+    print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]))
     return COLLIDING if faults or report.common else FREE
 
 

@@ -6,21 +6,23 @@ import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import loewner
-from loewner import _validate
-from loewner.cli import configurations, inputs
+from loewner import _tables
+from loewner.cli import inputs, trajectories
 from loewner.errors import InputError
-from loewner.planners.controller_points import TIMES
+
+# Options of trajectories, by their names in the code.
+OF_TRAJECTORIES = ("controller", "others", "attach", "start_time", "part", "at")
 
 EXAMPLES = """examples:
   loewner view arm.npz table.stl --pose-b "0.5 0 0"
   loewner view --robot panda.urdf --srdf panda.srdf --scene kitchen.yaml --package-dir robots
+  loewner view --robot panda.urdf --scene shelf.yaml --trajectory moves.csv --at worst --screenshot worst.png
 
 The page is served on this machine, at the address that is printed; Ctrl+C closes it.
 """
@@ -47,9 +49,15 @@ def add(commands: Any) -> None:
         "--trajectory",
         metavar="FILE",
         type=Path,
-        help="path of the robot to play, with or without times: .csv or .json",
+        help="path of the robot to play, with or without times: any file of loewner audit (.csv, .json, .yaml)",
     )
-    view.add_argument("--start-time", type=float, metavar="T", help="when it starts, for bodies that move (the file's)")
+    trajectories.add_options(view)
+    view.add_argument("--part", type=int, metavar="N", help="which trajectory of a message with several, from 1 on")
+    view.add_argument(
+        "--at",
+        metavar="T",
+        help='where on the path the robot is at first: seconds since its start, or "worst", where it comes nearest (0)',
+    )
     view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
     view.add_argument("--decompose", action="store_true", help="for the robot: the same as --model pieces")
     view.add_argument("--port", type=int, default=0, help="default: any free port")
@@ -88,7 +96,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
 
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
-    of_robots = ("srdf", "scene", "trajectory", "start_time", "package_dir", "decompose")
+    of_robots = ("srdf", "scene", "trajectory", *OF_TRAJECTORIES, "package_dir", "decompose")
     _refuse(options, of_robots, "with --robot only, found it with A and B")
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.bodies((options.a, options.b), options)
@@ -115,17 +123,46 @@ def _view_robot(options: argparse.Namespace) -> Any:
         raise InputError(
             f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
         )
-    checker, file = loewner.CollisionChecker(inputs.robot(options), scene), options.trajectory
-    if file is not None and configurations.is_path(file, TIMES):
-        if options.start_time is not None:
-            raise InputError(f"--start-time: expected times in {file}, found a path without")
-        return viewer.show_robot(checker, path=configurations.path_of(file, checker.robot), port=options.port)
-    played = None if file is None else planners.Trajectory.load(file)
-    if options.start_time is not None:
-        if played is None:
-            raise InputError("view: expected --trajectory with --start-time, found none")
-        played = replace(played, start_time=_validate.real(options.start_time, "--start-time"))
-    return viewer.show_robot(checker, trajectory=played, port=options.port)
+    robot = inputs.robot(options)
+    if options.trajectory is None:
+        _refuse(options, OF_TRAJECTORIES, "with --trajectory only")
+        return viewer.show_robot(loewner.CollisionChecker(robot, scene), port=options.port)
+    at = options.at if options.at in (None, "worst") else _seconds(options.at)
+    scene = loewner.Scene() if scene is None else scene
+    played = _played(options, scene, robot)
+    kind = "trajectory" if isinstance(played, planners.ControllerPoints) else "path"
+    shown: dict[str, Any] = {kind: played}
+    page = viewer.show_robot(loewner.CollisionChecker(robot, scene), port=options.port, **shown)
+    try:
+        if at == "worst":
+            page.go_to_worst()
+        elif at is not None:
+            page.time = at
+    except BaseException:
+        page.close()
+        raise
+    return page
+
+
+def _seconds(text: str) -> float:
+    try:
+        return _tables.number(text)
+    except ValueError:
+        raise InputError(f'--at: expected seconds or "worst", found {text!r}') from None
+
+
+def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Robot) -> trajectories.Part:
+    """Read the trajectory to play, and put bodies of the scene where earlier parts leave them, or in the links."""
+    parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
+    number = 1 if options.part is None and len(parts) == 1 else options.part
+    if number is None or not 1 <= number <= len(parts):
+        found = "none" if number is None else number
+        raise InputError(f"--part: expected one of the {len(parts)} trajectories of the file, from 1 on, found {found}")
+    for given, held in zip(parts[:number], carrying, strict=False):
+        trajectories.carry(scene, robot, given, held)
+        if given is not parts[number - 1]:
+            trajectories.put_down(scene, robot, given, held)
+    return parts[number - 1]
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:

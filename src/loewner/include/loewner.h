@@ -189,7 +189,7 @@ LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker 
 typedef struct {
     const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints of one value; NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
-    int64_t max_iterations;    /* random configurations to draw; 0: 100,000 */
+    int64_t max_iterations;    /* random configurations to draw; 0: no limit */
     double timeout;            /* seconds, looked at after 64 to 512 iterations; 0: 10 */
     int64_t cuts;              /* attempts to shorten the path; 0: 60; -1: none */
     uint32_t seed;             /* equal seeds give equal paths, the same as in Python */

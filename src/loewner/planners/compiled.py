@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
@@ -16,8 +17,10 @@ from loewner._matrices import lengths
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
-from loewner.planners.judge import Judge
+from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
+from loewner.queries import Verdict
+from loewner.robots.proofs import prove_by_rules
 
 # The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
 SHARE = 1 / 12
@@ -33,8 +36,14 @@ CAPACITY = 2048
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
 
+# More iterations than any search makes.
+UNLIMITED = 2**40
+
 # Default number of cuts to try: more find little, and take longer than the search itself.
 CUTS = 60
+
+# Number of motions between the trees that are examined for the message of a search that found nothing.
+BETWEEN = 64
 
 # Number of configurations that a path may gain while it is shortened.
 MOST_ROOM = 4096
@@ -176,15 +185,15 @@ def connect(
         If no path was found within the iterations or in time.
     """
     growth = Growth.of(space, judge, start, goals).rooted(seed)
-    state, gap = growth.state, growth.gap
+    state = growth.state
     began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)
     while outcome != codes.MET:
         done = int(state[ITERATION])
         if done == max_iterations:
-            raise PlanningError(_how_far(judge, state, gap, f"within {max_iterations} iterations", "max_iterations"))
+            raise PlanningError(_how_far(growth, f"within {max_iterations} iterations", "max_iterations"))
         if began is not None and time.monotonic() - began > timeout:
-            raise PlanningError(_how_far(judge, state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
+            raise PlanningError(_how_far(growth, f"within {timeout:g} s ({done} iterations)", "timeout"))
         called = time.monotonic()
         outcome = growth.on(min(done + portion, max_iterations))
         now = time.monotonic()
@@ -218,8 +227,9 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
     return path
 
 
-def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) -> str:
+def _how_far(growth: Growth, spent: str, option: str) -> str:
     """Make the message for a search that found nothing."""
+    judge, state, gap = growth.judge, growth.state, growth.gap
     seen = judge.how_surfaces_are_seen()
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (
@@ -229,8 +239,28 @@ def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) ->
     return (
         f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
         f"make a tree of {from_start} configurations from the start and one of {from_goals} from the goals; {near}. "
-        f"There may be no path; a larger {option}, or another seed, may help{seen and f'{seen}, or certified=False'}"
+        f"{_what_is_between(growth)}There may be no path; a larger {option}, or another seed, may help"
+        f"{seen and f'{seen}, or certified=False'}"
     )
+
+
+def _what_is_between(growth: Growth) -> str:
+    """Describe what prevents motions from one tree to the other, from configurations spread over both."""
+    judge, counts = growth.judge, growth.state[[STARTS, GOALS]].tolist()
+    if judge.resolution:
+        return ""
+    spread = [np.unique(np.linspace(0, count - 1, BETWEEN, dtype=np.int64)) for count in counts]
+    first, last = (growth.trees.nodes[tree][:, numbers].T for tree, numbers in enumerate(spread))
+    nearest = cdist(first, last).argmin(axis=1)
+    a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
+    found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []
+    close = f"come within {TOLERANCE:g} m of their margin"
+    for verdict, how in ((codes.COLLIDING, "collide"), (codes.AMBIGUOUS, close)):
+        pairs, often = np.unique(found.pairs[found.verdicts == verdict], return_counts=True)
+        if len(pairs):
+            names = " and ".join(judge.ready.names[k] for k in judge.ready.pairs[pairs[often.argmax()]])
+            parts.append(f"{often.sum()} are {Verdict(verdict).name}, mostly since {names} {how}")
+    return f"Of {len(a)} motions between the trees, {', and '.join(parts)}. " if parts else ""
 
 
 def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:

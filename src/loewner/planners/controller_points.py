@@ -144,7 +144,9 @@ class ControllerPoints:
             raise InputError(f"times: expected two or more, found {len(self.times)}")
         for k in np.flatnonzero(~(np.diff(self.times) > 0))[:1].tolist():
             before, after = self.times[k : k + 2].tolist()
-            raise InputError(f"times: expected times that increase, found {before:.9g} and then {after:.9g} at {k + 1}")
+            raise InputError(
+                f"times: expected times that increase, found {before:.15g} and then {after:.15g} at {k + 1}"
+            )
         if accelerations is not None and velocities is None:
             raise InputError("accelerations: expected velocities with them, found none")
         texts = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)

@@ -150,7 +150,7 @@ class TimedJudge:
         )
         for k in np.flatnonzero((found.verdicts != codes.FREE) & (found.pairs >= 0))[:1]:
             one, other = (self.ready.names[n] for n in self.ready.pairs[found.pairs[k]])
-            return f"; at the start, {one} and {other} come too near after {t[k]:.6g} s"
+            return f"; at the start, {one} and {other} come too near after {t[k]:.15g} s"
         return ""
 
     def _with_bodies(self, states: Floats) -> Floats:
@@ -185,16 +185,16 @@ def plan_in_time(
     goals = space.unwound(q, space.checked_goals(q, goals, judge_of_still, names))
     if not judge.free_at(first[None])[0]:
         raise PlanningError(
-            f"start: expected a configuration that is free at the start time {judge.begin:g} s, found a collision of "
-            f"{judge.touching(first)}"
+            f"start: expected a configuration that is free at the start time {judge.begin:.15g} s, found a collision "
+            f"of {judge.touching(first)}"
         )
     needs = judge.seconds(first, np.column_stack([goals, np.zeros(len(goals))]))
     if needs.min() == 0.0:
         return Trajectory._straight(robot.configuration_names, np.zeros(1), q[None], judge.begin)._read_only()
     if needs.min() > judge.limit:
         raise PlanningError(
-            f"arrive_by: expected {judge.begin + needs.min():.6g} s or later, since the nearest goal takes at least "
-            f"{needs.min():.6g} s within the velocity limits; found {judge.begin + judge.limit:g} s"
+            f"arrive_by: expected {judge.begin + needs.min():.15g} s or later, since the nearest goal takes at least "
+            f"{needs.min():.6g} s within the velocity limits; found {judge.begin + judge.limit:.15g} s"
         )
     ends = np.column_stack([goals, needs])
     direct = np.flatnonzero(judge.free(np.broadcast_to(first, ends.shape), ends))
@@ -233,7 +233,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
     if last is not None:
         last = _validate.real(last, "arrive_by")
         if not last > begin:
-            raise InputError(f"arrive_by: expected a time after start_time, {begin:g}, found {last:g}")
+            raise InputError(f"arrive_by: expected a time after start_time, {begin:.15g}, found {last:.15g}")
         limit = min(limit, last - begin)
         while begin + limit > last:
             limit = float(np.nextafter(limit, 0.0))
@@ -245,7 +245,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
             )
     if not np.spacing(max(abs(begin), abs(begin + limit))) <= COARSEST * crossing:
         raise InputError(
-            f"start_time: expected a time to which motions of {crossing:.3g} s can be added, found {begin:g}"
+            f"start_time: expected a time to which motions of {crossing:.3g} s can be added, found {begin:.15g}"
         )
     return TimedJudge(robot, ready, begin, limit, fastest, joint_errors(robot, joint_error))
 
@@ -410,7 +410,7 @@ class _Trees(NamedTuple):
             if len(self.backward.states) else f"no goal that is free at a time of arrival{blocked}"
         )  # fmt: skip
         raise PlanningError(
-            f"expected motions from start to goal between {judge.begin:g} s and {late:g} s, found none {spent}: "
+            f"expected motions from start to goal between {judge.begin:.15g} s and {late:.15g} s, found none {spent}: "
             f"{trees_of}{judge.waiting(self.first[:-1])}. There may be none; a later arrive_by, a larger "
             "max_iterations or timeout, or another seed, may help"
         )
@@ -425,7 +425,7 @@ class _Trees(NamedTuple):
         if good.all():
             return ""
         k = int(good.argmin())
-        return f"; at {self.judge.begin + new[k, -1]:.6g} s there is a collision of {self.judge.touching(new[k])}"
+        return f"; at {self.judge.begin + new[k, -1]:.15g} s there is a collision of {self.judge.touching(new[k])}"
 
     def _drawn(self, window: float) -> Floats:
         """Draw states that can be reached from the start, and from which a goal can be reached within a time."""

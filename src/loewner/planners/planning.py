@@ -34,7 +34,7 @@ class Common(TypedDict, total=False):
 
     joints: str | Iterable[str] | None
     joint_error: ArrayLike
-    max_iterations: int
+    max_iterations: int | None
     timeout: float
     simplify: bool
     seed: int
@@ -89,7 +89,7 @@ def plan(
     certified: bool = True,
     joint_error: ArrayLike = 0.0,
     resolution: float = 0.05,
-    max_iterations: int = 100_000,
+    max_iterations: int | None = None,
     timeout: float = 10.0,
     simplify: bool = True,
     seed: int = 0,
@@ -123,8 +123,9 @@ def plan(
     resolution : float
         For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
         in the units of the joints. OMPL planners that divide motions themselves always use it.
-    max_iterations : int
-        Number of random configurations that the compiled planner draws before it gives up.
+    max_iterations : int, optional
+        Number of random configurations that the compiled planner draws before it gives up. Default: no limit, so that
+        only the timeout ends the search.
     timeout : float
         Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
         always use the whole time.
@@ -179,7 +180,8 @@ def plan(
         do not keep the axis, or
         are not proven free within the joint error (the message states the largest error that is proven); if no short
         motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
-        found within the iterations or in time (the message reports how far the search got); or if OMPL's path fails the
+        found within the iterations or in time (the message reports how far the search got, and which pairs prevent the
+        motions between the trees); or if OMPL's path fails the
         final check (the message names the motion). In time also if the start collides at the start time (the message
         names pairs and depths), or no goal can be reached by the latest arrival within the velocities.
     InputError
@@ -229,7 +231,8 @@ def plan(
     """
     resolution = _validate.positive_scalar(resolution, "resolution")
     timeout = _validate.positive_scalar(timeout, "timeout")
-    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 1, 2**40)
+    most = compiled.UNLIMITED if max_iterations is None else max_iterations
+    max_iterations = _validate.whole_number(most, "max_iterations", 1, compiled.UNLIMITED)
     seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
@@ -362,7 +365,7 @@ def shorten(
     """
     resolution = _validate.positive_scalar(resolution, "resolution")
     step = 0.0 if _validate.flag(certified, "certified") else resolution
-    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, 2**40)
+    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, compiled.UNLIMITED)
     seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
     rows = checked_path(checked_checker(checker).robot, path)
     judge = Judge.of(checker, step, joint_error)

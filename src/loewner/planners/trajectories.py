@@ -548,7 +548,7 @@ class Trajectory(KeepsReadOnly):
             size = np.abs(values).max(axis=0) + np.abs(rates).max(axis=0) * self.duration
             bad = ~(off <= FILE_TOLERANCE * np.ptp(values, axis=0) + FILE_ROUNDINGS * size)
         for k, joint in np.argwhere(bad)[:1]:
-            return f"{wanted} between rows, found others of {self.names[joint]} after the time {self.times[k]:g}"
+            return f"{wanted} between rows, found others of {self.names[joint]} after the time {self.times[k]:.15g}"
         return ""
 
 

@@ -883,7 +883,7 @@ def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
         _validate.broadcast({"t0": begin.shape, "t1": end.shape})
         begin, end = np.broadcast_arrays(begin, end)
     for k in np.flatnonzero(~(begin <= end))[:1]:
-        raise InputError(f"t1: expected times at or after t0, found {begin.flat[k]:g} and then {end.flat[k]:g}")
+        raise InputError(f"t1: expected times at or after t0, found {begin.flat[k]:.15g} and then {end.flat[k]:.15g}")
     with np.errstate(over="ignore"):
         if not np.isfinite(end - begin).all():
             raise InputError("t0, t1: expected finite durations, found others")

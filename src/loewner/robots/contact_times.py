@@ -225,7 +225,9 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
 
 
 def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
-    """Return a time that is hit with a free one just before it, after a free time and at most at `touching`."""
+    """Return a time that is hit with a free one just before it, from `free` to `touching`; `free` if that is hit."""
+    if len(hits(np.array([free]))):
+        return free
     while True:
         times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
         times = times[(times > free) & (times < touching)]

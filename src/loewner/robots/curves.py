@@ -172,8 +172,8 @@ def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
     for n in np.flatnonzero(found == codes.TOO_LONG)[:1]:
         raise InputError(
             f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
-            f"orientation turns by more than about 80 degrees, found the piece from {times[n]:g} s to "
-            f"{times[n + 1]:g} s of curve {number}; divide it, or lower joint_error"
+            f"orientation turns by more than about 80 degrees, found the piece from {times[n]:.15g} s to "
+            f"{times[n + 1]:.15g} s of curve {number}; divide it, or lower joint_error"
         )
 
 
@@ -287,7 +287,7 @@ def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Cur
     later = _validate.real(getattr(given, "start_time", 0.0) if own else t0, "start_time" if own else "t0")
     curve = curve._replace(times=curve.times + later)
     if later and not (np.diff(curve.times) > 0).all():
-        raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:g}")
+        raise InputError(f"t0: expected a time to which a curve's times can be added, found {later:.15g}")
     return curve
 
 
@@ -327,7 +327,7 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         for k in np.flatnonzero(~((norms >= NORMS[0]) & (norms <= NORMS[1])))[:1]:
             raise InputError(
                 f"{name}: expected quaternions of norm 1 or near it, found the norm {norms[k]:g} at the time "
-                f"{curve.times[k]:g}"
+                f"{curve.times[k]:.15g}"
             )
         points[..., columns] /= norms[:, None, None]
         off[..., columns] /= norms[:, None]
@@ -416,7 +416,7 @@ def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> N
     for k, joint in np.argwhere(~(np.abs(found - wanted) <= allowed[segments]))[:1].tolist():
         raise InputError(
             f"{name}: expected the values that its coefficients define, such as {wanted[k, joint]:g} for "
-            f"{robot.configuration_names[joint]} at the time {t[k]:g}, found {found[k, joint]:g} when it is called"
+            f"{robot.configuration_names[joint]} at the time {t[k]:.15g}, found {found[k, joint]:g} when it is called"
         )
 
 
@@ -477,7 +477,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
         raise InputError(f"{name}: expected finite numbers, found others")
     if not (np.diff(times) > 0).all():
         k = int(np.argmin(np.diff(times) > 0))
-        raise InputError(f"{name}: expected times that increase, found {times[k]:g} and then {times[k + 1]:g}")
+        raise InputError(f"{name}: expected times that increase, found {times[k]:.15g} and then {times[k + 1]:.15g}")
     if courses.shape[1] > codes.MOST_POINTS:
         raise InputError(
             f"{name}: expected polynomials of degree {codes.MOST_POINTS - 1} at most, found degree "
@@ -489,7 +489,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
         k, joint = (int(n) for n in np.argwhere(bad)[0])
         raise InputError(
             f"{name}: expected a curve without jumps, found one of {jumps[k, joint]:g} in "
-            f"{robot.configuration_names[joint]} at the time {times[k + 1]:g}"
+            f"{robot.configuration_names[joint]} at the time {times[k + 1]:.15g}"
         )
 
 

@@ -13,7 +13,6 @@ from loewner import _elementary, _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._low_discrepancy import points
-from loewner._matrices import lengths as lengths_of
 from loewner._matrices import product
 from loewner._native import entries
 from loewner._threads import in_shares
@@ -265,8 +264,10 @@ class Answers(NamedTuple):
 
     def residual(self, values: int) -> Floats:
         """Metres and radians by which the nearest configurations miss the tolerance, shape (n, 2)."""
-        angles = 2 * _elementary.arcsin(np.minimum(self.nearest[:, values + 1 :] / 2, 1.0))
-        return np.stack([self.nearest[:, values], lengths_of(angles[:, :2])], axis=-1)
+        tilt, spin = np.minimum((0.5 * self.nearest[:, values + 1 :]) ** 2, 1.0).T
+        # Their axes are at right angles, so that cos(angle / 2) is the product of the cosines of the halves.
+        angles = 2.0 * _elementary.arcsin(np.sqrt(tilt + spin * (1.0 - tilt)))
+        return np.stack([self.nearest[:, values], angles], axis=-1)
 
 
 def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tolerance: Floats) -> Answers:

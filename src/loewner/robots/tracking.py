@@ -31,16 +31,20 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
     The motions are between configurations a and b, shape (N, dof) each. The result may be up to `NEAR` times too small;
     it is 0.0 if `FIRST` is not proven.
     """
+    starts, ends = a, b
     low, high, e = 0.0, math.inf, min(FIRST, most)
     while low < most and high > NEAR * low:
         unproven = prove_by_rules(ready, a, b, tolerance, e * weights).verdicts != codes.FREE
         if unproven.any():
-            a, b, high = a[unproven], b[unproven], e  # the others are proven for all smaller errors, too
+            a, b, high = a[unproven], b[unproven], e
             if low == 0.0:
                 return low
         else:
             low = e
         e = min(STEP * low, most) if high == math.inf else math.sqrt(low) * math.sqrt(high)
+    # Motions proven for a larger error need not be proven for this one: its intervals are other ones.
+    while low > 0.0 and (prove_by_rules(ready, starts, ends, tolerance, low * weights).verdicts != codes.FREE).any():
+        low = low / NEAR if low > FIRST else 0.0
     return low
 
 

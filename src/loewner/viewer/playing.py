@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from loewner.errors import InputError
 from loewner.planners import Trajectory
 from loewner.pose_paths import PosePath
 from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, Robot
+from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot, curves
 from loewner.robots.checker import prepared_of
+from loewner.robots.courses import configurations
 from loewner.robots.edges import checked_path
 from loewner.robots.in_time import with_bodies
 from loewner.robots.verdicts import classified
@@ -81,9 +82,7 @@ class Path:
 
     def positions(self, t: Any) -> Floats:
         """Return the configurations at times from 0 to `duration`, shape (..., dof)."""
-        at = np.asarray(t, dtype=float)
-        if not ((at >= 0.0) & (at <= self.duration)).all():
-            raise InputError(f"t: expected seconds from 0 to {self.duration:g}, found {at.tolist()}")
+        at = _within(t, self.duration)
         k = np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, len(self._rows) - 2)
         length = self.times[k + 1] - self.times[k]
         share = np.divide(at - self.times[k], length, out=np.ones_like(at), where=length > 0)
@@ -111,10 +110,52 @@ class Standing:
         return np.broadcast_to(self.q, (*np.shape(t), len(self.q)))
 
 
-Way = Trajectory | Path | Standing
+class Executed:
+    """Any other curve in time, such as the points that a controller follows.
+
+    Parameters
+    ----------
+    robot : Robot
+    given : ControllerPoints, PPoly, BPoly or BSpline
+        As for `CollisionChecker.certify_trajectory`.
+
+    Attributes
+    ----------
+    duration, start_time : float
+        Seconds, as for `Path`; the start time includes the first time of the curve.
+    """
+
+    def __init__(self, robot: Robot, given: Any) -> None:
+        self._robot, self._given = robot, given
+        self._curve = curves.started(robot, given, "trajectory")
+        self.start_time = float(self._curve.times[0])
+        self.duration = float(self._curve.times[-1]) - self.start_time
+
+    def positions(self, t: Any) -> Floats:
+        """Return the configurations at times from 0 to `duration`, shape (..., dof)."""
+        at, times = _within(t, self.duration), self._curve.times - self.start_time
+        k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+        shares = np.clip((at - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
+        Q = configurations(self._robot, self._curve.courses[k.ravel()], shares.ravel())
+        return Q.reshape(*at.shape, Q.shape[-1])
+
+    def certify(self, checker: CollisionChecker) -> CertifiedTrajectory:
+        """Prove the curve free."""
+        found: CertifiedTrajectory = checker.certify_trajectory(self._given)
+        return found
 
 
-def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | None:
+Way = Trajectory | Path | Standing | Executed
+
+
+def _within(t: Any, duration: float) -> Floats:
+    at = np.asarray(t, dtype=float)
+    if not ((at >= 0.0) & (at <= duration)).all():
+        raise InputError(f"t: expected seconds from 0 to {duration:.15g}, found {at.tolist()}")
+    return at
+
+
+def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | Executed | None:
     """Return the path to play, from two parameters; InputError if both are given, or it is for a different robot."""
     if path is not None and trajectory is not None:
         raise InputError("path, trajectory: expected one of the two, found both")
@@ -125,11 +166,13 @@ def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path |
     return None if trajectory is None else _checked(robot, trajectory, "trajectory")
 
 
-def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory:
+def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory | Executed:
     if not isinstance(trajectory, Trajectory):
+        if curves.form_of(trajectory, name) is not None:
+            return Executed(robot, trajectory)
         raise InputError(
-            f"{name}: expected loewner.planners.Trajectory, found {type(trajectory).__name__}; "
-            "planners.trajectory makes one of a path, and path= plays configurations"
+            f"{name}: expected loewner.planners.Trajectory, ControllerPoints or a curve of SciPy, found "
+            f"{type(trajectory).__name__}; planners.trajectory makes one of a path, and path= plays configurations"
         )
     if trajectory.names != robot.configuration_names:
         raise InputError(
@@ -149,19 +192,30 @@ def found_along(checker: CollisionChecker, way: Way) -> Ints:
     return SEEN[found]
 
 
-def proven_along(checker: CollisionChecker, way: Way) -> tuple[Floats, Ints]:
-    """Prove the path free, part by part.
+class Proof(NamedTuple):
+    """What is proven along a path, part by part.
 
-    Returns
-    -------
+    Attributes
+    ----------
     times : ndarray, shape (n + 1,)
         Seconds since the start at which the parts begin and end.
     verdicts : ndarray of int, shape (n,)
         The verdict for each part at every instant; an AMBIGUOUS part has no proof.
+    fractions : ndarray, shape (n,)
+        Where in a part that is not FREE its proof ended.
     """
-    if isinstance(way, Trajectory):
+
+    times: Floats
+    verdicts: Ints
+    fractions: Floats
+
+
+def proven_along(checker: CollisionChecker, way: Way) -> Proof:
+    """Prove the path free, part by part."""
+    if isinstance(way, (Trajectory, Executed)):
         curve = way.certify(checker)
-        return curve.times - way.start_time, np.asarray(curve.segments.verdict)
+        segments = curve.segments
+        return Proof(curve.times - way.start_time, np.asarray(segments.verdict), np.asarray(segments.fraction))
     times = np.linspace(0.0, way.duration, PARTS + 1)
     if isinstance(way, Path):
         times = np.unique(np.concatenate([way.times, times]))
@@ -169,7 +223,15 @@ def proven_along(checker: CollisionChecker, way: Way) -> tuple[Floats, Ints]:
     clock = way.start_time + times
     timed: Any = {"t0": clock[:-1], "t1": clock[1:]} if checker.scene.following else {}
     found = checker.certify_edges(rows[:-1], rows[1:], joint_error=ROUNDING, **timed)
-    return times, np.asarray(found.verdict)
+    return Proof(times, np.asarray(found.verdict), np.asarray(found.fraction))
+
+
+def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
+    """Return the seconds since the start at which the nearest pair is nearest, of samples and where proofs ended."""
+    ended = (proof.times[:-1] + proof.fractions * np.diff(proof.times))[proof.verdicts != Verdict.FREE]
+    times = np.append(np.linspace(0.0, way.duration, curves.MEASURED), ended.clip(0.0, way.duration))
+    found = checker.distance(way.positions(times), way.start_time + times, exact=True)
+    return float(times[np.argmin(found.distance)])
 
 
 def sampled_strip(found: Ints, duration: float) -> str:
@@ -183,10 +245,10 @@ def sampled_strip(found: Ints, duration: float) -> str:
     return _strip("along", bars, f"{len(found)} samples: {_listed(bad) or 'free'}")
 
 
-def proof_strip(times: Floats, verdicts: Ints) -> str:
+def proof_strip(proof: Proof) -> str:
     """Format the proof along the path as a coloured HTML bar, and describe the stretches without a proof."""
-    bars, bad = [], []
-    for kind, start, end in _stretches(verdicts):
+    times, bars, bad = proof.times, [], []
+    for kind, start, end in _stretches(proof.verdicts):
         verdict = Verdict(kind)
         bars.append((verdict.name, VERDICT_COLOURS[verdict], float(times[end] - times[start])))
         if verdict != Verdict.FREE:
@@ -194,9 +256,9 @@ def proof_strip(times: Floats, verdicts: Ints) -> str:
     return _strip("proof along", bars, f"proof: {_listed(bad) or 'free at every instant'}")
 
 
-def proven_at(times: Floats, verdicts: Ints, t: float) -> str:
+def proven_at(proof: Proof, t: float) -> str:
     """Describe the proof for the part of the path that contains a time."""
-    parts = _stretches(verdicts)
+    times, parts = proof.times, _stretches(proof.verdicts)
     kind, start, end = next((part for part in parts if t <= times[part[2]]), parts[-1])
     return f"{PROVEN[Verdict(kind)]} {times[start]:.3g} .. {times[end]:.3g} s"
 

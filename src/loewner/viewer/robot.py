@@ -36,6 +36,10 @@ from loewner.viewer.drawing import (
 from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_length
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
 from loewner.viewer.playing import (
+    COLLIDING,
+    FREE,
+    UNSETTLED,
+    Proof,
     Standing,
     Way,
     checked_way,
@@ -44,6 +48,7 @@ from loewner.viewer.playing import (
     proven_along,
     proven_at,
     sampled_strip,
+    worst_along,
 )
 from loewner.viewer.visuals import visual_meshes
 
@@ -71,6 +76,13 @@ MOST_LINES = 12
 # Opacity of links that are not checked.
 UNCHECKED = {"color": LINK, "opacity": 0.35, "side": "double"}
 
+# Words for the verdict of a whole path.
+ALONG = {
+    Verdict.FREE: "free at every moment",
+    Verdict.COLLIDING: "collides",
+    Verdict.AMBIGUOUS: "not proven free at every moment",
+}
+
 NEUTRAL, OTHER, NOTHING = "neutral", "(other)", "(none)"
 
 
@@ -79,7 +91,7 @@ def show_robot(
     q: ArrayLike | None = None,
     *,
     path: ArrayLike | Trajectory | None = None,
-    trajectory: Trajectory | None = None,
+    trajectory: Any = None,
     host: str = "127.0.0.1",
     port: int = 0,
     block: bool = False,
@@ -98,8 +110,8 @@ def show_robot(
         where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the scene
         follow motions, these are also shown without a path. A path without times is played at a speed of 1 rad/s or
         m/s in terms of `Robot.distances`.
-    trajectory : planners.Trajectory, optional
-        A trajectory instead of a path; give either `trajectory` or `path`.
+    trajectory : planners.Trajectory, planners.ControllerPoints, or a curve of SciPy, optional
+        As for `CollisionChecker.certify_trajectory`, instead of a path; give either `trajectory` or `path`.
     host, port, block
         As for `show_pair`.
 
@@ -152,11 +164,15 @@ class RobotViewer(Viewer):
     ----------
     checker : CollisionChecker
     trajectory : planners.Trajectory or None
-        The trajectory that can be played; None for a path without times.
+        The trajectory that can be played, if it is of this type; None for a path without times.
     verdict : Verdict
-        The certified answer that the page shows; AMBIGUOUS if there is none.
+        The certified answer for the configuration that is shown; AMBIGUOUS if there is none.
     colliding : bool
-        The exact answer; True if there is none.
+        The exact answer for this configuration; True if there is none.
+    path_verdict : Verdict or None
+        The verdict for the whole path or trajectory, which the page shows in its place: FREE only if it is proven at
+        every moment, COLLIDING if a sample or the proof found a collision, AMBIGUOUS otherwise and until it is proven.
+        None without a path, or while the robot is not on it.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance
@@ -179,13 +195,14 @@ class RobotViewer(Viewer):
 
     contacts: tuple[Contact, ...]
     bounds: StateDistance
+    path_verdict: Verdict | None
 
     def __init__(
         self,
         checker: CollisionChecker,
         q: ArrayLike | None,
         path: ArrayLike | Trajectory | None,
-        trajectory: Trajectory | None,
+        trajectory: Any,
         *,
         host: str,
         port: int,
@@ -215,7 +232,8 @@ class RobotViewer(Viewer):
             )
         self._seen = self._seen_structure = -1
         self._seen_along: Any = None
-        self._proof: tuple[Floats, Ints] | None = None
+        self._along: Ints | None = None
+        self._proof: Proof | None = None
         # Value of `monotonic` at which the path is to be proven.
         self._prove_at = math.inf
         self._size = math.inf
@@ -284,6 +302,39 @@ class RobotViewer(Viewer):
         with self.lock:
             self._start(self._the_way())
             self.refresh()
+
+    def go_to_worst(self) -> float:
+        """Move the robot to where the nearest pair is nearest, of 401 moments and those at which proofs ended.
+
+        Returns
+        -------
+        float
+            The position on the path, in seconds.
+
+        Raises
+        ------
+        InputError
+            If there is no path.
+        ConvergenceError
+            As for `CollisionChecker.distance`.
+
+        Examples
+        --------
+        >>> from loewner import viewer
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+        >>> with viewer.show_robot(checker, path=[[0, 0], [2, 0]]) as page:
+        ...     0.0 <= page.go_to_worst() <= 2.0, page.path_verdict.name
+        (True, 'FREE')
+        """
+        self._check_open()
+        way = self._the_way()
+        with self.lock:
+            self._prove()
+            worst = worst_along(self.checker, way, self._proof or proven_along(self.checker, way))
+            self._stop()
+            self._go_to(worst)
+            self.refresh()
+        return worst
 
     def pause(self) -> None:
         """Stop the robot in place; InputError if there is no path."""
@@ -601,8 +652,9 @@ class RobotViewer(Viewer):
         self.contacts = self.checker.pairs(self._q, t) if self.colliding else ()
         self.bounds = self._distance()
         self._paint({name for contact in self.contacts for name in (contact.name_a, contact.name_b)})
-        exactly = Verdict.COLLIDING if self.colliding else Verdict.FREE
-        self._show_verdict(exactly.name, VERDICT_COLOURS[exactly], list(self._rows()), self._contact_lines())
+        self.path_verdict = self._verdict_along()
+        shown = self._here() if self.path_verdict is None else self.path_verdict
+        self._show_verdict(shown.name, VERDICT_COLOURS[shown], list(self._rows()), self._contact_lines())
         self._show_near()
 
     def _clock_time(self) -> float:
@@ -632,16 +684,39 @@ class RobotViewer(Viewer):
             way.q = self._q
         seen = self._seen, self._q.tobytes() if isinstance(way, Standing) else None
         if self._seen_along != seen:
-            self._strip.content = sampled_strip(found_along(self.checker, way), way.duration)
+            self._along = found_along(self.checker, way)
+            self._strip.content = sampled_strip(self._along, way.duration)
             self._proof, self._proof_strip.content = None, ""
             self._seen_along, self._prove_at = seen, monotonic() + STILL
         elif monotonic() >= self._prove_at:
             self._prove_at = math.inf
             try:
                 self._proof = proven_along(self.checker, way)
-                self._proof_strip.content = proof_strip(*self._proof)
+                self._proof_strip.content = proof_strip(self._proof)
             except LoewnerError as error:
                 self._proof_strip.content = note_lines([f"proof: none; {error}"])
+
+    def _prove(self) -> None:
+        """Prove the path at once, if it is to be proven."""
+        if self._prove_at < math.inf:
+            self._prove_at = 0.0
+            self.refresh()
+
+    def _set_pictured(self, pictured: bool) -> None:
+        if pictured:
+            with self.lock:
+                self._prove()
+        super()._set_pictured(pictured)
+
+    def _verdict_along(self) -> Verdict | None:
+        """Return the verdict for the whole path, if the robot is on it."""
+        if self._way is None or not np.array_equal(self._q, self._way.positions(self._time)):
+            return None
+        verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
+        along = np.array([UNSETTLED]) if self._along is None else self._along
+        if (along == COLLIDING).any() or (verdicts == Verdict.COLLIDING).any():
+            return Verdict.COLLIDING
+        return Verdict.FREE if (along == FREE).all() and (verdicts == Verdict.FREE).all() else Verdict.AMBIGUOUS
 
     def _show_near(self) -> None:
         a, b = self.bounds.witness_a, self.bounds.witness_b
@@ -652,6 +727,7 @@ class RobotViewer(Viewer):
 
     def _show_failure(self, error: Exception) -> None:
         super()._show_failure(error)
+        self.path_verdict = None
         self._paint(set())
         self._near.hide()
 
@@ -659,8 +735,15 @@ class RobotViewer(Viewer):
         for name, shown in self._shown.items():
             shown.drawing.colour = VERDICT_COLOURS[Verdict.COLLIDING] if name in touching else shown.colour
 
+    def _here(self) -> Verdict:
+        """Return the exact answer for the configuration that is shown."""
+        return Verdict.COLLIDING if self.colliding else Verdict.FREE
+
     def _rows(self) -> Iterator[tuple[str, str]]:
         found = self.bounds
+        if self.path_verdict is not None:
+            yield "path", ALONG[self.path_verdict]
+            yield "here", self._here().name
         if found.distance is None or found.names is None:
             yield "clearance", f"not settled: {found.lower:.4g} .. {found.upper:.4g} m"
         else:
@@ -671,7 +754,7 @@ class RobotViewer(Viewer):
         if self._way is not None:
             yield "time", f"{self._time:.3f} s of {self._way.duration:.6g} s"
             if self._proof is not None and np.array_equal(self._q, self._way.positions(self._time)):
-                yield "proof", proven_at(*self._proof, self._time)
+                yield "proof", proven_at(self._proof, self._time)
 
     def _contact_lines(self) -> list[str]:
         deepest = sorted(self.contacts, key=lambda contact: contact.distance)

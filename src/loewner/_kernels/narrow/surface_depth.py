@@ -33,9 +33,6 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 # Inner ellipsoids are larger than this [m], if there is one.
 NO_INSIDE = 1e-100
 
-# Points of connected parts that are tried, at most.
-MOST_PARTS = 8
-
 
 @njit()
 def surface_depth(A, B, shift, n, faces, edges, memory, result):
@@ -204,13 +201,13 @@ def _inner_ball(P, shift):
 
 @njit()
 def _deepest_point(A, B, shift, found, sign, memory, own, result):
-    """Depth of a ball of B, or of points of its parts, that lies within the solid A."""
+    """Depth of the ball of B, or of the points of its parts, that is deepest within the solid A."""
     R, size = rotation_of(B), lengths(A, B, shift)
     center, ball = _inner_ball(B, shift)
     found = _deeper_point(A, center, ball, size, found, shift, sign, memory, own, result)
     if is_surface(B):
         parts = surface_of(B).parts
-        for at in range(0, min(len(parts), 3 * MOST_PARTS), 3):
+        for at in range(0, len(parts), 3):
             x = image(R, shift, (parts[at], parts[at + 1], parts[at + 2]))
             found = _deeper_point(A, x, 0.0, size, found, shift, sign, memory, own, result)
     return found

@@ -186,6 +186,26 @@ def rates_between(way_a, arm_a, way_b, arm_b):
 
 
 @inline
+def _nearing_speed(A, way_a, B, way_b):
+    """Bound on the rate at which the distance of two pieces changes, after the bound on the speed of any two points.
+
+    Along the line of the nearest points, the turn of a body moves both of them alike, so that the one nearer to the
+    body's axis counts: beside a floor that turns, points of the floor that are far away do not.
+    """
+    table_a, table_b = A.table, B.table
+    reach_a, reach_b = table_a[A.piece, REACH], table_b[B.piece, REACH]
+    between = minus(_three(way_b, START), _three(way_a, START))
+    then = plus(between, minus(_three(way_b, WAY), _three(way_a, WAY)))
+    apart = np.sqrt(max(dot(between, between), dot(then, then)))
+    # Poses accepted as rigid turn with a share of stretch, which moves the two points differently.
+    stretch = STRETCH * (apart + reach_a + reach_b)
+    arm_a = min(arm_of(A, way_a), apart + reach_b + stretch)
+    arm_b = min(arm_of(B, way_b), apart + reach_a + stretch)
+    speed, _ = rates_between(way_a, arm_a, way_b, arm_b)
+    return speed
+
+
+@inline
 def lost_between(speed, bend, change, w):
     """Largest loss of a gap between planes at the ends of a step w, whose unit normals differ by a change."""
     return (bend * w + 2.0 * change * speed) * w / 8.0
@@ -335,6 +355,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     # The error of a rotation stretches radii, too.
     far = margin + swollen_radii(A, B) * (1.0 + TURN_ROUNDINGS) + slack
     surface = is_surface(A) or is_surface(B)
+    if surface:  # proven by nothing else, see `_nearing_speed`
+        speed = _nearing_speed(A, way_a, B, way_b)
     t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
     gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
     # The last plane that was not proven from t; often it is, from the time between.

@@ -1,0 +1,182 @@
+"""Read trajectories from files of any program, and let links carry bodies of the scene while they run."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import loewner
+from loewner import _validate, planners
+from loewner._matrices import in_frame, product
+from loewner._validate import Floats
+from loewner.cli import configurations
+from loewner.errors import InputError, LoewnerError
+from loewner.planners.controller_points import TIMES, executed
+from loewner.robots import curves
+
+CONTROLLERS = ("linear", "cubic", "quintic")
+
+# Points with times, or a path without, of shape (two or more, dof).
+Part = planners.ControllerPoints | Floats
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of commands that read a trajectory."""
+    command.add_argument(
+        "--controller",
+        choices=CONTROLLERS,
+        help="interpolation between points (default: from the contents of the file)",
+    )
+    command.add_argument(
+        "--others",
+        metavar="Q",
+        help="values of joints that the file does not name: a state, a file, or numbers (those of the message's start "
+        "state, or 0)",
+    )
+    command.add_argument(
+        "--attach",
+        action="append",
+        default=[],
+        metavar="[PART:]BODY=LINK",
+        help="let a link carry a body of the scene, in all parts of a message or in one (may be repeated)",
+    )
+    command.add_argument(
+        "--start-time",
+        type=float,
+        metavar="T",
+        help="when the trajectory starts, on the clock of bodies that move (what the file says, or 0)",
+    )
+
+
+def read(
+    path: Path,
+    options: argparse.Namespace,
+    scene: loewner.Scene,
+    robot: loewner.Robot,
+    present: Floats | None = None,
+) -> tuple[list[Part], list[dict[str, str]]]:
+    """Read the parts of a file, which begin one after the other, and for each the links by the bodies that they carry.
+
+    Joints that the file does not name have their values of --others, or of the robot's present state.
+
+    Raises
+    ------
+    InputError
+        If an option does not fit the file, or the robot carries bodies that neither the scene nor --attach lets it
+        carry.
+    """
+    others = present
+    if options.others is not None:
+        others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
+    parts = _parts(path, robot, others)
+    carrying = _carrying(options.attach, scene, robot, len(parts))
+    for number, given in enumerate(parts):
+        if isinstance(given, planners.ControllerPoints):
+            parts[number] = _executed(given, options.controller)
+        elif options.start_time is not None:
+            raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
+        elif options.controller not in (None, "linear"):
+            raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
+    for given, held in zip(parts, carrying, strict=True):
+        _expect_carried(scene, given, held)
+    _set_clock(parts, options.start_time)
+    return parts, carrying
+
+
+def carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
+    """Let links carry bodies from the beginning of a part, each from its present pose."""
+    if not carrying:
+        return
+    touching = part.origin.touching if isinstance(part, planners.ControllerPoints) else {}
+    links = robot.forward_kinematics(end(robot, part, 0))
+    for body, link in carrying.items():
+        if body in scene.attachments or body in scene.following:
+            raise InputError(f"--attach {body}={link}: expected a body that stands in the scene, found one that moves")
+        T_link_body = in_frame(links[robot.link_names.index(link)], scene.pose(body))
+        scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()))
+
+
+def put_down(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
+    """Leave bodies where a part ends."""
+    if not carrying:
+        return
+    links = robot.forward_kinematics(end(robot, part, -1))
+    for body, link in carrying.items():
+        T_link_body = scene.attachments[body].T_link_body
+        scene.detach(body, product(links[robot.link_names.index(link)], T_link_body))
+
+
+def controller_of(points: planners.ControllerPoints) -> str:
+    """Return the name of the controller that follows points with their derivatives."""
+    return CONTROLLERS[_derivatives(points)]
+
+
+def end(robot: loewner.Robot, part: Part, row: int) -> Floats:
+    """Return a configuration of a part, with the robot's columns."""
+    if not isinstance(part, planners.ControllerPoints) or part.names is None:
+        rows = part if isinstance(part, np.ndarray) else part.positions
+        return np.asarray(rows[row])
+    return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
+
+
+def _parts(path: Path, robot: loewner.Robot, others: Floats | None) -> list[Part]:
+    """Read points with times, or a path without times, as `loewner plan` writes it, of shape (two or more, dof)."""
+    try:
+        return list(planners.ControllerPoints.load_all(path, robot=robot, others=others))
+    except LoewnerError:
+        if not configurations.is_path(path, TIMES):
+            raise
+    return [configurations.path_of(path, robot)]
+
+
+def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, count: int) -> list[dict[str, str]]:
+    """Return, for each part, the links by the bodies that they carry, from --attach."""
+    found: list[dict[str, str]] = [{} for _ in range(count)]
+    for text in given:
+        where, _, what = text.rpartition(":")
+        body, equals, link = what.partition("=")
+        whole = where.isascii() and where.isdigit() and 1 <= int(where) <= count
+        if not (equals and body and link) or (where and not whole):
+            parts = f", with a PART from 1 to {count}" if where else ""
+            raise InputError(f"--attach {text}: expected [PART:]BODY=LINK{parts}")
+        if body not in scene:
+            raise _validate.unknown_name(f"--attach {text}: body", body, scene.names)
+        if link not in robot.link_names:
+            raise _validate.unknown_name(f"--attach {text}: link", link, robot.link_names)
+        for part in found if not where else [found[int(where) - 1]]:
+            if part.setdefault(body, link) != link:
+                raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")
+    return found
+
+
+def _expect_carried(scene: loewner.Scene, given: Part, carrying: dict[str, str]) -> None:
+    """Refuse a part on which the robot carries bodies that neither the scene nor --attach lets it carry."""
+    if isinstance(given, planners.ControllerPoints):
+        held = {body: each.link for body, each in scene.attachments.items()} | carrying
+        curves.expect_carried(held, [*given.carried.items(), *((body, "") for body in given.origin.free)])
+
+
+def _set_clock(parts: list[Part], start_time: float | None) -> None:
+    """Let the parts begin one after the other, the first at `start_time`."""
+    end = None if start_time is None else _validate.real(start_time, "--start-time")
+    for given in parts:
+        if isinstance(given, planners.ControllerPoints):
+            given.start_time = given.start_time if end is None else end
+            end = given.start_time + float(given.times[-1])
+
+
+def _derivatives(points: planners.ControllerPoints) -> int:
+    """Return the number of derivatives that the points have: 1 with velocities, 2 with accelerations as well."""
+    return sum(one is not None for one in (points.velocities, points.accelerations))
+
+
+def _executed(points: planners.ControllerPoints, controller: str | None) -> planners.ControllerPoints:
+    """Return the points with as many derivatives as a controller uses."""
+    held = [points.velocities, points.accelerations]
+    used = _derivatives(points) if controller is None else CONTROLLERS.index(controller)
+    if any(one is None for one in held[:used]):
+        wanted = ("velocities", "accelerations")[_derivatives(points)]
+        raise InputError(f"--controller {controller}: expected points with {wanted}, found none in the file")
+    return executed(points, used)
