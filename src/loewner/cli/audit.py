@@ -17,7 +17,8 @@ from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
 from loewner.errors import FileError, InputError, LoewnerError
-from loewner.planners.controller_points import TIMES, executed
+from loewner.planners.controller_points import executed
+from loewner.planners.controllers import TIMES
 from loewner.robots import curves
 
 # Width of the picture along time, in characters.

@@ -16,7 +16,7 @@ import loewner
 from loewner import _validate
 from loewner.cli import configurations, inputs
 from loewner.errors import InputError
-from loewner.planners.controller_points import TIMES
+from loewner.planners.controllers import TIMES
 
 EXAMPLES = """examples:
   loewner view arm.npz table.stl --pose-b "0.5 0 0"
