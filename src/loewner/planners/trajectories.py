@@ -26,6 +26,7 @@ from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._nodes import read_json
 from loewner._pictures import POINTS, curves, pictured
+from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
@@ -388,8 +389,8 @@ class Trajectory(KeepsReadOnly):
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. Where velocities jump, the robot
             moves straight between knots, and files contain positions alone. Rows nearer than `spacing` to others are
-            left out, since their rounding would break limits; at a higher rate, every second or third row is written,
-            and so on. `sample` returns all.
+            left out, since their rounding would break limits: with limited jerk near the knots, and at a higher rate
+            all but every second or third row, and so on. `sample` returns all.
         message : bool
             Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
 
@@ -410,7 +411,8 @@ class Trajectory(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If a controller of the list has settings that are not known, or does not interpolate between points.
+            If a controller of the list has settings that are not known, or does not interpolate between points; if the
+            period of `rate` is shorter than `spacing`.
 
         Examples
         --------
@@ -549,7 +551,13 @@ class Trajectory(KeepsReadOnly):
         ticks = self._ticks(rate)[:-1]
         # Between two rows that are almost at the same time, velocities, accelerations or jerks would be noise.
         closest = self.spacing or CLOSEST / rate
-        ticks = ticks[:: max(math.ceil(closest * rate * (1 - SHORTEST)), 1)]
+        every = math.ceil(closest * rate * (1 - SHORTEST))
+        if every > 1:
+            warn(
+                f"rate: expected at most {1 / closest:.4g} rows per second, since rounding would break the limits at "
+                f"more, found {rate:g}; one of {every} is written, and sample returns all"
+            )
+        ticks = ticks[:: max(every, 1)]
         after = np.searchsorted(self.times, ticks)
         apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) >= closest
         times = np.union1d(self.times, ticks[apart])
