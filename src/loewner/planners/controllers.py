@@ -56,7 +56,7 @@ def columns_of(
     Parameters
     ----------
     held : tuple of str or None
-        Names of the columns, of which there are `count`; None if they have no names.
+        Names of all `count` columns; None if they have no names.
     joints : sequence of str or None
     names : mapping or sequence of str, or None
     """

@@ -546,7 +546,7 @@ def nanoseconds(times: Floats) -> Floats:
 
 
 def written(names: Collection[str], times: Floats, rows: dict[str, Floats], suffix: str) -> str:
-    """Write a JointTrajectory in JSON or YAML, in full precision but for times, which are rounded to nanoseconds.
+    """Write a JointTrajectory in JSON or YAML: times rounded to nanoseconds, and other numbers in full precision.
 
     Parameters
     ----------

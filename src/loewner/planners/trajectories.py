@@ -340,7 +340,7 @@ class Trajectory(KeepsReadOnly):
         --------
         >>> from loewner import Robot
         >>> arm = Robot.from_urdf("arm.urdf")
-        >>> both = trajectory(Robot.join({"left": arm, "right": arm}), [[0, 0, 0, 0], [1, 0, 0, 2]])
+        >>> both = trajectory(Robot.join({"left": arm, "right": arm}), [[0, 0, 0, 0], [1, 0, 0, 2]], velocity=1.0)
         >>> both.part("right").names, both.part("right").positions(both.duration)
         (('rail', 'elbow'), array([0., 2.]))
         """
