@@ -479,6 +479,11 @@ def test_partial_goals(moved, tmp_path):
             InputError,
             "take a trajectory of x, y, turn, found none",
         ),
+        ("a: &a {b: *a, c: *a}", FileError, "a/b: expected no alias within itself"),
+        ("arm: {joints: [$(var prefix)x]}", FileError, "names of joints, found .*prefix.x; replace"),
+        ("arm: {joints: &j [x, *j]}", FileError, "expected a name"),
+        ("controller_list: [{joints: [x, y, turn]}]", FileError, "expected the key name"),
+        ("controller_names: [leg]\narm: {joints: [x]}\nleg: {joints: [y, turn]}", InputError, "trajectory of x, found"),
         ("a/b: {joints: [x, y, turn]}\na_b: {joints: [x]}", InputError, "whose files have different names"),
     ],
 )

@@ -116,6 +116,7 @@ def write(
     """
     if names is None:
         raise InputError("names: expected the names of the columns, since the points have none, found none")
+    _expect_once("names", names)
     files = {target: list(range(len(names)))} if listing is None else files_of(listing, target, names, moves)
     texts = {file: text(columns, [names[k] for k in columns]) for file, columns in files.items()}
     for file, contents in texts.items():
@@ -170,27 +171,28 @@ def _read(path: Path) -> dict[str, Controller]:
     what = "a list of controllers"
     root = read_yaml(read_regular(path, what, MOST_BYTES), path, what, merges=True)
     found: dict[str, Controller] = {}
-    listed: list[tuple[str, Node]] = []
-    waiting: list[tuple[tuple[str, ...], Node]] = [((), root)]
+    waiting: list[tuple[tuple[str, ...], Node, tuple[int, ...]]] = [((), root, ())]
     while waiting:
-        above, node = waiting.pop(0)
+        above, node, around = waiting.pop(0)
         if node.kind != "mapping":
             continue
-        keys = node.mapping(None)
-        named = above if "name" not in keys else (*above, keys["name"].text())
-        if named and ("joints" in keys or ("type" in keys and keys["type"].kind == "scalar")):
-            one = found.setdefault("/".join(named), Controller())
-            _add(one, node, keys)
-        for key, held in keys.items():
-            if key == "controller_names":
-                listed += [("/".join((*above, each.text())), each) for each in held.items()]
-            elif key == "controller_list":
-                waiting += [(above, each) for each in held.items()]
-            elif held.kind == "mapping":
-                waiting.append(((*above, *(part for part in key.split("/") if part not in AROUND)), held))
-    for name, node in listed:
-        if name not in found:
-            raise node.error(f"expected a controller of the file, found no entry {name}")
+        if id(node.raw) in around:
+            raise node.error("expected no alias within itself, found one")
+        keys, around = node.mapping(None), (*around, id(node.raw))
+        if above and ("joints" in keys or ("type" in keys and keys["type"].kind == "scalar")):
+            _add(found.setdefault("/".join(above), Controller()), node, keys)
+        inside = {key: held for key, held in keys.items() if held.kind == "mapping"}
+        if "controller_names" in keys:  # MoveIt uses no others
+            listed = {each.text(): each for each in keys["controller_names"].items()}
+            for name, each in listed.items():
+                if name not in inside:
+                    raise each.error(f"expected a controller of the file, found no entry {name}")
+            inside = {name: inside[name] for name in listed}
+        elif "controller_list" in keys:
+            entries = keys["controller_list"].items()
+            inside |= {each.mapping(None, ("name",))["name"].text(): each for each in entries}
+        for key, held in inside.items():
+            waiting.append(((*above, *(part for part in key.split("/") if part not in AROUND)), held, around))
     found = {name: one for name, one in found.items() if one.joints or one.type.endswith(TRAJECTORY)}
     for name, one in found.items():
         if not one.joints:
@@ -202,7 +204,8 @@ def _read(path: Path) -> dict[str, Controller]:
 
 def _add(one: Controller, node: Node, keys: dict[str, Node]) -> None:
     """Add the keys of one place to a controller."""
-    for key in keys.keys() & one.keys.keys():
+    same = {"type"} if "type" in keys and keys["type"].text() == one.type else set()
+    for key in (keys.keys() & one.keys.keys()) - same:
         raise node.error(f"expected {key} of this controller once, found it again in line {one.keys[key].line}")
     one.keys.update(keys)
     if "type" in keys:
@@ -211,6 +214,11 @@ def _add(one: Controller, node: Node, keys: dict[str, Node]) -> None:
         one.joints = tuple(joint.text() for joint in keys["joints"].items())
         with keys["joints"].blamed():
             _expect_once("joints", one.joints)
+        for joint in keys["joints"].items():
+            if "$(" in joint.text():
+                raise joint.error(
+                    f"expected names of joints, found {joint.text()}; replace what a launch file fills in"
+                )
 
 
 def _warn(listing: Any, name: str, one: Controller) -> None:

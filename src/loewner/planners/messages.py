@@ -575,7 +575,8 @@ def written(names: Collection[str], times: Floats, rows: dict[str, Floats], suff
             for k, (sec, nanosec) in enumerate(halves)
         ]
         return json.dumps({"joint_names": list(names), "points": points})
-    lines = [f"joint_names: {json.dumps(list(names), ensure_ascii=False)}", "points:"]
+    listed = json.dumps(list(names), ensure_ascii=not "".join(names).isprintable())
+    lines = [f"joint_names: {listed}", "points:"]
     for k, (sec, nanosec) in enumerate(halves):
         lines.append("- " + "\n  ".join(f"{kind}: {_in_yaml(held[k])}" for kind, held in columns.items()))
         lines.append(f"  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}")

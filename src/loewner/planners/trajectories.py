@@ -140,13 +140,11 @@ class Trajectory(KeepsReadOnly):
     spacing: float = 0.0
 
     @classmethod
-    def _straight(
-        cls, names: tuple[str, ...], times: Floats, knots: Floats, start_time: float = 0.0, spacing: float = 0.0
-    ) -> Trajectory:
+    def _straight(cls, names: tuple[str, ...], times: Floats, knots: Floats, start_time: float = 0.0) -> Trajectory:
         """Make a trajectory whose velocities are constant between its times, and jump there."""
         rates = np.zeros(knots.shape)
         rates[:-1] = np.diff(knots, axis=0) / np.diff(times)[:, None]
-        return cls(names, times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None, True, start_time, spacing)
+        return cls(names, times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None, True, start_time)
 
     def __repr__(self) -> str:
         if self.jumps:
