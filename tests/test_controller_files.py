@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.interpolate import BPoly
 
 from gantry import gantry
 from loewner import CollisionChecker, FileError, InputError, Robot, UnknownNameError, Verdict, planners
@@ -264,6 +265,23 @@ def test_rows_keep_limits_in_fractions(robot, alone, tmp_path_factory, ending, p
         worst, shortest = excesses(file, limits, quintic)
         allowed = 0 if ending == ".csv" else Fraction(12, 10**9) / shortest
         assert max(worst) <= allowed, (quintic, [float(share) for share in worst])
+
+
+@given(path=steps, jerk=st.none() | st.floats(0.5, 5000.0), speed=st.floats(1e-3, 1.0))
+@settings(max_examples=20)
+def test_messages_leave_the_trajectory_by_less_than_a_nanosecond(robot, alone, tmp_path_factory, path, jerk, speed):
+    """The controller's curve is as near to the trajectory as the way of a nanosecond, on long pieces, too."""
+    limits = {"velocity": speed, "acceleration": 300.0, **({} if jerk is None else {"jerk": jerk})}
+    whole = trajectory(robot, path, checker=alone, **limits)
+    file = tmp_path_factory.mktemp("message") / "message.json"
+    whole.save(file, message=True)
+    points = ControllerPoints.load(file)
+    rows = [points.positions, points.velocities, *([] if jerk is None else [points.accelerations])]
+    t = np.minimum(np.linspace(points.times[:-1], points.times[1:], 20), whole.duration)
+    for held in (rows, rows[:2]):
+        curve = BPoly.from_derivatives(points.times, np.stack(held, axis=1))
+        off = 1e-9 * speed + 1e-13 * (np.abs(whole.knots).max() + speed * whole.duration)
+        assert np.abs(curve(t) - whole.positions(t)).max() <= off
 
 
 @given(path=steps, knot=st.integers(1, 20), near=st.floats(-5, -2.5), late=st.booleans())

@@ -201,7 +201,9 @@ class Trajectory(KeepsReadOnly):
         >>> trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0).positions(1.5)
         array([1., 0.])
         """
-        k, x, T = self._pieces(t)
+        return self._positions(*self._pieces(t))
+
+    def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
         if self.jumps:
             return np.asarray((1 - x) * self.knots[k] + x * self.knots[k + (T[..., 0] > 0)])
         if self.bends is not None:
@@ -232,7 +234,9 @@ class Trajectory(KeepsReadOnly):
                [0.5, 0. ],
                [1. , 0. ]])
         """
-        k, x, T = self._pieces(t)
+        return self._velocities(*self._pieces(t))
+
+    def _velocities(self, k: Any, x: Floats, T: Floats) -> Floats:
         m = k + (T[..., 0] > 0)
         if self.jumps:
             return np.asarray(np.where(x < 1, self.rates[k], self.rates[m]))
@@ -260,7 +264,9 @@ class Trajectory(KeepsReadOnly):
                [ 0.,  0.],
                [-1.,  0.]])
         """
-        k, x, T = self._pieces(t)
+        return self._accelerations(*self._pieces(t))
+
+    def _accelerations(self, k: Any, x: Floats, T: Floats) -> Floats:
         m = k + (T[..., 0] > 0)
         if self.jumps:
             return np.zeros((*k.shape, len(self.names)))
@@ -583,18 +589,32 @@ class Trajectory(KeepsReadOnly):
             return self._csv()
         if suffix == ".json" and not message:
             return json.dumps(self._held())
-        # Rows are the trajectory's at times of the message, so that limits hold although times are rounded.
-        times = messages.nanoseconds(self.times)
-        if self.duration - times[-1] > 4 * np.spacing(self.duration):  # the robot rests at the end, and may do so later
-            times[-1:] = messages.nanoseconds(self.times[-1:] + NANOSECOND)
-        times = np.unique(times)
-        at = np.append(times[:-1], self.duration)
-        rows = {"positions": self.positions(at)}
+        times, pieces = self._at_nanoseconds()
+        rows = {"positions": self._positions(*pieces)}
         if not self.jumps:
-            rows["velocities"] = self.velocities(at)
+            rows["velocities"] = self._velocities(*pieces)
         if self.bends is not None:
-            rows["accelerations"] = self.accelerations(at)
+            rows["accelerations"] = self._accelerations(*pieces)
         return messages.written(self.names, times, rows, suffix)
+
+    def _at_nanoseconds(self) -> tuple[Floats, tuple[Any, Floats, Floats]]:
+        """Return the times of a message's rows, and where on which piece each row is, as `_pieces` does.
+
+        The rows are at the trajectory's times, rounded, so that limits hold although times are rounded. A row is on the
+        longer piece beside a knot, even where the knot is half a nanosecond away: a controller's curve would depart
+        from a long piece whose ends have the velocity or acceleration of others. The end is rounded up, to be at rest.
+        """
+        times = messages.nanoseconds(self.times)
+        if self.duration - times[-1] > 4 * np.spacing(self.duration):
+            times[-1:] = messages.nanoseconds(self.times[-1:] + NANOSECOND)
+        times, first = np.unique(times, return_index=True)
+        k, x, T = self._pieces(np.append(times[:-1], self.duration))
+        if not self.jumps and len(times) > 2:
+            lengths, before, after = np.diff(self.times), first[1:-1] - 1, first[2:] - 1
+            k[1:-1] = np.where(lengths[before] > lengths[after], before, after)
+            T[1:-1] = lengths[k[1:-1], None]
+            x[1:-1, 0] = (times[1:-1] - self.times[k[1:-1]]) / lengths[k[1:-1]]
+        return times, (k, x, T)
 
     def _csv(self) -> str:
         expect_in_table(self.names)
