@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 
@@ -118,6 +119,19 @@ def _refuse_lines(text: str, name: str, commas: bool) -> None:
                 raise FileError(f"{name}, line {number}: {error}") from None
             if found != (length := length or found):
                 raise FileError(f"{name}, line {number}: expected {length} numbers as in the first line, found {found}")
+
+
+def written(header: list[str], rows: Floats, start_time: float, flags: list[int] | None = None) -> str:
+    """Write rows below a header, in full precision, with a last column of `flags` if there are some."""
+    out = io.StringIO()
+    if start_time:
+        out.write(f"{STARTS}{start_time!r}\n")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(
+        rows.tolist() if flags is None else [[*row, k] for row, k in zip(rows.tolist(), flags, strict=True)]
+    )
+    return out.getvalue()
 
 
 def start_of(text: str) -> tuple[float, str]:

@@ -13,7 +13,8 @@ from loewner._matrices import in_frame, product
 from loewner._validate import Floats
 from loewner.cli import configurations
 from loewner.errors import InputError, LoewnerError
-from loewner.planners.controller_points import TIMES, executed
+from loewner.planners.controller_points import executed
+from loewner.planners.controllers import TIMES
 from loewner.robots import curves
 
 CONTROLLERS = ("linear", "cubic", "quintic")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,8 +22,9 @@ from loewner._plausible import warn
 from loewner._validate import Floats
 from loewner.errors import FileError, InputError
 from loewner.planners import messages
+from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, columns_of, expect_in_table, write
 from loewner.planners.joint_limits import expect_robot
-from loewner.planners.trajectories import RATES, SAVED_KEYS
+from loewner.planners.trajectories import RATES, SAVED_KEYS, WRITTEN, with_ending
 from loewner.robots import Robot
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of
@@ -39,9 +40,6 @@ START_TOLERANCE = 0.01
 # Times of the joints and of a base may differ by rounding [s]; so may a planar motion from its plane [m or 1], and the
 # norm of a quaternion, in a file of few digits, from 1.
 SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
-
-TIMES = ("time", "time_from_start")
-VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
 # A pose that does not move, as position and quaternion x, y, z, w.
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -246,6 +244,74 @@ class ControllerPoints:
         [ControllerPoints(2 points, 1 joint, positions), ControllerPoints(2 points, 1 joint, positions)]
         """
         return cls._loaded(path, robot, others)
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        joints: Sequence[str] | None = None,
+        names: Mapping[str, str] | Sequence[str] | None = None,
+        controllers: str | os.PathLike[str] | None = None,
+    ) -> None:
+        """Write the points to a file, which `load` reads back.
+
+        The file does not contain `start_time` unless it is a ``.csv`` file, nor `carried`, nor `origin`.
+
+        Parameters
+        ----------
+        path : path
+            A ``.csv`` file contains all numbers in full precision. A ``.json`` or ``.yaml`` file contains a ROS
+            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; prove the points of the file if
+            the times change.
+        joints, names, controllers
+            As for `Trajectory.save`. Points without names need `names`.
+
+        Raises
+        ------
+        InputError
+            As for `Trajectory.save`; if a message would have the same time twice, or one below 0; or if the base of a
+            robot moves straight while joints have velocities, which no such file contains.
+        UnknownNameError, FileError, MissingExtraError
+            As for `Trajectory.save`.
+
+        Warns
+        -----
+        UserWarning
+            As for `Trajectory.save`; and if the robot carries bodies, which the file does not contain.
+
+        Examples
+        --------
+        >>> points = ControllerPoints([0.0, 1.0], [[0.0, 0.0], [1.0, 0.5]], names=["rail", "elbow"])
+        >>> points.save("elbow.yaml", joints=["elbow"])
+        >>> ControllerPoints.load("elbow.yaml").positions
+        array([[0. ],
+               [0.5]])
+        """
+        target = with_ending(path, WRITTEN)
+        columns, called = columns_of(self.names, self.positions.shape[1], joints, names)
+        rows = {"positions": self.positions, "velocities": self.velocities, "accelerations": self.accelerations}
+        held = {kind: array[:, columns] for kind, array in rows.items() if array is not None}
+        moves = np.any([(array != array[0]).any(axis=0) for array in held.values()], axis=0)
+        straight = [self.names[k] for k, moving in zip(columns, moves, strict=True) if moving and self.names]
+        straight = [name for name in straight if name in self.origin.straight]
+        if straight:
+            raise InputError(
+                f"joints: expected columns that are interpolated alike, found {some(straight)}, which move straight; "
+                "joints= leaves them out"
+            )
+        if self.carried:
+            warn(f"{shown(target)}: the file does not contain that the robot carries {some(sorted(self.carried))}")
+
+        def text(chosen: list[int], named: Sequence[str]) -> str:
+            parts = {kind: array[:, chosen] for kind, array in held.items()}
+            if target.suffix.lower() != ".csv":
+                return messages.written(named, self.times, parts, target.suffix.lower())
+            expect_in_table(named)
+            kinds = ("", VELOCITY, ACCELERATION)[: len(parts)]
+            header = [TIMES[0], *(name + kind for kind in kinds for name in named)]
+            return _tables.written(header, np.column_stack([self.times, *parts.values()]), self.start_time)
+
+        write(target, called, moves.tolist(), controllers, text)
 
     @classmethod
     def _loaded(

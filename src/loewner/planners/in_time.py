@@ -9,7 +9,7 @@ as the proof of ten of them.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
@@ -213,8 +213,8 @@ def plan_in_time(
             rows = trees.connected(max_iterations, timeout)
         if simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
-    knots = rows[:, :-1].copy()
-    return Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), knots, judge.begin)._read_only()
+    made = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
+    return replace(made, spacing=made._shortest(judge.fastest))._read_only()
 
 
 def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: ArrayLike) -> TimedJudge:

@@ -13,7 +13,7 @@ import numpy as np
 
 from loewner import _elementary
 from loewner._kernels import tolerances
-from loewner._validate import Bools, Floats
+from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import InputError
 from loewner.planners.judge import Judge
 from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
@@ -29,6 +29,21 @@ NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 # Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
 # whole time.
 CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B54
+
+
+def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: FloatOrFloats) -> float:
+    """Return the shortest duration of a piece for which rounding exceeds no limit by more than `TO_ROUNDING`.
+
+    Parameters
+    ----------
+    size : ndarray, shape (dof,)
+        The largest position plus the distance at the highest speed in the whole time.
+    fastest, strongest, jerk : ndarray, shape (dof,), or infinite
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        noise = NOISE / TO_ROUNDING * size
+        leasts = [noise / fastest, np.sqrt(noise / strongest), _elementary.cbrt(noise / jerk)]
+    return float(np.max(leasts))
 
 
 class JerkLimited(NamedTuple):
@@ -66,9 +81,8 @@ class JerkLimited(NamedTuple):
             )
             speeds = np.minimum(top, 1.0)[:, None] * ways[0]
             covered = speeds.max(axis=0, initial=0.0) * stopping.sum()
-            noise = NOISE / TO_ROUNDING * (np.abs(rows).max(axis=0) + covered)
-            leasts = [noise / fastest, np.sqrt(noise / strongest), _elementary.cbrt(noise / jerk)]
-        least, lowest = float(np.max(leasts)), float(np.concatenate(jerks).min(initial=np.inf))
+            least = shortest(np.abs(rows).max(axis=0) + covered, fastest, strongest, jerk)
+        lowest = float(np.concatenate(jerks).min(initial=np.inf))
         if not (lowest > 1 / LARGEST_RATIO and least < LARGEST_RATIO):
             raise InputError(
                 f"jerk: expected a path and limits with ratios up to {LARGEST_RATIO:g}, found a jerk of {lowest:g} of "

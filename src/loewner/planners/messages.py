@@ -7,6 +7,7 @@ a motion is passed over: the states that its joints start from, bodies that the 
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
@@ -15,7 +16,7 @@ import numpy as np
 from loewner import _tables
 from loewner._nodes import JsonNode, Node, some
 from loewner._validate import Floats
-from loewner.errors import FileError
+from loewner.errors import FileError, InputError
 
 # What becomes of a field that is no message of a type below: read by the code for its type; without an effect on the
 # joints and the bodies of a robot; or mentioned in a warning if it is not empty. A field may be of any type but these
@@ -129,6 +130,9 @@ TOLERANCE = ("name", "joint_name", "component", "position", "velocity", "acceler
 # probably in nanoseconds.
 HALVES = (("sec", "nanosec"), ("secs", "nsecs"))
 DAY = 86400.0
+
+# The longest duration that a message can hold: its seconds are an integer of 32 bits.
+LONGEST = 2.0**31
 
 # The operation by which a body is taken away, in moveit_msgs/CollisionObject.
 REMOVE = 1
@@ -529,3 +533,62 @@ def _list(keys: dict[str, Node], key: str) -> list[Node]:
 def _listed(node: Node) -> list[Node]:
     """Return the entries of a list; a message that is not in a list counts as well."""
     return list(node.items()) if node.kind == "sequence" else [node]
+
+
+# -- writing ------------------------------------------------------------------------------------
+
+
+def nanoseconds(times: Floats) -> Floats:
+    """Round times to nanoseconds, and return the numbers that are read back from a message; see `written`."""
+    for time in times[~((times >= 0) & (times < LONGEST))][:1].tolist():
+        raise InputError(f"times: expected 0 to {LONGEST:.0f} s in a message, found {time:.9g}")
+    return np.array([seconds + 1e-9 * rest for seconds, rest in map(_halves, times.tolist())])
+
+
+def written(names: Collection[str], times: Floats, rows: dict[str, Floats], suffix: str) -> str:
+    """Write a JointTrajectory in JSON or YAML: times rounded to nanoseconds, and other numbers in full precision.
+
+    Parameters
+    ----------
+    names : collection of str
+    times : ndarray, shape (n,)
+        In seconds.
+    rows : dict
+        As in `Motion`.
+    suffix : {".json", ".yaml"}
+
+    Raises
+    ------
+    InputError
+        If two times are the same after rounding, or one is negative or too long for a message.
+    """
+    rounded = nanoseconds(times)
+    for k in np.flatnonzero(~(np.diff(rounded) > 0))[:1].tolist():
+        before, after = times[k : k + 2].tolist()
+        raise InputError(
+            f"times: expected times at least a nanosecond apart in a message, found {before!r} and {after!r}"
+        )
+    halves, columns = list(map(_halves, times.tolist())), {kind: array.tolist() for kind, array in rows.items()}
+    if suffix == ".json":
+        points = [
+            {**{kind: held[k] for kind, held in columns.items()}, "time_from_start": {"sec": sec, "nanosec": nanosec}}
+            for k, (sec, nanosec) in enumerate(halves)
+        ]
+        return json.dumps({"joint_names": list(names), "points": points})
+    listed = json.dumps(list(names), ensure_ascii=not "".join(names).isprintable())
+    lines = [f"joint_names: {listed}", "points:"]
+    for k, (sec, nanosec) in enumerate(halves):
+        lines.append("- " + "\n  ".join(f"{kind}: {_in_yaml(held[k])}" for kind, held in columns.items()))
+        lines.append(f"  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}")
+    return "\n".join(lines) + "\n"
+
+
+def _halves(time: float) -> tuple[int, int]:
+    """Return whole seconds, and nanoseconds."""
+    return divmod(round(time * 1e9), 10**9)
+
+
+def _in_yaml(numbers: list[float]) -> str:
+    """Format a list in YAML, where a number with an exponent needs a decimal point."""
+    texts = (repr(number) for number in numbers)
+    return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"

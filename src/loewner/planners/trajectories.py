@@ -12,8 +12,8 @@ import io
 import json
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, overload
 
@@ -21,15 +21,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _tables, _validate
-from loewner._files import read_regular, replacing, shown
+from loewner._files import read_regular, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._nodes import read_json
 from loewner._pictures import POINTS, curves, pictured
+from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import FileError, InputError
-from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited
+from loewner.planners import messages
+from loewner.planners.controllers import columns_of, expect_in_table, write
+from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited, shortest
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.straights import Straights, smallest
@@ -54,8 +57,13 @@ ROUNDED = 1e-15
 # blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
 SHORTEST = 1e-7
 
-# A row at a constant rate is left out if it is nearer than this share of the period to a knot with limited jerk.
-CLOSEST = 0.05
+# Rows at a constant rate are no nearer to others than these multiples of the shortest phase that rounding permits: with
+# limited jerk, since controllers interpolate quintics there; without, since rows have less noise. A trajectory that was
+# read from a file has no limits; then they are no nearer to knots than this share of the period.
+SPACED, SPACED_WITHOUT_JERK, CLOSEST = 1.3, 0.5, 0.05  # certified.md, "Rounding of limits"
+
+# Rows at less than this distance in time are one [s]; a message cannot hold both.
+NANOSECOND = 1e-9
 
 # Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
 CHOSEN_AT_A_TIME = 32
@@ -105,6 +113,9 @@ class Trajectory(KeepsReadOnly):
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
         `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts it later.
+    spacing : float
+        Least time [s] between rows that `save` adds for ``rate=`` and other rows: nearer ones would break the limits by
+        rounding. It is 0 if the limits are not known, as for a trajectory from a file.
 
     Examples
     --------
@@ -126,6 +137,7 @@ class Trajectory(KeepsReadOnly):
     bends: Floats | None = None
     jumps: bool = False
     start_time: float = 0.0
+    spacing: float = 0.0
 
     @classmethod
     def _straight(cls, names: tuple[str, ...], times: Floats, knots: Floats, start_time: float = 0.0) -> Trajectory:
@@ -189,7 +201,9 @@ class Trajectory(KeepsReadOnly):
         >>> trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0).positions(1.5)
         array([1., 0.])
         """
-        k, x, T = self._pieces(t)
+        return self._positions(*self._pieces(t))
+
+    def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
         if self.jumps:
             return np.asarray((1 - x) * self.knots[k] + x * self.knots[k + (T[..., 0] > 0)])
         if self.bends is not None:
@@ -220,7 +234,9 @@ class Trajectory(KeepsReadOnly):
                [0.5, 0. ],
                [1. , 0. ]])
         """
-        k, x, T = self._pieces(t)
+        return self._velocities(*self._pieces(t))
+
+    def _velocities(self, k: Any, x: Floats, T: Floats) -> Floats:
         m = k + (T[..., 0] > 0)
         if self.jumps:
             return np.asarray(np.where(x < 1, self.rates[k], self.rates[m]))
@@ -248,7 +264,9 @@ class Trajectory(KeepsReadOnly):
                [ 0.,  0.],
                [-1.,  0.]])
         """
-        k, x, T = self._pieces(t)
+        return self._accelerations(*self._pieces(t))
+
+    def _accelerations(self, k: Any, x: Floats, T: Floats) -> Floats:
         m = k + (T[..., 0] > 0)
         if self.jumps:
             return np.zeros((*k.shape, len(self.names)))
@@ -277,7 +295,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         times : ndarray, shape (m,)
-            Multiples of 1 / rate, and the end of the trajectory.
+            Multiples of 1 / rate, and the end of the trajectory, which replaces a multiple less than 1 ns before it.
         positions : ndarray, shape (m, dof)
         velocities, accelerations : ndarray, shape (m, dof)
             Only if `full`; they are the arrays that `velocities` and `accelerations` return.
@@ -285,7 +303,7 @@ class Trajectory(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the rate is not a number above 0, or the samples do not fit into memory.
+            If the rate is not a number above 0 and at most 1e9, or the samples do not fit into memory.
 
         Examples
         --------
@@ -302,7 +320,50 @@ class Trajectory(KeepsReadOnly):
             return times, self.positions(times)
         return times, self.positions(times), self.velocities(times), self.accelerations(times)
 
-    def save(self, path: str | os.PathLike[str], *, rate: float | None = None, message: bool = False) -> None:
+    def part(self, name: str) -> Trajectory:
+        """Return the motion of one of the robots that `Robot.join` has joined, with its own names and the same times.
+
+        Parameters
+        ----------
+        name : str
+            Its name in `Robot.join`; for a robot that was joined twice, "outer/inner".
+
+        Returns
+        -------
+        Trajectory
+            The columns whose names begin with ``name/``, without this prefix. A proof of it for one robot does not
+            cover the others: prove the whole trajectory. `stops` are the times at which this robot rests, and `blends`
+            the intervals in which any of the robots cuts a corner.
+
+        Raises
+        ------
+        UnknownNameError
+            If no name begins with ``name/``.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> arm = Robot.from_urdf("arm.urdf")
+        >>> both = trajectory(Robot.join({"left": arm, "right": arm}), [[0, 0, 0, 0], [1, 0, 0, 2]], velocity=1.0)
+        >>> both.part("right").names, both.part("right").positions(both.duration)
+        (('rail', 'elbow'), array([0., 2.]))
+        """
+        known = dict.fromkeys(each[:k] for each in self.names for k, letter in enumerate(each) if letter == "/")
+        if not isinstance(name, str) or name not in known:
+            raise _validate.unknown_name("part", name, known)
+        columns = [k for k, each in enumerate(self.names) if each.startswith(f"{name}/")]
+        return self._of(columns, [self.names[k].removeprefix(f"{name}/") for k in columns])
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        joints: Sequence[str] | None = None,
+        names: Mapping[str, str] | Sequence[str] | None = None,
+        controllers: str | os.PathLike[str] | None = None,
+        rate: float | None = None,
+        message: bool = False,
+    ) -> None:
         """Write times, positions and velocities to a file, in full precision, and accelerations if jerk is limited.
 
         Parameters
@@ -311,23 +372,51 @@ class Trajectory(KeepsReadOnly):
             A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, ``NAME
             acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
-            ``trajectory_msgs/JointTrajectory`` with times rounded to nanoseconds. Where accelerations jump it has none,
-            since a controller follows the trajectory if it interpolates only positions and velocities. Messages have no
-            `start_time`; in a ``.csv`` file, it is a comment in the first line unless it is 0.
+            ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
+            moved to the nearest one, rows within the same one are merged, and the end is rounded up. Where
+            accelerations jump it has none, since a controller follows the trajectory if it interpolates only positions
+            and velocities. Messages have no `start_time`; in a ``.csv`` file, it is a comment in the first line unless
+            it is 0.
+        joints : sequence of str, optional
+            Names of the columns to write, in this order; by default all. The file does not contain the motion of the
+            others, so a proof of the whole trajectory holds only if they follow it, too, at the same time.
+        names : mapping or sequence of str, optional
+            Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
+            column that is written.
+        controllers : path, optional
+            Write a file for each controller of this list, the YAML file of ros2_control or MoveIt:
+            ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. It contains
+            the controller's joints, in the controller's order. Each column whose values change must belong to a
+            controller that takes trajectories, and each such controller must find all its joints, unless it finds none
+            or allows partial goals.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. Where velocities jump, the robot
-            moves straight between knots, and files contain positions alone.
+            moves straight between knots, and files contain positions alone. Rows nearer than `spacing` to others are
+            left out, since their rounding would break limits: with limited jerk near the knots, and at a higher rate
+            all but every second or third row, and so on. `sample` returns all.
         message : bool
             Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
 
         Raises
         ------
         InputError
-            If the file has any other extension, the rate is not a number above 0, or a ``.csv`` file is to be a
-            message.
+            If the file has any other extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
+            message; if names are repeated, or a ``.csv`` file would read a name as another kind of column; or if the
+            controllers and the columns do not fit together.
+        UnknownNameError
+            If `joints` or `names` has a name that the trajectory lacks.
         FileError
-            If the file cannot be written; an existing file is then left unchanged.
+            If a file cannot be written, which leaves an existing one unchanged; or if the list of controllers cannot be
+            read.
+        MissingExtraError
+            If there is a list of controllers, and PyYAML is not installed.
+
+        Warns
+        -----
+        UserWarning
+            If a controller of the list has settings that are not known, or does not interpolate between points; if the
+            period of `rate` is shorter than `spacing`.
 
         Examples
         --------
@@ -336,18 +425,26 @@ class Trajectory(KeepsReadOnly):
         >>> moved.save("moved.csv")
         >>> print(open("moved.csv").readline().strip())
         time,rail,elbow,rail velocity,elbow velocity,blend
+        >>> moved.save("moved.yaml", joints=["rail"], names={"rail": "axis_1"})
+        >>> print(open("moved.yaml").readline().strip())
+        joint_names: ["axis_1"]
         """
-        target = _with_ending(path, WRITTEN)
-        saved = self if rate is None else self._with_ticks(rate)
+        target = with_ending(path, WRITTEN)
         suffix = target.suffix.lower()
         if _validate.flag(message, "message") and suffix == ".csv":
             raise InputError("message: expected False for a .csv file, found True; messages are .json or .yaml files")
-        if suffix == ".csv":
-            text = saved._csv()
-        else:
-            text = saved._yaml() if suffix == ".yaml" else json.dumps(saved._message() if message else saved._held())
-        with replacing(target) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="")
+        columns, called = columns_of(self.names, len(self.names), joints, names)
+        saved = self._of(columns, called or self.names)
+        if rate is not None:
+            saved = saved._with_ticks(rate)
+        moves = (saved.knots != saved.knots[0]).any(axis=0) | saved.rates.any(axis=0)
+        write(
+            target,
+            saved.names,
+            moves.tolist(),
+            controllers,
+            lambda k, named: saved._of(k, named)._text(suffix, message),
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -375,7 +472,7 @@ class Trajectory(KeepsReadOnly):
         >>> Trajectory.load("moved.json")
         Trajectory(3 s, 2 joints, stops at 0 corners, 0 blends)
         """
-        source = _with_ending(path, ENDINGS, OTHERS)
+        source = with_ending(path, ENDINGS, OTHERS)
         name = shown(source)
         data = read_regular(source, "a trajectory", LARGEST_FILE)
         try:
@@ -447,37 +544,86 @@ class Trajectory(KeepsReadOnly):
         rate = _validate.positive_scalar(rate, "rate")
         count = self.duration * rate
         _validate.fits_memory(int(min(count, 2.0**60)) * 40 * (len(self.names) + 2), f"{count:.3g} samples")
+        if rate * NANOSECOND > 1:
+            raise InputError(f"rate: expected at most {1 / NANOSECOND:g} samples per second, found {rate:g}")
         times = np.arange(math.floor(count) + 1) / rate
-        return np.append(times[times < self.duration], self.duration)
+        before = (times < self.duration) & ((times == 0) | (self.duration - times >= NANOSECOND))
+        return np.append(times[before], self.duration)
 
     def _with_ticks(self, rate: float) -> Trajectory:
         """Return the same trajectory with more knots."""
-        ticks = self._ticks(rate)
-        after = np.searchsorted(self.times, ticks)  # the last is the end itself
-        # Between two rows that are almost at the same time, accelerations or jerks would be noise.
-        closest = SHORTEST if self.bends is None else CLOSEST
-        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > closest
+        ticks = self._ticks(rate)[:-1]
+        # Between two rows that are almost at the same time, velocities, accelerations or jerks would be noise.
+        closest = self.spacing or CLOSEST / rate
+        every = math.ceil(closest * rate * (1 - SHORTEST))
+        if every > 1:
+            warn(
+                f"rate: expected at most {1 / closest:.4g} rows per second, since rounding would break the limits at "
+                f"more, found {rate:g}; one of {every} is written, and sample returns all"
+            )
+        ticks = ticks[:: max(every, 1)]
+        after = np.searchsorted(self.times, ticks)
+        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) >= closest
         times = np.union1d(self.times, ticks[apart])
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
         bends = None if self.bends is None else self.accelerations(times)
-        if self.jumps:
-            return Trajectory._straight(self.names, times, self.positions(times), self.start_time)
-        rows = self.positions(times), self.velocities(times)
-        return Trajectory(self.names, times, *rows, blended, bends, start_time=self.start_time)
+        return replace(
+            self, times=times, knots=self.positions(times), rates=self.velocities(times), blended=blended, bends=bends
+        )
+
+    def _shortest(self, fastest: Floats, strongest: FloatOrFloats = np.inf, jerk: FloatOrFloats | None = None) -> float:
+        """Return the shortest time between two rows for which rounding leaves limits as they are."""
+        size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
+        return shortest(size, fastest, strongest, np.inf if jerk is None else jerk)
+
+    def _of(self, columns: list[int], names: Sequence[str]) -> Trajectory:
+        """Return some columns, by other names."""
+        bends = None if self.bends is None else self.bends[:, columns]
+        return replace(
+            self, names=tuple(names), knots=self.knots[:, columns], rates=self.rates[:, columns], bends=bends
+        )._read_only()
+
+    def _text(self, suffix: str, message: bool) -> str:
+        """Return the contents of a file."""
+        if suffix == ".csv":
+            return self._csv()
+        if suffix == ".json" and not message:
+            return json.dumps(self._held())
+        times, pieces = self._at_nanoseconds()
+        rows = {"positions": self._positions(*pieces)}
+        if not self.jumps:
+            rows["velocities"] = self._velocities(*pieces)
+        if self.bends is not None:
+            rows["accelerations"] = self._accelerations(*pieces)
+        return messages.written(self.names, times, rows, suffix)
+
+    def _at_nanoseconds(self) -> tuple[Floats, tuple[Any, Floats, Floats]]:
+        """Return the times of a message's rows, and where on which piece each row is, as `_pieces` does.
+
+        The rows are at the trajectory's times, rounded, so that limits hold although times are rounded. A row is on the
+        longer piece beside a knot, even where the knot is half a nanosecond away: a controller's curve would depart
+        from a long piece whose ends have the velocity or acceleration of others. The end is rounded up, to be at rest.
+        """
+        times = messages.nanoseconds(self.times)
+        if self.duration - times[-1] > 4 * np.spacing(self.duration):
+            times[-1:] = messages.nanoseconds(self.times[-1:] + NANOSECOND)
+        times, first = np.unique(times, return_index=True)
+        k, x, T = self._pieces(np.append(times[:-1], self.duration))
+        if not self.jumps and len(times) > 2:
+            lengths, before, after = np.diff(self.times), first[1:-1] - 1, first[2:] - 1
+            k[1:-1] = np.where(lengths[before] > lengths[after], before, after)
+            T[1:-1] = lengths[k[1:-1], None]
+            x[1:-1, 0] = (times[1:-1] - self.times[k[1:-1]]) / lengths[k[1:-1]]
+        return times, (k, x, T)
 
     def _csv(self) -> str:
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        if self.start_time:
-            out.write(f"{_tables.STARTS}{self.start_time!r}\n")
+        expect_in_table(self.names)
         if self.jumps:
-            writer.writerows([["time", *self.names], *np.column_stack([self.times, self.knots]).tolist()])
-            return out.getvalue()
-        writer.writerow(_header(self.names, self.bends is not None))
-        bends = [] if self.bends is None else [self.bends]
-        table = np.column_stack([self.times, self.knots, self.rates, *bends]).tolist()
-        writer.writerows([*row, int(bent)] for row, bent in zip(table, [*self.blended, False], strict=True))
-        return out.getvalue()
+            header, columns = ["time", *self.names], [self.times, self.knots]
+            return _tables.written(header, np.column_stack(columns), self.start_time)
+        columns = [self.times, self.knots, self.rates, *([] if self.bends is None else [self.bends])]
+        header, flags = _header(self.names, self.bends is not None), np.append(self.blended, False).astype(int)
+        return _tables.written(header, np.column_stack(columns), self.start_time, flags.tolist())
 
     def _held(self) -> dict[str, Any]:
         if self.jumps:
@@ -489,27 +635,6 @@ class Trajectory(KeepsReadOnly):
             **({"start_time": self.start_time} if self.start_time else {}),
         }  # fmt: skip
         return held if self.bends is None else held | {"accelerations": self.bends.tolist()}
-
-    def _message(self) -> dict[str, Any]:
-        """Return the contents of a message of type trajectory_msgs/JointTrajectory."""
-        columns = {"positions": self.knots} if self.jumps else {"positions": self.knots, "velocities": self.rates}
-        if self.bends is not None:
-            columns["accelerations"] = self.bends
-        points: list[dict[str, Any]] = []
-        for k, time in enumerate(self.times.tolist()):
-            seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
-            points.append({kind: rows[k].tolist() for kind, rows in columns.items()})
-            points[-1]["time_from_start"] = {"sec": seconds, "nanosec": nanoseconds}
-        return {"joint_names": self.names, "points": points}
-
-    def _yaml(self) -> str:
-        message = self._message()
-        lines = [f"joint_names: {json.dumps(message['joint_names'])}", "points:"]
-        for point in message["points"]:
-            time = point.pop("time_from_start")
-            lines.append("- " + "\n  ".join(f"{kind}: {_listed(values)}" for kind, values in point.items()))
-            lines.append(f"  time_from_start: {{sec: {time['sec']}, nanosec: {time['nanosec']}}}")
-        return "\n".join(lines) + "\n"
 
     def _read_only(self) -> Trajectory:
         """Return the same trajectory with read-only arrays."""
@@ -660,8 +785,11 @@ def trajectory(
     if judge is not None and share > 0 and len(halves):
         halves = _shortest(motions, _proven_blends(judge, motions, share))
     if isinstance(motions, JerkLimited):
-        return Trajectory(robot.configuration_names, *motions.timed(halves))._read_only()
-    return _timed(robot, motions, halves)
+        made = Trajectory(robot.configuration_names, *motions.timed(halves))
+    else:
+        made = _timed(robot, motions, halves)
+    spacing = (SPACED_WITHOUT_JERK if most is None else SPACED) * made._shortest(fastest, strongest, most)
+    return replace(made, spacing=spacing)._read_only()
 
 
 # -- arguments ----------------------------------------------------------------------------------
@@ -853,24 +981,18 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
     kept = np.append(np.diff(passed) > 0, True)
     arrays = passed, np.array(knots), np.array(rates), np.append(np.array(blended, dtype=bool), False)
     at, positions, velocities, bent = (array[kept] for array in arrays)
-    return Trajectory(robot.configuration_names, at, positions, velocities, bent[:-1])._read_only()
+    return Trajectory(robot.configuration_names, at, positions, velocities, bent[:-1])
 
 
 # -- files --------------------------------------------------------------------------------------
 
 
-def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: str = "") -> Path:
+def with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: str = "") -> Path:
     """Check that a path has one of these extensions."""
     checked = _validate.path(path, "path")
     if checked.suffix.lower() not in endings:
         raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}{hint}")
     return checked
-
-
-def _listed(numbers: list[float]) -> str:
-    """Format a list in YAML, where a number with an exponent needs a decimal point."""
-    texts = (repr(number) for number in numbers)
-    return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"
 
 
 def _header(names: tuple[str, ...], bends: bool) -> list[str]:

@@ -95,6 +95,11 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
             raise InputError(f"parts: expected names, found {_validate.short(name)}")
         if not isinstance(robot, kind):
             raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
+        for other in parts:
+            if isinstance(other, str) and other.startswith(f"{name}/"):
+                raise InputError(
+                    f"parts: expected names that do not begin with another one and a slash, found {name!r}, {other!r}"
+                )
     if poses is not None and not isinstance(poses, Mapping):
         raise InputError(f"poses: expected a mapping from names to poses, found {_validate.short(poses)}")
     for name in poses or ():
