@@ -272,12 +272,14 @@ class PoseGoal:
         ]  # fmt: skip
         for k, q in enumerate(Q):
             found: dict[str, Floats] = {"approach": q[None], "retreat": q[None]}
-            kind, why = ("", "") if good[k] or may_touch else ("collide", _touching(judge, q))
+            kind, why = ("", "") if good[k] or may_touch else ("in collision", "")
             for name, given, of in lines:
                 if given is not None and not kind:
                     found[name], kind, why = _along(of, q, self.link, joints, given, name == "approach")
                     kind = kind and f"{kind} the {name}"
             if kind:
+                if kind == "in collision" and kind not in reasons:
+                    why = _touching(judge, q)
                 reasons.setdefault(kind, []).append(why)
                 continue
             kept.append(k)
@@ -372,14 +374,14 @@ def _along(
     T[:3, 3] += -way if to_goal else way
     u, Q, fault = followed(robot, chain_to(robot, link, joints), q, link, T)
     if fault is not None:
-        return Q, "cannot follow", fault[1].removeprefix("that ")
+        return Q, "unable to follow", fault[1].removeprefix("that ")
     if to_goal:
         u, Q = 1.0 - u[::-1], Q[::-1].copy()
     outer = Q[:1] if to_goal else Q[-1:]
     if len(judge.ready.ruled) and not free(judge.ready, outer.copy())[0]:
-        return Q, "are blocked on", f"contact where the line {'begins' if to_goal else 'ends'}"
+        return Q, "blocked on", f"contact where the line {'begins' if to_goal else 'ends'}"
     block = block_of(judge, u, Q)
-    return Q, "are blocked on" if block else "", block
+    return Q, "blocked on" if block else "", block
 
 
 def goals_of(
