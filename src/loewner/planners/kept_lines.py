@@ -9,12 +9,13 @@ import numpy as np
 
 from loewner import _elementary, _validate
 from loewner._kernels import columns, tolerances
-from loewner._matrices import dot, image, lengths, product
+from loewner._matrices import dot, lengths, product
 from loewner._rotations import quaternions_of
 from loewner._validate import Bools, Floats
 from loewner.errors import InputError
 from loewner.robots import Robot
 from loewner.robots.motion_tables import STRETCH
+from loewner.robots.reaching import Chain, refuse_far
 from loewner.robots.robot import chain_to
 
 # Tolerances below this [m, rad] are near the rounding of poses.
@@ -130,6 +131,7 @@ class KeptLine:
     def of(cls, robot: Robot, line: Line, rows: Floats) -> KeptLine:
         """Make the line between poses of the link at rows of a path, which begin and end with the line's ends."""
         chain = chain_to(robot, line.link)
+        refuse_far(chain, np.eye(4), rows)
         poses = robot.forward_kinematics(rows)[:, robot.link_names.index(line.link)]
         R, start, way = poses[:, :3, :3], poses[0, :3, 3], poses[-1, :3, 3] - poses[0, :3, 3]
         turns = quaternions_of(product(R, R[0].T))
@@ -140,10 +142,10 @@ class KeptLine:
         angle = float(angles[-1])
         if angle > LARGEST_ANGLE:
             raise InputError("line: expected a turn of less than half a turn, found half a turn; divide the line")
-        # Metres and radians count in units of their tolerances.
-        a, b = way / line.position**2, angle / line.rotation**2
-        size = float(dot(a, way)) + b * angle
-        u = (image(a[None], poses[:, :3, 3] - start)[:, 0] + b * angles) / size if size > 0 else np.zeros(len(rows))
+        # The nearest pose is that with the least sum of squares, in units of the tolerances.
+        ways = np.column_stack([(poses[:, :3, 3] - start) / line.position, angles / line.rotation])
+        size = float(dot(ways[-1], ways[-1]))
+        u = dot(ways, ways[-1]) / size if size > 0 else np.zeros(len(rows))
         x, y, z = axis
         skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         sine = product(skew, R[0])
@@ -254,7 +256,7 @@ def angle_of(chord: float) -> float:
     return float(2 * _elementary.arcsin(min(chord / (2 * np.sqrt(2)), 1.0)))
 
 
-def _steps(chain: Any) -> list[Step]:
+def _steps(chain: Chain) -> list[Step]:
     """List the vectors and the joints of a chain, see `robots.reaching`."""
     steps = []
     for link, constants in zip(chain.links.tolist(), chain.constants, strict=True):
