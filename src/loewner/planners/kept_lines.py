@@ -33,9 +33,9 @@ PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 @dataclass(frozen=True)
 class Line:
-    """Rows of a path on which a link follows a straight line: where `trajectory` is to keep the link on it.
+    """Rows of a path on which a link follows a straight line: `trajectory` then keeps the link on it.
 
-    The line leads from the pose of the link at the first of these rows to its pose at the last: the origin of the link
+    The line leads from the pose of the link at the first row to its pose at the last: the origin of the link
     moves along a straight line, and its rotation about a fixed axis, by the shorter way around, as for `straight`.
 
     Parameters
@@ -77,7 +77,7 @@ class Line:
 
 
 def checked_tolerance(x: Any, name: str) -> float:
-    """Check a largest deviation; that of a rotation is at most half a turn."""
+    """Check a largest deviation; a rotation deviates by half a turn at most."""
     value = _validate.positive_scalar(x, name)
     if value < LEAST_TOLERANCE:
         raise InputError(f"{name}: expected at least {LEAST_TOLERANCE:g}, which rounding allows, found {value:g}")
@@ -87,7 +87,7 @@ def checked_tolerance(x: Any, name: str) -> float:
 
 
 class Step(NamedTuple):
-    """A vector that is fixed in the frame so far, by its length, and what follows it: a slide, a turn, or nothing."""
+    """A vector that is fixed in the frame so far, by its length, and the joint after it: a slide, a turn, or none."""
 
     length: float
     kind: str
@@ -230,7 +230,7 @@ class KeptLine:
 
 
 def kept_lines(robot: Robot, line: Any, rows: Floats) -> list[Line]:
-    """Check an argument `line`; the rows are the path's, and those of the lines are counted from its start."""
+    """Check an argument `line`; numbers of rows are then counted from the start of the path."""
     given = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")
     made = [Line(each) if isinstance(each, str) else each for each in given]
     for k, each in enumerate(made):

@@ -132,7 +132,7 @@ def followed(
     Q : ndarray, shape (k, dof)
         Configurations at these fractions.
     fault : (str, str) or None
-        If the link cannot follow the line, what is expected of it and what was found, for messages.
+        For messages, if the link cannot follow the line: the expectation, and the fault.
     """
     target = targets_of(target[None])[0]
     refuse_far(chain, target, q)
@@ -172,7 +172,7 @@ def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
 def _fault(
     robot: Robot, chain: Chain, outcome: int, rows: Floats, q: Floats, link: str, kept: KeptAxis | None
 ) -> tuple[str, str]:
-    """Explain why the kernel cannot follow a line: what was expected of the link, and what was found."""
+    """Explain why the kernel cannot follow a line: return the expectation, and the fault."""
     if outcome == codes.HALF_TURN:
         raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
     if outcome == codes.TOO_FAR:

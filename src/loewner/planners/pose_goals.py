@@ -109,8 +109,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen, which collide only if there are too few free ones. With an approach or a retreat, only
-            those from which both are free.
+            At most sixteen, which collide only if there are too few free ones. An approach and a retreat,
+            if the goal has them, are free for all of them.
 
         Raises
         ------
@@ -339,7 +339,7 @@ class Approaches(NamedTuple):
 
 
 def _displacement(given: Any, name: str, sign: float) -> Displacement:
-    """Check an approach or a retreat; the sign is that of a distance along z."""
+    """Check an approach or a retreat; with the sign, a number is its displacement along z."""
     frame = "link"
     if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], str):
         frame, given = _validate.choice(given[0], f"{name}, frame", FRAMES), given[1]

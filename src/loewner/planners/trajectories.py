@@ -615,10 +615,10 @@ def trajectory(
     blend : float
         Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
         It has an effect only with a checker.
-    line : str, Line or iterable of these, optional
+    line : str, Line or iterable, optional
         Links that keep straight lines, as on a path from `straight`: the name of a link that keeps a line on the whole
-        path, within 0.1 mm and 1 mrad, or `Line` for rows of the path and other tolerances. The link provably stays
-        within the tolerances at every instant, on blends, too. At the ends of a line, the robot stops.
+        path, within 0.1 mm and 1 mrad; `Line` for rows of the path and other tolerances; or several. The link provably
+        stays within the tolerances at every instant, on blends, too. At the ends of a line, the robot stops.
 
     Returns
     -------
