@@ -46,11 +46,16 @@ def off_line(T0, T1, u, T):
 
 def strayed(robot, link, ends, Q, position, rotation):
     """Largest deviations of configurations from a line, as shares of the tolerances, at the nearest of many poses."""
-    T0, T1 = poses_of(robot, link, ends)
-    way, T = T1[:3, 3] - T0[:3, 3], poses_of(robot, link, Q)
-    guess = np.clip((T[:, :3, 3] - T0[:3, 3]) @ way / (way @ way), 0, 1)
+    (T0, T1), T = poses_of(robot, link, ends), poses_of(robot, link, Q)
+    way, turn = T1[:3, 3] - T0[:3, 3], Rotation.from_matrix(T1[:3, :3] @ T0[:3, :3].T).as_rotvec()
+    # The nearest pose is known either by the position or by the rotation, up to a tolerance.
+    if position * np.linalg.norm(turn) <= rotation * np.linalg.norm(way):
+        guess, reach = (T[:, :3, 3] - T0[:3, 3]) @ way / (way @ way), position / np.linalg.norm(way)
+    else:
+        turns = Rotation.from_matrix(T[:, :3, :3] @ T0[:3, :3].T).as_rotvec()
+        guess, reach = turns @ turn / (turn @ turn), rotation / np.linalg.norm(turn)
     worst = np.full(len(T), np.inf)
-    for shift in np.linspace(-position, position, 21) / np.linalg.norm(way):
+    for shift in np.linspace(-reach, reach, 101):
         off, turned = off_line(T0, T1, np.clip(guess + shift, 0, 1), T)
         angle = 2 * np.arcsin(np.minimum(np.linalg.norm(turned, axis=(1, 2)) / np.sqrt(8), 1.0))
         worst = np.minimum(worst, np.maximum(np.linalg.norm(off, axis=1) / position, angle / rotation))
@@ -160,7 +165,7 @@ def test_courses_are_divided_until_they_are_proven(slides):
 
 
 @pytest.mark.parametrize("kind", ARMS)
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(
     seed=st.integers(0, 2**32 - 1), tolerance=st.sampled_from([1e-4, 1e-3, 1e-2]), jerk=st.sampled_from([None, 50.0])
 )
@@ -174,11 +179,11 @@ def test_no_instant_strays(kind, seed, tolerance, jerk):
         path = straight(checker, q, link, T, position=tolerance, rotation=10 * tolerance)
     except PlanningError:
         return
-    line = Line(link, position=tolerance * (1 + 1e-6), rotation=10 * tolerance * (1 + 1e-6))
+    line = Line(link, position=tolerance, rotation=10 * tolerance)
     options = {"velocity": 1.0, "acceleration": 2.0, "jerk": jerk, "checker": checker}
     moved = trajectory(checker.robot, path, line=line, **options)
-    Q = moved.positions(np.append(np.linspace(0, moved.duration, 2000), moved.times))
-    assert strayed(robot, link, path[[0, -1]], Q, tolerance, 10 * tolerance) <= 1 + 1e-3  # fractions have steps
+    Q = moved.positions(np.append(np.linspace(0, moved.duration, 500), moved.times))
+    assert strayed(robot, link, path[[0, -1]], Q, tolerance, 10 * tolerance) <= 1 + 1e-2  # fractions have steps
     assert len(moved.stops) == 0
     assert moved.duration <= trajectory(checker.robot, path, **options).duration * (1 + 1e-9)
     if len(path) > 2:
@@ -200,7 +205,7 @@ def test_an_approach_of_a_panda_does_not_stop(panda):
         assert (len(moved.stops), len(moved.blends)) == (0, len(path) - 2)
         assert moved.duration < 0.5 * stopping.duration
         assert inside(moved).max(axis=1).min() > 1e-3
-        Q = moved.positions(np.linspace(0, moved.duration, 5000))
+        Q = moved.positions(np.linspace(0, moved.duration, 1000))
         assert strayed(robot, "panda_hand", path[[0, -1]], Q, 1e-4, 1e-3) <= 1
 
 
