@@ -220,7 +220,7 @@ def test_a_plate_in_the_bulge(robot, chords):
         t = np.linspace(0, 1, 20001)[:, None]
         hit = checker.collide((1 - t) ** 2 * FIRST + 2 * t * (1 - t) * CORNER + t**2 * LAST).any()
         assert hit == blocked
-        free = trajectories._free(Judge.of(checker, 0.0), FIRST, CORNER, LAST, np.zeros((1, 3)))
+        free = Judge.of(checker, 0.0).proven(np.stack([FIRST, CORNER, LAST], axis=1))
         assert free[0] == (not blocked)
 
 
@@ -237,7 +237,7 @@ def test_blends_of_an_arm(rng):
     first = np.repeat(free_configurations(checker, 60), 5, axis=0)
     corner = steps(arm, rng, first, 0.4)
     last = steps(arm, rng, corner, 0.4)
-    free = trajectories._free(Judge.of(checker, 0.0), first, corner, last, np.zeros_like(first))
+    free = Judge.of(checker, 0.0).proven(np.stack([first, corner, last], axis=1))
     assert free.any()
     hit = checker.collide(sampled(first, corner, last, 1000)).any(axis=0)
     assert hit.any()

@@ -378,7 +378,7 @@ def joint_limits() -> planners.JointLimits:
 
 
 def pose_goal() -> planners.PoseGoal:
-    return planners.PoseGoal("ball", translation(-0.5, 0.5))
+    return planners.PoseGoal("ball", translation(-0.5, 0.5), approach=[0.0, 0.125, 0.0], retreat=[0.0, -0.125, 0.0])
 
 
 def roadmap() -> planners.Roadmap:
@@ -1192,8 +1192,17 @@ CALLS: dict[str, Call] = {
             ),
             "tolerance": array([0.125, 0.125, 0.0, 0.25, 0.25, 0.5], NONE, FINITE, "one inf"),
             "seeds": count(8),
+            "approach": array([0.0, 0.125, 0.0], NONE, "one 5e-324", "5e-324"),
+            "retreat": array([0.0, -0.125, 0.0], NONE, "one 5e-324", "5e-324"),
         },
     ),
+    **{
+        f"planners.PoseGoal.{name}": Call(
+            on(pose_goal, name),
+            {"checker": arg(checker), "q": array([-0.5, 0.5, 0.0], FINITE), "joints": arg("y", NONE)},
+        )
+        for name in ("approach_path", "retreat_path")
+    },
     "planners.PoseGoal.configurations": Call(
         on(pose_goal, "configurations"),
         {"checker": arg(checker), "start": array(PATH[0], FINITE), "joints": arg("y", NONE)},
@@ -1243,6 +1252,17 @@ CALLS: dict[str, Call] = {
             "limits": arg(joint_limits, NONE),
             "checker": arg(checker, NONE),
             "blend": arg(0.25, ZERO, "5e-324"),
+            "line": arg(lambda: planners.Line("ball", 0, 1), NOTHING),
+        },
+    ),
+    "planners.Line": Call(
+        lambda **given: planners.trajectory(robot(), PATH, velocity=1.0, line=planners.Line(**given)),
+        {
+            "link": arg("ball"),
+            "first": count(0, "0"),
+            "last": count(1, "-1"),
+            "position": positive(1e-3),
+            "rotation": positive(1e-3),
         },
     ),
     "planners.Trajectory.positions": Call(on(moved, "positions"), {"t": TIMES}),

@@ -4,6 +4,7 @@ from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.coordination import coordinate
 from loewner.planners.improving import Plan
 from loewner.planners.joint_limits import JointLimits
+from loewner.planners.kept_lines import Line
 from loewner.planners.lines import straight
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
@@ -14,6 +15,7 @@ from loewner.planners.trajectories import Trajectory, trajectory
 __all__ = [
     "ControllerPoints",
     "JointLimits",
+    "Line",
     "Plan",
     "PoseGoal",
     "Roadmap",

@@ -90,6 +90,10 @@ class Plan(KeepsReadOnly):
     clearance : float or None
         Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 points or more of
         the path; infinite if there are no such bodies. None unless a clearance was requested.
+    approach : int or None
+        The row of the path at which the approach of a `PoseGoal` begins, if it has one.
+    retreat : ndarray, shape (k, dof), or None
+        The path of its retreat, from the end of the path.
 
     Examples
     --------
@@ -107,6 +111,8 @@ class Plan(KeepsReadOnly):
     seconds: float
     proof: Proof | None = None
     clearance: float | None = None
+    approach: int | None = None
+    retreat: Floats | None = None
 
     @property
     def gap(self) -> float:

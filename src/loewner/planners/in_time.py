@@ -178,7 +178,9 @@ def plan_in_time(
         raise InputError(
             f"start_time: expected a robot whose values run straight, found a floating or ball joint in {robot.name!r}"
         )
-    q, goals, names = checked_ends(still, start, goal, joints)
+    if isinstance(goal, PoseGoal) and not (goal.approach is None and goal.retreat is None):
+        raise InputError("goal: expected no approach or retreat in a plan in time, found one; plan them by themselves")
+    q, goals, names, _ = checked_ends(still, start, goal, joints)
     space, judge_of_still = Space.of_start(still, joints, q, goals), Judge.of(still, 0.0, joint_error)
     judge = _judge(checker, space, times, joint_error)
     first = np.append(q, 0.0)

@@ -15,7 +15,6 @@ from loewner import _elementary
 from loewner._kernels import tolerances
 from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import InputError
-from loewner.planners.judge import Judge
 from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
 from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
 
@@ -104,14 +103,15 @@ class JerkLimited(NamedTuple):
         edges = [ramp(1.0, limits) for limits in self.across]
         return np.array([edge + flat / 2 for edge, flat in edges])
 
-    def free(self, judge: Judge, halves: Floats, astray: Floats) -> Bools:
-        """Return which blends of given sizes are proven free, including deviations of up to `astray` and rounding."""
+    def extended(self, column: Floats) -> JerkLimited:
+        """Append a column to the configurations, which has no limits."""
+        return self._replace(straights=self.straights.extended(column))
+
+    def courses(self, halves: Floats) -> Floats:
+        """Return the blends of given sizes as courses of cubics, shape (corners, 3, 4, columns)."""
         knots, ways, shares = self._bends(halves)
         before, after = ways[:, :-1] * shares / 3, ways[:, 1:] * shares / 3
-        courses = np.stack([knots[:, :-1], knots[:, :-1] + before, knots[:, 1:] - after, knots[:, 1:]], axis=2)
-        courses = courses.reshape(-1, *courses.shape[2:])
-        off = CUBIC_ROUNDINGS * np.abs(courses).max(axis=1) + np.repeat(astray, 3, axis=0)
-        return np.asarray(judge.proven(courses, off).reshape(-1, 3).all(axis=1))
+        return np.stack([knots[:, :-1], knots[:, :-1] + before, knots[:, 1:] - after, knots[:, 1:]], axis=2)
 
     def duration(self, halves: Floats) -> float:
         """Compute the total duration in seconds."""

@@ -16,7 +16,7 @@ from loewner._kernels import columns as tree_columns
 from loewner._nodes import Node, read_yaml, some
 from loewner._plausible import doubt_about_limits, doubt_about_velocity, warn
 from loewner._read_only import KeepsReadOnly
-from loewner._validate import Bools, Floats
+from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
 
@@ -380,3 +380,20 @@ def _turning(robot: Robot) -> Bools:
     turning[column[kind == tree_columns.REVOLUTE]] = True
     turning[column[(kind != tree_columns.REVOLUTE) & (kind != tree_columns.FIXED)]] = False
     return turning
+
+
+def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Widen ranges of columns to the start of a motion, with a warning, if it is within the hard limits."""
+    values = q[columns]
+    outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
+    hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)
+    at = np.flatnonzero(outside & hard)
+    if len(at) == 0:
+        return lower, upper
+    named = ", ".join(
+        f"{robot.configuration_names[columns[k]]} = {values[k]:g} outside {lower[k]:g} .. {upper[k]:g}" for k in at
+    )
+    warn(f"start: expected a configuration within the soft limits, found {named}; it is within the hard limits")
+    lower, upper = lower.copy(), upper.copy()
+    lower[at], upper[at] = np.minimum(lower[at], values[at]), np.maximum(upper[at], values[at])
+    return lower, upper

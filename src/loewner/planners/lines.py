@@ -13,11 +13,11 @@ from loewner._guard import guarded
 from loewner._kernels import codes, columns
 from loewner._native import entries
 from loewner._validate import Floats
-from loewner.errors import InputError, LoewnerError, PlanningError
-from loewner.planners.joint_limits import ON_LIMIT
+from loewner.errors import InputError, PlanningError
+from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.kept_axes import KeptAxis
-from loewner.planners.space import with_start
+from loewner.planners.kept_lines import checked_tolerance, chord_of
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
@@ -25,8 +25,8 @@ from loewner.robots.proofs import prove_by_rules
 from loewner.robots.reaching import Chain, refuse_far, refuse_unsteady, targets_of
 from loewner.robots.robot import chain_to
 
-# Tolerances below this [m, rad] are near the rounding of poses.
-LEAST_TOLERANCE = 1e-9
+# Largest deviations from a line [m, rad], unless others are given.
+POSITION, ROTATION = 1e-4, 1e-3
 
 # Singular values of the Jacobian [m, rad] below this count as singular in messages.
 SINGULAR = 0.02
@@ -39,8 +39,8 @@ def straight(
     link: str,
     T: ArrayLike,
     *,
-    position: float = 1e-4,
-    rotation: float = 1e-3,
+    position: float = POSITION,
+    rotation: float = ROTATION,
     joints: str | Iterable[str] | None = None,
     keep: tuple[str | ArrayLike, ArrayLike, float] | None = None,
 ) -> Floats:
@@ -100,34 +100,51 @@ def straight(
            [0.5, 1. ]])
     """
     robot = checked_checker(checker).robot
-    position = _at_least(LEAST_TOLERANCE, position, "position")
-    rotation = _at_least(LEAST_TOLERANCE, rotation, "rotation")
-    if rotation > np.pi:
-        raise InputError(f"rotation: expected radians, at most π, found {rotation:g}; is it in degrees?")
+    position, rotation = checked_tolerance(position, "position"), checked_tolerance(rotation, "rotation")
     q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
-    target = targets_of(_validate.pose(T, "T")[None])[0]
+    target = _validate.pose(T, "T")
     chain = chain_to(robot, link, joints)
-    refuse_far(chain, target, q)
-    chain = _from_start(robot, chain, q, link)
     judge = Judge.of(checker, 0.0)
-    wanted = np.array([position, 2 * np.sqrt(2) * _elementary.sin(rotation / 2), -np.inf, *np.zeros(6)])
-    if kept is not None:
-        wanted[2:] = _elementary.cos(kept.angle), *kept.axis, *kept.direction
-    outcome, rows = entries.follow_line(*chain[:3], q[chain.columns], target, wanted)
-    if outcome != codes.FOLLOWED:
-        raise _unfollowed(robot, chain, outcome, rows, q, link, kept)
-    Q = np.repeat(q[None], len(rows), axis=0)
-    Q[:, chain.columns] = rows[:, 2:]
-    _refuse_collisions(judge, rows[:, 0], Q, link)
+    u, Q, fault = followed(robot, chain, q, link, target, position, rotation, kept)
+    if fault is not None:
+        raise PlanningError(f"line: expected {link} {fault[0]}, found {fault[1]}")
+    if block := block_of(judge, u, Q):
+        raise PlanningError(f"line: expected a free line of {link}, found that {block}")
     return Q
 
 
-def _at_least(least: float, x: Any, name: str) -> float:
-    """Check a tolerance."""
-    value = _validate.positive_scalar(x, name)
-    if value < least:
-        raise InputError(f"{name}: expected at least {least:g}, which rounding allows, found {value:g}")
-    return value
+def followed(
+    robot: Robot,
+    chain: Chain,
+    q: Floats,
+    link: str,
+    target: Floats,
+    position: float = POSITION,
+    rotation: float = ROTATION,
+    kept: KeptAxis | None = None,
+) -> tuple[Floats, Floats, tuple[str, str] | None]:
+    """Follow the line from the pose of a link to a target; collisions are not considered.
+
+    Returns
+    -------
+    u : ndarray, shape (k,)
+        Fractions of the line.
+    Q : ndarray, shape (k, dof)
+        Configurations at these fractions.
+    fault : (str, str) or None
+        For messages, if the link cannot follow the line: the expectation, and the fault.
+    """
+    target = targets_of(target[None])[0]
+    refuse_far(chain, target, q)
+    chain = _from_start(robot, chain, q, link)
+    wanted = np.array([position, chord_of(rotation), -np.inf, *np.zeros(6)])
+    if kept is not None:
+        wanted[2:] = _elementary.cos(kept.angle), *kept.axis, *kept.direction
+    outcome, rows = entries.follow_line(*chain[:3], q[chain.columns], target, wanted)
+    fault = None if outcome == codes.FOLLOWED else _fault(robot, chain, outcome, rows, q, link, kept)
+    Q = np.repeat(q[None], len(rows), axis=0)
+    Q[:, chain.columns] = rows[:, 2:]
+    return rows[:, 0], Q, fault
 
 
 def _kept(keep: Any) -> KeptAxis:
@@ -152,19 +169,19 @@ def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
     return chain._replace(ranges=ranges)
 
 
-def _unfollowed(
+def _fault(
     robot: Robot, chain: Chain, outcome: int, rows: Floats, q: Floats, link: str, kept: KeptAxis | None
-) -> LoewnerError:
-    """Make the error for a line that the kernel cannot follow."""
+) -> tuple[str, str]:
+    """Explain why the kernel cannot follow a line: return the expectation, and the fault."""
     if outcome == codes.HALF_TURN:
-        return InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
+        raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
     if outcome == codes.TOO_FAR:
-        return InputError("T: expected a line of at most 10 km; go by a pose in between")
+        raise InputError("T: expected a line of at most 10 km; go by a pose in between")
     if kept is not None and outcome == codes.TILTED:
         u, cosine = rows[-2:][rows[-2:, 1].argmin(), :2]
-        return PlanningError(
-            f"line: expected {link} to keep within {kept.angle:g} rad of the direction on the whole line, found "
-            f"{np.arccos(np.clip(cosine, -1, 1)):.6g} rad at the fraction {u:.4g}"
+        return (
+            f"to keep within {kept.angle:g} rad of the direction on the whole line",
+            f"{np.arccos(np.clip(cosine, -1, 1)):.6g} rad at the fraction {u:.4g}",
         )
     last = q.copy()
     last[chain.columns] = rows[-2, 2:]
@@ -177,8 +194,8 @@ def _named(robot: Robot, chain: Chain, which: Floats, q: Floats) -> str:
     return ", ".join(f"{robot.configuration_names[k]} = {q[k]:.6g}" for k in places)
 
 
-def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> PlanningError:
-    """Make the error for a line that cannot be followed beyond a fraction."""
+def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> tuple[str, str]:
+    """Explain why a line cannot be followed beyond a fraction."""
     values, (least, most) = q[chain.columns], chain.ranges[[columns.LEAST, columns.MOST]]
     room = np.minimum(1e-2, 0.01 * (most - least))
     limited = (values - least < room) | (most - values < room)
@@ -191,33 +208,27 @@ def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> Plan
             f"singular value of the Jacobian {smallest:.2g})"
         )  # fmt: skip
     why = "; ".join(reasons) or "the joints would have to jump"
-    return PlanningError(
-        f"line: expected {link} to follow the line to its end, found that it cannot go on beyond the fraction {u:.4g}: "
-        f"{why}"
-    )
+    return "to follow the line to its end", f"that it cannot go on beyond the fraction {u:.4g}: {why}"
 
 
-def _refuse_collisions(judge: Judge, u: Floats, Q: Floats, link: str) -> None:
-    """Raise an error unless all motions are proven free, by the scene's rules on contact at the ends where needed."""
+def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
+    """Explain which motion of a line is not free, by the scene's rules on contact at the ends where needed; else ""."""
     left = np.flatnonzero(~judge.free(Q[:-1], Q[1:]))
     if len(left) == 0:
-        return
-    found = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE)
+        return ""
+    if judge.kept is not None and not judge.kept.on(Q[:-1], Q[1:]).all():
+        return "the axis does not keep its direction"
+    found = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE, judge.joint_error)
     if (found.verdicts == Verdict.FREE).all():
         rows = np.setdiff1d(np.append(left, left + 1), [0, len(Q) - 1])
         if (deeper := deeper_than_ends(judge.ready, Q, rows, TOLERANCE)) is not None:
             row, pair = deeper
             a, b = (judge.ready.names[k] for k in judge.ready.pairs[pair])
-            raise PlanningError(
-                f"line: expected contacts that get no deeper than at its ends, found {a} and {b} deeper "
-                f"at the fraction {u[row]:.4g}"
-            )
-        return
+            return f"{a} and {b} get into deeper contact than at the ends, at the fraction {u[row]:.4g}"
+        return ""
     found.expect_short(Q[left], Q[left + 1])
     worst, told = int((found.verdicts != Verdict.FREE).argmax()), found.of_shape((len(left),), judge.ready)
     k, (a, b) = left[worst], told.names[worst]
     how = "collide" if told.verdict[worst] == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
-    raise PlanningError(
-        f"line: expected a free line of {link}, found that {a} and {b} {how} at the fraction "
-        f"{u[k] + told.fraction[worst] * (u[k + 1] - u[k]):.4g}{judge.how_surfaces_are_seen(told.names[worst])}"
-    )
+    fraction = u[k] + told.fraction[worst] * (u[k + 1] - u[k])
+    return f"{a} and {b} {how} at the fraction {fraction:.4g}{judge.how_surfaces_are_seen(told.names[worst])}"

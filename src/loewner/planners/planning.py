@@ -263,9 +263,10 @@ def plan(
             checker, start, goal, times, joints=joints, joint_error=joint_error, max_iterations=max_iterations,
             timeout=timeout, simplify=simplify, seed=seed,
         )  # fmt: skip
-    q, goals, names = checked_ends(checker, start, goal, joints)
     kept = None if keep is None else _kept(keep, robot, joints, make is None)
-    space, judge = Space.of_start(checker, joints, q, goals), Judge.of(checker, step, joint_error, kept)
+    judge = Judge.of(checker, step, joint_error, kept)
+    q, goals, names, approaches = checked_ends(checker, start, goal, joints, judge)
+    space, begins = Space.of_start(checker, joints, q, goals), goals
     model = model_of(judge.ready) if proof else None
     ends = Departures.of(space, judge, q, goals)
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
@@ -282,11 +283,15 @@ def plan(
             clearing = better.clearing(judge)
             found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
     path = ends.joined(found)
+    follows: dict[str, Any] = {}
+    if approaches is not None:
+        path, row, retreat = approaches.joined(judge, path, space.unwound(path[-1], begins))
+        follows = {"approach": row, "retreat": retreat}
     if kept is not None and not kept.on(path[:-1], path[1:]).all():
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     if better is None or not full:
         return path
-    made = better.plan(path, ends, goals, rounds, posed, clearing)
+    made = replace(better.plan(path, ends, goals, rounds, posed, clearing), **follows)
     if model is None:
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error

@@ -1,25 +1,32 @@
-"""Define `PoseGoal`, a pose of a link as the goal of a path."""
+"""Define `PoseGoal`, a pose of a link as the goal of a path, with straight lines to it and away from it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._validate import Floats
+from loewner._matrices import image
+from loewner._validate import Bools, Floats
 from loewner.errors import InputError, PlanningError
-from loewner.planners.judge import checked_checker
+from loewner.planners.judge import Judge, checked_checker, refuse_unfree
+from loewner.planners.lines import block_of, followed
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.reaching import MOST_SEEDS, checked_tolerance
 from loewner.robots.robot import chain_to
+from loewner.robots.verdicts import contacts, free
 
 # Configurations that are tried as goals at most: free ones first, then those nearest to the start.
 MOST_GOALS = 16
+
+# A displacement: "link" or "world" for the frame of its vector, shape (3,) [m].
+Displacement = tuple[str, Floats]
+FRAMES = ("link", "world")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +42,17 @@ class PoseGoal:
         Largest deviations from a pose, as for `Robot.reach`.
     seeds : int
         As for `Robot.reach`: more find more of the configurations.
+    approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
+        Straight lines of the link to the goal and away from it, each as the link's displacement in metres: a vector in
+        the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A number is a distance
+        along the link's z axis: an approach goes forward, a retreat back. The link keeps its rotation.
+
+    Notes
+    -----
+    Only configurations count from which both lines can be followed, as by `straight`, and are proven free. The path of
+    `plan` ends with the approach; with ``full=True``, `Plan.approach` is the row at which it begins, and `Plan.retreat`
+    is the path of the retreat. Lines are proven in the scene as it is for the plan: after a change of the scene, such
+    as `Scene.attach`, `retreat_path` proves the retreat again.
 
     Examples
     --------
@@ -44,12 +62,21 @@ class PoseGoal:
     >>> planners.plan(CollisionChecker(robot), [0.0, 0.0], planners.PoseGoal("forearm", pose)).round(9)
     array([[0. , 0. ],
            [1. , 0.5]])
+    >>> pose = robot.forward_kinematics([1.0, 0.5])[1]
+    >>> goal = planners.PoseGoal("cart", pose, approach=[0.25, 0.0, 0.0], retreat=("world", [-0.5, 0.0, 0.0]))
+    >>> found = planners.plan(CollisionChecker(robot), [0.0, 0.0], goal, full=True)
+    >>> found.path[found.approach :].round(9), found.retreat.round(9)
+    (array([[0.75, 0.  ],
+           [1.  , 0.  ]]), array([[1. , 0. ],
+           [0.5, 0. ]]))
     """
 
     link: str
     T: ArrayLike
     tolerance: ArrayLike | None = None
     seeds: int = 64
+    approach: float | ArrayLike | tuple[str, ArrayLike] | None = None
+    retreat: float | ArrayLike | tuple[str, ArrayLike] | None = None
 
     def __post_init__(self) -> None:
         poses = _validate.poses(self.T, "T")
@@ -61,6 +88,9 @@ class PoseGoal:
         if self.tolerance is not None:
             checked_tolerance(self.tolerance)
         _validate.whole_number(self.seeds, "seeds", 1, MOST_SEEDS)
+        for name, sign in (("approach", 1.0), ("retreat", -1.0)):
+            given = getattr(self, name)
+            object.__setattr__(self, name, None if given is None else _displacement(given, name, sign))
 
     @guarded
     def configurations(
@@ -79,21 +109,118 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen, which collide only if there are too few free ones.
+            At most sixteen, which collide only if there are too few free ones. An approach and a retreat,
+            if the goal has them, are free for all of them.
 
         Raises
         ------
         PlanningError
-            If no pose is reached; the message states how near the link came.
+            If no pose is reached, the message states how near the link came; if no configuration has a free approach
+            and retreat, it counts the reasons.
         InputError, UnknownNameError
             As for `Robot.reach`.
         """
-        return self._found(checker, start, joints)[0]
+        Q, _, approaches = self._found(checker, start, joints, None)
+        return Q if approaches is None else np.array([rows[-1] for rows in approaches.rows])
+
+    @guarded
+    def approach_path(
+        self, checker: CollisionChecker, q: ArrayLike, joints: str | Iterable[str] | None = None
+    ) -> Floats:
+        """Find the straight approach to a configuration, proven free in the current scene.
+
+        Parameters
+        ----------
+        checker : CollisionChecker
+        q : array_like, shape (dof,)
+            The configuration at the goal.
+        joints : str or iterable of str, optional
+            As for `straight`.
+
+        Returns
+        -------
+        ndarray, shape (k, dof)
+            Configurations that end with `q`.
+
+        Raises
+        ------
+        InputError
+            If the goal has no approach; or as for `straight`.
+        PlanningError
+            If the link cannot follow the line, or it is not free.
+        UnknownNameError
+            As for `straight`.
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot, planners
+        >>> goal = planners.PoseGoal("cart", np.eye(4), approach=[0.5, 0, 0])
+        >>> goal.approach_path(CollisionChecker(Robot.from_urdf("arm.urdf")), [1.0, 0.0]).round(9)
+        array([[0.5, 0. ],
+               [1. , 0. ]])
+        """
+        return self._line(checker, q, joints, "approach")
+
+    @guarded
+    def retreat_path(
+        self, checker: CollisionChecker, q: ArrayLike, joints: str | Iterable[str] | None = None
+    ) -> Floats:
+        """Find the straight retreat from a configuration, proven free in the current scene.
+
+        Parameters
+        ----------
+        checker : CollisionChecker
+        q : array_like, shape (dof,)
+            The configuration at the goal, or one like it, with the fingers opened.
+        joints : str or iterable of str, optional
+            As for `straight`.
+
+        Returns
+        -------
+        ndarray, shape (k, dof)
+            Configurations that begin with `q`.
+
+        Raises
+        ------
+        InputError
+            If the goal has no retreat; or as for `straight`.
+        PlanningError
+            If the link cannot follow the line, or it is not free.
+        UnknownNameError
+            As for `straight`.
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot, planners
+        >>> goal = planners.PoseGoal("cart", np.eye(4), retreat=("world", [0.5, 0, 0]))
+        >>> goal.retreat_path(CollisionChecker(Robot.from_urdf("arm.urdf")), [1.0, 0.0]).round(9)
+        array([[1. , 0. ],
+               [1.5, 0. ]])
+        """
+        return self._line(checker, q, joints, "retreat")
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _line(self, checker: CollisionChecker, q: ArrayLike, joints: str | Iterable[str] | None, name: str) -> Floats:
+        """Find the approach or the retreat."""
+        robot = checked_checker(checker).robot
+        given = getattr(self, name)
+        if given is None:
+            raise InputError(f"{name}: expected PoseGoal(..., {name}=...), found none")
+        rows, kind, why = _along(
+            Judge.of(checker, 0.0), robot.checked_one(q, "q"), self.link, joints, given, name == "approach"
+        )
+        if kind:
+            raise PlanningError(f"{name}: expected a free line that {self.link} can follow, found that {why}")
+        return rows
 
     def _found(
-        self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None
-    ) -> tuple[Floats, list[str]]:
-        """Find the configurations, and name each for messages: its pose, and its number among the pose's solutions."""
+        self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None, judge: Judge | None
+    ) -> tuple[Floats, list[str], Approaches | None]:
+        """Find the configurations, and name each for messages: its pose, and its number among the pose's solutions.
+
+        With an approach or a retreat, return the configurations where approaches begin.
+        """
         robot, poses = checked_checker(checker).robot, np.asarray(self.T).reshape(-1, 4, 4)
         begin = robot.checked_one(start, "start")
         found = robot.reach(
@@ -116,28 +243,161 @@ class PoseGoal:
                 f"of {self.seeds + 1} is {1e3 * shift:.3g} mm and {turn:.3g} rad away"
                 + (f" from pose {nearest}" if len(poses) > 1 else "")
             )
-        free = np.concatenate([np.arange(len(x)) < n for x, n in zip(found.solutions, found.free, strict=True)])
-        order = np.lexsort((np.linalg.norm(Q - begin, axis=1), ~free))
+        good = np.concatenate([np.arange(len(x)) < n for x, n in zip(found.solutions, found.free, strict=True)])
+        order = np.lexsort((np.linalg.norm(Q - begin, axis=1), ~good))
         names = [
             f"solution {k} of pose {pose}" for pose, of_it in enumerate(found.solutions) for k in range(len(of_it))
         ]
-        return np.asarray(Q[order[:MOST_GOALS]]), [names[k] for k in order[:MOST_GOALS]]
+        if self.approach is None and self.retreat is None:
+            return np.asarray(Q[order[:MOST_GOALS]]), [names[k] for k in order[:MOST_GOALS]], None
+        judge = Judge.of(checker, 0.0) if judge is None else judge
+        kept, approaches = self._with_lines(judge, Q[order], good[order], joints)
+        return np.array([rows[0] for rows in approaches.rows]), [names[order[k]] for k in kept], approaches
+
+    def _with_lines(
+        self, judge: Judge, Q: Floats, good: Bools, joints: str | Iterable[str] | None
+    ) -> tuple[list[int], Approaches]:
+        """Find the first configurations from which the approach and the retreat are free.
+
+        Raises
+        ------
+        PlanningError
+            If there are none; the message counts the reasons.
+        """
+        kept: list[int] = []
+        made, reasons = Approaches([], []), dict[str, list[str]]()
+        may_touch = judge.joint_error is None and len(judge.ready.ruled) > 0
+        lines: list[tuple[str, Any, Judge]] = [
+            ("approach", self.approach, judge), ("retreat", self.retreat, replace(judge, kept=None))
+        ]  # fmt: skip
+        for k, q in enumerate(Q):
+            found: dict[str, Floats] = {"approach": q[None], "retreat": q[None]}
+            kind, why = ("", "") if good[k] or may_touch else ("in collision", "")
+            for name, given, of in lines:
+                if given is not None and not kind:
+                    found[name], kind, why = _along(of, q, self.link, joints, given, name == "approach")
+                    kind = kind and f"{kind} the {name}"
+            if kind:
+                if kind == "in collision" and kind not in reasons:
+                    why = _touching(judge, q)
+                reasons.setdefault(kind, []).append(why)
+                continue
+            kept.append(k)
+            made.rows.append(found["approach"])
+            made.retreats.append(None if self.retreat is None else found["retreat"])
+            if len(kept) == MOST_GOALS:
+                break
+        if kept:
+            return kept, made
+        wanted = " and ".join(name for name, given, _ in lines if given is not None)
+        told = ", ".join(f"{len(whys)} {kind}" + (f" ({whys[0]})" if whys[0] else "") for kind, whys in reasons.items())
+        raise PlanningError(
+            f"goal: expected a configuration with a free {wanted} of {self.link}, found {len(Q)} that reach the goal: "
+            f"{told}"
+        )
+
+
+class Approaches(NamedTuple):
+    """Straight lines that follow paths to the goals of a `PoseGoal`.
+
+    Attributes
+    ----------
+    rows : list of ndarray, shape (k, dof)
+        For each goal, the approach; a single configuration if there is none.
+    retreats : list of ndarray, shape (k, dof), or None
+        Likewise, the retreats.
+    """
+
+    rows: list[Floats]
+    retreats: list[Floats | None]
+
+    def joined(self, judge: Judge, path: Floats, goals: Floats) -> tuple[Floats, int | None, Floats | None]:
+        """Append an approach to a path; also return the row at which it begins, if there is one, and the retreat.
+
+        Parameters
+        ----------
+        judge : Judge
+        path : ndarray, shape (k, dof)
+        goals : ndarray, shape (goals, dof)
+            The goals, whole turns nearer to the end of the path where joints have no limits.
+
+        Raises
+        ------
+        PlanningError
+            If a line is not proven after these turns, which round, or in another state of the scene.
+        """
+        k, judge = int(np.abs(goals - path[-1]).max(axis=1).argmin()), replace(judge, kept=None)
+        turns, retreat = goals[k] - self.rows[k][0], self.retreats[k]
+        approach = np.concatenate([path[-1:], self.rows[k][1:] + turns])
+        if retreat is not None:
+            retreat = retreat + turns
+            refuse_unfree(judge, retreat, "retreat")
+        if len(approach) == 1:
+            return path, None, retreat
+        refuse_unfree(judge, approach, "approach")
+        return np.concatenate([path, approach[1:]]), len(path) - 1, retreat
+
+
+def _displacement(given: Any, name: str, sign: float) -> Displacement:
+    """Check an approach or a retreat; with the sign, a number is its displacement along z."""
+    frame = "link"
+    if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], str):
+        frame, given = _validate.choice(given[0], f"{name}, frame", FRAMES), given[1]
+    elif isinstance(given, int | float | np.number):
+        given = [0.0, 0.0, sign * _validate.positive_scalar(given, name)]
+    vector = _validate.finite_array(given, name, (3,))
+    if not vector.any():
+        raise InputError(f"{name}: expected a displacement other than 0, found {_validate.short(given)}")
+    return frame, vector.copy()
+
+
+def _touching(judge: Judge, q: Floats) -> str:
+    """Name a pair of bodies that are in contact."""
+    return "".join(f"{contact.name_a} and {contact.name_b}" for contact in contacts(judge.ready, q)[0][:1])
+
+
+def _along(
+    judge: Judge, q: Floats, link: str, joints: Any, given: Displacement, to_goal: bool
+) -> tuple[Floats, str, str]:
+    """Follow a displacement that ends or begins at a configuration.
+
+    Returns
+    -------
+    ndarray, shape (k, dof)
+        In the order of the motion.
+    str, str
+        If it is not free, a heading for the message and the reason.
+    """
+    robot, (frame, vector) = judge.checker.robot, given
+    T = robot.forward_kinematics(q)[robot.link_names.index(link)].copy()
+    way = vector if frame == "world" else image(T[:3, :3], vector)
+    T[:3, 3] += -way if to_goal else way
+    u, Q, fault = followed(robot, chain_to(robot, link, joints), q, link, T)
+    if fault is not None:
+        return Q, "unable to follow", fault[1].removeprefix("that ")
+    if to_goal:
+        u, Q = 1.0 - u[::-1], Q[::-1].copy()
+    outer = Q[:1] if to_goal else Q[-1:]
+    if len(judge.ready.ruled) and not free(judge.ready, outer.copy())[0]:
+        return Q, "blocked on", f"contact where the line {'begins' if to_goal else 'ends'}"
+    block = block_of(judge, u, Q)
+    return Q, "blocked on" if block else "", block
 
 
 def goals_of(
-    goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None
-) -> tuple[Any, list[str] | None]:
+    goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None, judge: Judge | None
+) -> tuple[Any, list[str] | None, Approaches | None]:
     """Return the configurations of a goal that is given by poses with their names, and any other goal as it is."""
     robot = checker.robot
     if isinstance(goal, PoseGoal):
-        return goal._found(checker, start, joints)
+        return goal._found(checker, start, joints, judge)
     shape = _validate.plain_array(goal, "goal").shape
     if shape[-2:] == (4, 4) and robot.dof != 4:
         raise InputError(
             f"goal: expected configurations, shape ({robot.dof},) or (goals, {robot.dof}), or for poses of a link "
             f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(shape)}"
         )
-    return goal, None
+    return goal, None, None
 
 
 def joints_of(goal: PoseGoal, robot: Robot) -> list[str]:

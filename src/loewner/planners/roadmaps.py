@@ -325,17 +325,20 @@ class Roadmap(KeepsReadOnly):
                [2., 0.]])
         """
         simplify = _validate.flag(simplify, "simplify")
-        q, goals, names = checked_ends(self.checker, start, goal, self.joint_names)
+        judge = Judge.of(self.checker, 0.0, joint_error)
+        q, goals, names, approaches = checked_ends(self.checker, start, goal, self.joint_names, judge)
+        begins = goals
         # Where a joint has no limits, they follow from start and goals.
         space = Space.of_start(self.checker, self.joint_names, q, goals)
         if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
-        judge = Judge.of(self.checker, 0.0, joint_error)
         goals = space.checked_goals(q, goals, judge, names)
         while (found := self._found(judge, q, goals)) is None:
             pass  # the verdicts of the motions are outdated
         judge, rows = found
-        return compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed) if simplify else rows
+        if simplify:
+            rows = compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed)
+        return rows if approaches is None else approaches.joined(judge, rows, space.unwound(rows[-1], begins))[0]
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the roadmap to a file, marking the motions that are free in the scene's current state.

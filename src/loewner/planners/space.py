@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
-from loewner._plausible import warn
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
-from loewner.planners.joint_limits import ON_LIMIT
+from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
-from loewner.planners.pose_goals import PoseGoal, goals_of
+from loewner.planners.pose_goals import Approaches, PoseGoal, goals_of
 from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.proofs import prove_by_rules
@@ -221,34 +220,21 @@ def checked_ends(
     start: ArrayLike,
     goal: ArrayLike | PoseGoal,
     joints: str | Iterable[str] | None = None,
-) -> tuple[Floats, Floats, list[str]]:
-    """Check a user's start and goals; return them with shapes (dof,) and (goals, dof), and the goals' names."""
+    judge: Judge | None = None,
+) -> tuple[Floats, Floats, list[str], Approaches | None]:
+    """Check a user's start and goals; return them with shapes (dof,) and (goals, dof), and the goals' names.
+
+    Approaches to a pose, and retreats from it, are judged by a judge; the goals are then where the approaches begin.
+    """
     robot = checked_checker(checker).robot
     q = robot.checked_one(start, "start")
-    given, names = goals_of(goal, checker, q, joints)
+    given, names, approaches = goals_of(goal, checker, q, joints, judge)
     goals = np.atleast_2d(robot.checked(given, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
         raise InputError(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
         )
-    return q, goals, names or [f"goal[{k}]" for k in range(len(goals))]
-
-
-def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Widen ranges of columns to the start of a motion, with a warning, if it is within the hard limits."""
-    values = q[columns]
-    outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
-    hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)
-    at = np.flatnonzero(outside & hard)
-    if len(at) == 0:
-        return lower, upper
-    named = ", ".join(
-        f"{robot.configuration_names[columns[k]]} = {values[k]:g} outside {lower[k]:g} .. {upper[k]:g}" for k in at
-    )
-    warn(f"start: expected a configuration within the soft limits, found {named}; it is within the hard limits")
-    lower, upper = lower.copy(), upper.copy()
-    lower[at], upper[at] = np.minimum(lower[at], values[at]), np.maximum(upper[at], values[at])
-    return lower, upper
+    return q, goals, names or [f"goal[{k}]" for k in range(len(goals))], approaches
 
 
 def _by_a_hair(excess: float) -> str:

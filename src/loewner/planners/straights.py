@@ -61,6 +61,15 @@ class Straights(NamedTuple):
             self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
         )
 
+    def extended(self, column: Floats) -> Straights:
+        """Append a column to the configurations, which has no limits."""
+        rates = np.diff(column) / self.lengths
+        return self._replace(rows=np.column_stack([self.rows, column]), full=np.column_stack([self.full, rates]))
+
+    def courses(self, halves: Floats) -> Floats:
+        """Return the blends of given sizes as courses of parabolas, shape (corners, 1, 3, columns)."""
+        return np.stack(self.corners(halves), axis=1)[:, None]
+
     def at(self, k: Any, share: Floats) -> Floats:
         """Return the configurations at fractions of motions."""
         a, b = self.rows[k], self.rows[k + 1]

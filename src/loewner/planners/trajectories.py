@@ -12,10 +12,10 @@ import io
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,13 +28,14 @@ from loewner._nodes import read_json
 from loewner._pictures import POINTS, curves, pictured
 from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
-from loewner._validate import Bools, FloatOrFloats, Floats
-from loewner.errors import FileError, InputError
+from loewner._validate import Bools, FloatOrFloats, Floats, Ints
+from loewner.errors import FileError, InputError, PlanningError
 from loewner.planners import messages
 from loewner.planners.controllers import columns_of, expect_in_table, write
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited, shortest
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
+from loewner.planners.kept_lines import KeptLine, Line, angle_of, kept_lines
 from loewner.planners.straights import Straights, smallest
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
@@ -692,6 +693,14 @@ def _form(given: Trajectory, name: str) -> Curve:
     return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
 
 
+class OnLine(NamedTuple):
+    """A line that a link keeps between two rows."""
+
+    first: int
+    last: int
+    line: KeptLine
+
+
 @guarded
 def trajectory(
     robot: Robot,
@@ -703,6 +712,7 @@ def trajectory(
     limits: JointLimits | None = None,
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
+    line: str | Line | Iterable[str | Line] = (),
 ) -> Trajectory:
     """Assign times to a path, as fast as limits of velocity, acceleration and perhaps jerk allow.
 
@@ -730,6 +740,10 @@ def trajectory(
     blend : float
         Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
         It has an effect only with a checker.
+    line : str, Line or iterable, optional
+        Links that keep straight lines, as on a path from `straight`: the name of a link that keeps a line on the whole
+        path, within 0.1 mm and 1 mrad; `Line` for rows of the path and other tolerances; or several. The link provably
+        stays within the tolerances at every instant, on blends, too. At the ends of a line, the robot stops.
 
     Returns
     -------
@@ -744,11 +758,13 @@ def trajectory(
         checker or the limits belong to another robot.
     PlanningError
         If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
-        bodies.
+        bodies. If a link does not provably keep its line on a motion of the path; the message states the deviation.
+    UnknownNameError
+        If there is no such link.
 
     See Also
     --------
-    plan : Finds paths.
+    plan : Finds paths. straight : Finds paths on which a link keeps a line.
 
     Notes
     -----
@@ -775,15 +791,18 @@ def trajectory(
         raise InputError(f"blend: expected a share from 0 to {LARGEST_SHARE:g}, found {share:g}")
     if checker is not None and checked_checker(checker).robot is not robot:
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
-    rows = _corners(rows)
+    lines = kept_lines(robot, line, rows)
+    numbers = _corners(rows, sorted({at for each in lines for at in (each.first, each.last)}))
+    rows = rows[numbers]
     fastest, strongest, most = limits_of(robot, rows, limits, velocity, acceleration, jerk)
     judge = None if checker is None else Judge.of(checker, 0.0)
     if judge is not None and len(rows) > 1:
         refuse_unfree(judge, rows, "path")
     motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
+    kept = [_on_line(robot, each, rows, numbers) for each in lines]
     halves = np.zeros(max(len(rows) - 2, 0))
     if judge is not None and share > 0 and len(halves):
-        halves = _shortest(motions, _proven_blends(judge, motions, share))
+        halves = _shortest(motions, _proven_blends(judge, motions, share, kept))
     if isinstance(motions, JerkLimited):
         made = Trajectory(robot.configuration_names, *motions.timed(halves))
     else:
@@ -806,16 +825,25 @@ def _checked(robot: Robot, path: ArrayLike) -> Floats:
     return checked_path(robot, path)
 
 
-def _corners(rows: Floats) -> Floats:
-    """Keep the ends of the path and its corners; drop repeated rows and rows on a straight line."""
-    moved = np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))
-    rows = rows[moved]
+def _corners(rows: Floats, ends: Sequence[int] = ()) -> Ints:
+    """Number the ends of the path, its corners, and the given ends of lines, but no repeated rows.
+
+    Rows on a straight line are corners only if they are ends of lines.
+    """
+    moved = np.flatnonzero(np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1)))
+    rows, needed = rows[moved], {int(at) for at in _at_or_before(moved, ends)}
     kept = [0]
     for k in range(1, len(rows) - 1):
         between = rows[kept[-1] + 1 : k + 1]
-        if len(between) > MOST_MERGED or not _on_straight(rows[kept[-1]], rows[k + 1], between):
+        straight = len(between) <= MOST_MERGED and _on_straight(rows[kept[-1]], rows[k + 1], between)
+        if k in needed or not straight:
             kept.append(k)
-    return rows[[*kept, len(rows) - 1]] if len(rows) > 1 else rows
+    return np.asarray(moved[[*kept, len(rows) - 1]] if len(rows) > 1 else moved)
+
+
+def _at_or_before(numbers: Ints, ends: Sequence[int]) -> Ints:
+    """Find the ends of lines among the numbers of rows that are kept; a repeated row counts as the first."""
+    return np.searchsorted(numbers, np.array(ends, dtype=np.int64), side="right") - 1
 
 
 def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
@@ -833,8 +861,10 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 # -- blends -------------------------------------------------------------------------------------
 
 
-def _proven_blends(judge: Judge, motions: Straights | JerkLimited, share: float) -> list[Floats]:
-    """Find for each corner the blend sizes that are proven free, largest first; the last is 0, a stop."""
+def _proven_blends(
+    judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[OnLine]
+) -> list[Floats]:
+    """Find for each corner the blend sizes that are proven free and on lines, largest first; the last is 0, a stop."""
     straights = motions if isinstance(motions, Straights) else motions.straights
     lengths = straights.lengths
     turns = np.abs(np.diff(straights.full, axis=0))
@@ -846,14 +876,16 @@ def _proven_blends(judge: Judge, motions: Straights | JerkLimited, share: float)
     halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
     astray = BLEND_ROUNDINGS * speeds * _duration(motions, np.zeros(len(halves)))
+    roundings = CUBIC_ROUNDINGS if isinstance(motions, JerkLimited) else BLEND_ROUNDINGS
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
-        free = (
-            motions.free(judge, halves, astray)
-            if isinstance(motions, JerkLimited)
-            else _free(judge, *straights.corners(halves), astray)
-        )
-        free &= halves > SHORTEST * shorter
+        courses = motions.courses(halves)
+        # Computed positions may be off by this: docs/certified.md, "Blends".
+        off = roundings * np.abs(courses).max(axis=2) + astray[:, None]
+        free = judge.proven(courses.reshape(-1, *courses.shape[2:]), off.reshape(-1, off.shape[-1]))
+        free = free.reshape(off.shape[:2]).all(axis=1) & (halves > SHORTEST * shorter)
+        for on in kept:
+            free &= _keeps(on, motions, halves, off)
         for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
             if good:
                 sizes.append(half)
@@ -861,13 +893,39 @@ def _proven_blends(judge: Judge, motions: Straights | JerkLimited, share: float)
     return [np.array([*sizes, 0.0]) for sizes in proven]
 
 
-def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Floats) -> Bools:
-    """Return which parabolas from `first` to `last`, with end tangents that meet in `corner`, are proven free.
+def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
+    """Find the line of a link, and refuse a path whose motions do not provably keep it.
 
-    Computed positions may be off by `astray` and by rounding: docs/certified.md, "Blends".
+    Raises
+    ------
+    PlanningError
+        If the link may stray farther on a motion.
     """
-    courses = np.stack([first, corner, last], axis=1)
-    return judge.proven(courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + astray)
+    first, last = _at_or_before(numbers, [line.first, line.last]).tolist()
+    on = OnLine(first, last, KeptLine.of(robot, line, rows[first : last + 1]))
+    courses = np.column_stack([rows[first : last + 1], on.line.fractions])
+    courses = np.stack([courses[:-1], courses[1:]], axis=1)
+    good, found = on.line.keeps(courses, BLEND_ROUNDINGS * np.abs(courses[..., :-1]).max(axis=1))
+    if not good.all():
+        k = int(np.flatnonzero(~good)[(found[~good] / found[~good].max(axis=0)).max(axis=1).argmax()])
+        raise PlanningError(
+            f"line: expected {line.link} to keep within {line.position:g} m and {line.rotation:g} rad of the straight "
+            f"line from row {line.first} to row {line.last}, found deviations of up to {found[k, 0]:.3g} m and "
+            f"{angle_of(found[k, 1]):.3g} rad between rows {numbers[first + k]} and {numbers[first + k + 1]}"
+        )
+    return on
+
+
+def _keeps(on: OnLine, motions: Straights | JerkLimited, halves: Floats, off: Floats) -> Bools:
+    """Return which blends keep a line provably; at its ends the robot stops, and elsewhere all are allowed."""
+    good, (first, last, line) = np.ones(len(halves), dtype=bool), on
+    good[[at - 1 for at in (first, last) if 0 < at <= len(halves)]] = False
+    if last - first > 1:
+        inside = slice(first, last - 1)
+        courses = motions.part(first, last - 1).extended(line.fractions).courses(halves[inside])
+        kept, _ = line.keeps(courses.reshape(-1, *courses.shape[2:]), off[inside].reshape(-1, off.shape[-1]))
+        good[inside] = kept.reshape(courses.shape[:2]).all(axis=1)
+    return good
 
 
 def _shortest(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:

@@ -1,0 +1,273 @@
+"""Straight lines that a link keeps along curves of configurations, by a bound on how far it strays from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner import _elementary, _validate
+from loewner._kernels import columns, tolerances
+from loewner._matrices import dot, lengths, product
+from loewner._rotations import quaternions_of
+from loewner._validate import Bools, Floats
+from loewner.errors import InputError
+from loewner.robots import Robot
+from loewner.robots.motion_tables import STRETCH
+from loewner.robots.reaching import Chain, refuse_far
+from loewner.robots.robot import chain_to
+
+# Tolerances below this [m, rad] are near the rounding of poses.
+LEAST_TOLERANCE = 1e-9
+
+# The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
+LARGEST_ANGLE = np.pi - 1e-6
+
+# Rounding of a deviation from a line on a curve, for each joint, times the lengths and the largest value.
+ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 90, certified.md B68
+
+# Equal parts into which a course is divided, until its bound is within the tolerance; and configurations at a time.
+PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
+
+
+@dataclass(frozen=True)
+class Line:
+    """Rows of a path on which a link follows a straight line: `trajectory` then keeps the link on it.
+
+    The line leads from the pose of the link at the first row to its pose at the last: the origin of the link
+    moves along a straight line, and its rotation about a fixed axis, by the shorter way around, as for `straight`.
+
+    Parameters
+    ----------
+    link : str
+    first, last : int
+        Rows of the path, counted from the end if negative. Default: the whole path.
+    position, rotation : float
+        Largest deviations of the link from the line, in metres and radians, at least 1e-9: at every instant there is a
+        pose of the line from which the link's pose differs by no more than both.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong type or value.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot, planners
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> path = [[0.0, 0.5], [0.5, 0.5], [1.0, 0.5], [1.0, 1.0]]
+    >>> planners.trajectory(robot, path, velocity=1.0, acceleration=1.0, line=planners.Line("forearm", last=2))
+    Trajectory(3.414 s, 2 joints, stops at 1 corner, 0 blends)
+    """
+
+    link: str
+    first: int = 0
+    last: int = -1
+    position: float = 1e-4
+    rotation: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.link, str):
+            raise InputError(f"link: expected the name of a link, found {_validate.short(self.link)}")
+        for name in ("first", "last"):
+            _validate.whole_number(getattr(self, name), name, -_validate.LARGEST_INTEGER)
+        for name in ("position", "rotation"):
+            object.__setattr__(self, name, checked_tolerance(getattr(self, name), name))
+
+
+def checked_tolerance(x: Any, name: str) -> float:
+    """Check a largest deviation; a rotation deviates by half a turn at most."""
+    value = _validate.positive_scalar(x, name)
+    if value < LEAST_TOLERANCE:
+        raise InputError(f"{name}: expected at least {LEAST_TOLERANCE:g}, which rounding allows, found {value:g}")
+    if name == "rotation" and value > np.pi:
+        raise InputError(f"rotation: expected radians, at most π, found {value:g}; is it in degrees?")
+    return value
+
+
+class Step(NamedTuple):
+    """A vector that is fixed in the frame so far, by its length, and the joint after it: a slide, a turn, or none."""
+
+    length: float
+    kind: str
+    column: int
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, eq=False)
+class KeptLine:
+    """A line of poses, and the chain of joints to the link that is to keep it.
+
+    At the fraction u, the position is `start` + u `way`, and the rotation is `rotation` + sin(u `angle`) `sine` +
+    (1 - cos(u `angle`)) `cosine`.
+
+    Attributes
+    ----------
+    robot : Robot
+    line : Line
+        With `first` and `last` of at least 0.
+    steps : list of Step
+    joints : int
+        Number of links of the chain plus one.
+    fractions : ndarray, shape (last - first + 1,)
+        For each row, the fraction of the pose of the line that is nearest to its pose.
+    """
+
+    robot: Robot
+    line: Line
+    steps: list[Step]
+    joints: int
+    start: Floats
+    way: Floats
+    rotation: Floats
+    sine: Floats
+    cosine: Floats
+    angle: float
+    fractions: Floats
+
+    @classmethod
+    def of(cls, robot: Robot, line: Line, rows: Floats) -> KeptLine:
+        """Make the line between poses of the link at rows of a path, which begin and end with the line's ends."""
+        chain = chain_to(robot, line.link)
+        refuse_far(chain, np.eye(4), rows)
+        poses = robot.forward_kinematics(rows)[:, robot.link_names.index(line.link)]
+        R, start, way = poses[:, :3, :3], poses[0, :3, 3], poses[-1, :3, 3] - poses[0, :3, 3]
+        turns = quaternions_of(product(R, R[0].T))
+        turns *= np.where(turns[:, :1] < 0, -1.0, 1.0)  # the shorter way around
+        half_sine = float(lengths(turns[-1, 1:]))
+        axis = turns[-1, 1:] / half_sine if half_sine > 0 else np.zeros(3)
+        angles = 2 * _elementary.arctan2(dot(turns[:, 1:], axis), turns[:, 0])
+        angle = float(angles[-1])
+        if angle > LARGEST_ANGLE:
+            raise InputError("line: expected a turn of less than half a turn, found half a turn; divide the line")
+        # The nearest pose is that with the least sum of squares, in units of the tolerances.
+        ways = np.column_stack([(poses[:, :3, 3] - start) / line.position, angles / line.rotation])
+        size = float(dot(ways[-1], ways[-1]))
+        u = dot(ways, ways[-1]) / size if size > 0 else np.zeros(len(rows))
+        x, y, z = axis
+        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        sine = product(skew, R[0])
+        return cls(
+            robot, line, _steps(chain), len(chain.links) + 1, start, way, R[0], sine, product(skew, sine), angle,
+            np.clip(u, 0.0, 1.0),
+        )  # fmt: skip
+
+    def keeps(self, courses: Floats, off: Floats) -> tuple[Bools, Floats]:
+        """Return on which courses the link provably keeps the line, and bounds on its deviations.
+
+        Parameters
+        ----------
+        courses : ndarray, shape (N, degree + 1, dof + 1)
+            The last column is the fraction of the line.
+        off : ndarray, shape (N, dof)
+            How far joint values may deviate from the courses.
+
+        Returns
+        -------
+        ndarray of bool, shape (N,)
+        ndarray, shape (N, 2)
+            In metres, and in the Frobenius norm of rotation matrices; they are on the line's curve at least.
+        """
+        most = np.array([self.line.position, chord_of(self.line.rotation)])
+        kept, found = np.zeros(len(courses), dtype=bool), np.full((len(courses), 2), np.inf)
+        bent, astray = self._bounds(courses, off)
+        left = np.arange(len(courses))
+        for parts in PARTS:
+            gaps = self._gaps(courses[left], parts) + astray[left]
+            found[left] = gaps + bent[left] / (8 * parts**2)
+            kept[left] = (found[left] <= most).all(axis=1)
+            left = left[~kept[left] & (gaps <= most).all(axis=1)]
+        return kept, found
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _gaps(self, courses: Floats, parts: int) -> Floats:
+        """Measure the largest deviations at the ends of equal parts of courses, shape (N, 2)."""
+        at_a_time = max(1, MOST_CONFIGURATIONS // (parts + 1))
+        if len(courses) > at_a_time:
+            blocks = range(0, len(courses), at_a_time)
+            return np.concatenate([self._gaps(courses[k : k + at_a_time], parts) for k in blocks])
+        degree, t = courses.shape[1] - 1, (np.arange(parts + 1) / parts)[:, None]
+        points = courses[:, :, None]
+        for step in range(degree):
+            points = (1 - t) * points[:, : degree - step] + t * points[:, 1:]
+        Q, u = points[:, 0, :, :-1], points[:, 0, :, -1]
+        poses = self.robot.forward_kinematics(Q)[..., self.robot.link_names.index(self.line.link), :, :]
+        half_sine = _elementary.sin(u * (self.angle / 2))[..., None, None]
+        sine, cosine = _elementary.sin(u * self.angle)[..., None, None], 2 * half_sine * half_sine
+        off = poses[..., :3, 3] - (self.start + u[..., None] * self.way)
+        turned = poses[..., :3, :3] - (self.rotation + sine * self.sine + cosine * self.cosine)
+        both = np.stack([lengths(off), lengths(turned.reshape(*turned.shape[:-2], 9))], axis=-1)
+        return np.asarray(both.max(axis=1))
+
+    def _bounds(self, courses: Floats, off: Floats) -> tuple[Floats, Floats]:
+        """Bound the second derivatives of deviations, and what joint errors and rounding add: certified.md B68."""
+        degree, steps = courses.shape[1] - 1, np.diff(courses, axis=1)
+        rates = degree * np.abs(steps).max(axis=1)
+        bends = degree * (degree - 1) * np.abs(np.diff(steps, axis=1)).max(axis=1, initial=0.0)
+        values, largest = np.abs(courses).max(axis=1), np.ones(len(courses))
+        turn, turn_bend, turn_off, pull, length, slid = (np.zeros(len(courses)) for _ in range(6))
+        for step in self.steps:
+            size: Any = step.length
+            if step.kind:
+                value, rate, bend = (abs(step.multiplier) * each[:, step.column] for each in (values, rates, bends))
+                error, value = abs(step.multiplier) * off[:, step.column], value + abs(step.offset)
+                largest = np.maximum(largest, value)
+            if step.kind == "slide":
+                pull, slid, size = pull + 2 * rate * turn + bend, slid + error, size + value
+            pull, length = pull + size * (turn * turn + turn_bend), length + size
+            if step.kind == "turn":
+                turn, turn_bend, turn_off = turn + rate, turn_bend + bend, turn_off + error
+        u, u_bend = rates[:, -1], bends[:, -1]
+        line_bend = (self.angle * u) ** 2 + self.angle * u_bend
+        bent = np.stack([pull + lengths(self.way) * u_bend, np.sqrt(2) * (turn * turn + turn_bend + line_bend)], axis=1)
+        reach = length + lengths(self.start) + lengths(self.way)
+        rounding = ROUNDINGS * self.joints * largest
+        astray = np.stack([turn_off * length + slid + rounding * reach, np.sqrt(2) * turn_off + rounding], axis=1)
+        return STRETCH * bent, STRETCH * astray
+
+
+def kept_lines(robot: Robot, line: Any, rows: Floats) -> list[Line]:
+    """Check an argument `line`; numbers of rows are then counted from the start of the path."""
+    given = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")
+    made = [Line(each) if isinstance(each, str) else each for each in given]
+    for k, each in enumerate(made):
+        if not isinstance(each, Line):
+            raise InputError(f"line: expected the name of a link or planners.Line, found {_validate.short(each)}")
+        first, last = (at + len(rows) * (at < 0) for at in (each.first, each.last))
+        if not 0 <= first < last < len(rows):
+            raise InputError(
+                f"line: expected two of the {len(rows)} rows of the path, the first before the last, found "
+                f"first={each.first}, last={each.last}"
+            )
+        made[k] = Line(each.link, first, last, each.position, each.rotation)
+    return made
+
+
+def chord_of(angle: float) -> float:
+    """Return the distance of a rotation from the identity, in the Frobenius norm."""
+    return float(2 * np.sqrt(2) * _elementary.sin(angle / 2))
+
+
+def angle_of(chord: float) -> float:
+    """Return the angle of a rotation at a distance from the identity, see `chord_of`."""
+    return float(2 * _elementary.arcsin(min(chord / (2 * np.sqrt(2)), 1.0)))
+
+
+def _steps(chain: Chain) -> list[Step]:
+    """List the vectors and the joints of a chain, see `robots.reaching`."""
+    steps = []
+    for link, constants in zip(chain.links.tolist(), chain.constants, strict=True):
+        kind, at = link[columns.KIND_OF_LINK], link[columns.COLUMN_OF_LINK]
+        length = float(lengths(constants[columns.TRANSLATION : columns.TRANSLATION + 3]))
+        how, offset = constants[columns.MULTIPLIER], constants[columns.OFFSET]
+        first = int(chain.columns[at]) if kind != columns.FIXED else 0
+        if kind == columns.PLANAR:
+            steps += [Step(length, "slide", first, 1.0, 0.0), Step(0.0, "slide", first + 1, 1.0, 0.0)]
+            steps.append(Step(0.0, "turn", first + 2, 1.0, 0.0))
+        else:
+            name = {columns.REVOLUTE: "turn", columns.PRISMATIC: "slide"}.get(kind, "")
+            steps.append(Step(length, name, first, float(how), float(offset)))
+    return steps
