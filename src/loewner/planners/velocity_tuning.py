@@ -117,7 +117,7 @@ def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) ->
 
 
 class _Visits(NamedTuple):
-    """What the robot passes: numbers of stations and of shares, and when it arrives and departs [s], shape (m,) each."""
+    """What the robot passes: numbers of stations and of shares, and when it arrives and departs [s]."""
 
     station: Ints
     share: Ints
@@ -472,8 +472,9 @@ def _searched(
     met = np.concatenate([np.zeros((n + 1, 1), dtype=np.int64), np.cumsum(~free, axis=1)], axis=1)  # before a time
     best, changes = np.full(states, np.inf), np.full(states, MANY)
     parents, waits = np.full(states, -1), np.full((n + 1, bins), -1)
-    if free[0, :2].all():
-        best[0, first, 0] = changes[0, first, 0] = 0.0
+    if not free[0, :2].all():
+        return None, -1, 0.0
+    best[0, first, 0] = changes[0, first, 0] = 0
     for i in range(n):
         if i > 0 or first == 0:
             _wait(best[i, 0], changes[i, 0], waits[i], free[i], step)
