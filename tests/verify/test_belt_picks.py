@@ -41,7 +41,7 @@ def picker():
 
 
 def largest(curve):
-    """The largest velocities and accelerations at any real time: at ends of pieces, or where the next derivative is 0."""
+    """The largest velocities and accelerations at ends of pieces, or where the next derivative is 0."""
     found = np.zeros((2, curve.c.shape[2]))
     for order, most in enumerate(found, start=1):
         rates = curve.derivative(order).c

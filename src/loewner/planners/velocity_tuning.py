@@ -27,7 +27,7 @@ from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.straights import Straights
 from loewner.planners.trajectories import Trajectory, checked_blend, checked_rows, corners_of, fastest_along
 from loewner.queries import Verdict
-from loewner.robots import CertifiedTrajectory, CollisionChecker
+from loewner.robots import CertifiedTrajectory, CollisionChecker, verdicts
 from loewner.robots.checker import prepared_of, without_motions
 
 # Stations along a trajectory, and shares of its speed at them: their squares are in equal steps, so that from one
@@ -35,8 +35,8 @@ from loewner.robots.checker import prepared_of, without_motions
 STATIONS = 48
 SHARES = np.sqrt(np.arange(13) / 12)
 
-# Bins of time in the duration of the fastest trajectory, and at most.
-BINS, MOST_BINS = 64, 2**13
+# Bins of time in the duration of the fastest trajectory, and the largest number of bins at all stations.
+BINS, MOST_BINS = 64, 2**19
 
 # The first horizon, in durations of the fastest trajectory.
 FIRST = 3.0
@@ -98,7 +98,9 @@ class _Stations(NamedTuple):
 
 def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) -> Floats:
     """Compute the durations of sections between shares of speeds; see `_Stations`."""
-    first, last = np.linalg.norm(rates[:-1], axis=1), np.linalg.norm(rates[1:], axis=1)
+    # Along a straight motion, velocities are proportional to each other, so that one norm is as good as another.
+    first, last = np.abs(rates[:-1]).max(axis=1), np.abs(rates[1:]).max(axis=1)
+    _validate.fits_memory(16 * len(SHARES) ** 2 * (rates.size + 2 * len(rates)), f"{len(rates)} stations")
     x, y = SHARES[:, None], SHARES
     a, b, T = (array[:, None, None] for array in (first, last, steps))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -117,7 +119,7 @@ def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) ->
 
 
 class _Visits(NamedTuple):
-    """What the robot passes: numbers of stations and of shares, and when it arrives and departs [s]."""
+    """Successive states: numbers of stations and of shares, and the times of arrival and departure [s]."""
 
     station: Ints
     share: Ints
@@ -154,8 +156,8 @@ def time_path(
     start_time : float
         When the robot is at the first configuration, at rest [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. Default, and at most: the end of all motions of bodies, or two periods of those that
-        repeat, and the time to follow the path twice.
+        The latest arrival [s]. Default, and at most: after all motions of bodies have ended, and two periods of
+        motions that repeat, twice the time that the path takes without them.
     arrive_at : float, optional
         The time of arrival [s]. Default: as early as the search finds.
     end_velocity : array_like, shape (dof,), optional
@@ -200,15 +202,15 @@ def time_path(
     --------
     >>> from loewner import Body, CollisionChecker, Robot, Scene
     >>> scene = Scene()
-    >>> scene.add("gate", Body.box([0.1, 3.0, 3.0]))
+    >>> scene.add("gate", Body.box([0.1, 3.0, 0.4]))
     >>> T = np.tile(np.eye(4), (2, 1, 1))
     >>> T[:, 0, 3], T[:, 1, 3] = 1.0, [0.0, 5.0]
     >>> scene.follow("gate", [1.0, 2.0], T)
     >>> robot = Robot.from_urdf("arm.urdf")
     >>> checker = CollisionChecker(robot, scene)
     >>> found = time_path(checker, [[0, 0], [2, 0]], start_time=0.0, velocity=1.0, acceleration=2.0)
-    >>> found.certify(checker).verdict, round(found.duration, 2)
-    (<Verdict.FREE: 0>, 2.5)
+    >>> found.certify(checker).verdict, round(found.duration, 2)  # without the gate, it takes 2.5 s
+    (<Verdict.FREE: 0>, 3.16)
     """
     robot, still = checked_checker(checker).robot, without_motions(checker)
     rows, share = corners_of(checked_rows(robot, path)), checked_blend(blend)
@@ -234,19 +236,20 @@ def time_path(
         least = base.duration + window * (1 + len(base.stops))
         limit, exact = _times(begin, arrive_by, arrive_at, least, horizon_of(timed.ready, begin))
         stations = _Stations.of(base, strongest, window)
-        search = _Search(checker, replace(timed, limit=limit), stations, base, window, most, least, [], [])
+        ruled = ~verdicts.free(judge.ready, np.ascontiguousarray(stations.knots))
+        search = _Search(checker, replace(timed, limit=limit), stations, base, window, most, least, ruled, [], [])
         found = search.found(exact)
         if found is not None:
             return found._read_only()
     raise PlanningError(
-        "path: expected one that is free of all that stands still, with its blends and within the joint error, found "
-        f"that {search.blocking[-1]}"
+        "path: expected one that is free without the moving bodies, with its blends and within the joint error, found "
+        f"{search.blocking[-1]}"
     )
 
 
 def _expect_reached(base: Trajectory, wanted: Floats) -> None:
     """Refuse a velocity at the end that is too high for the path."""
-    reached, size = np.linalg.norm(base.rates[-1]), np.linalg.norm(wanted)
+    reached, size = np.abs(base.rates[-1]).max(), np.abs(wanted).max()
     if reached < size * (1 - ALONG):
         raise InputError(
             f"end_velocity: expected one that is reached on the path, found one of which only {reached / size:.3g} is "
@@ -278,7 +281,8 @@ def _last_speed(motions: Straights, given: ArrayLike, window: float) -> float:
     wanted = _validate.finite_array(given, "end_velocity", (len(full),))
     if window and wanted.any():
         raise InputError("end_velocity: expected no limit of jerk with it, found one; such ends are at rest")
-    share = float(wanted @ full / (full @ full))
+    k = int(np.abs(full).argmax())
+    share = float(wanted[k] / full[k])
     if share < 0 or np.abs(wanted - share * full).max() > ALONG * np.abs(full).max():
         raise InputError(
             f"end_velocity: expected a velocity along the last motion of the path, a multiple >= 0 of "
@@ -305,10 +309,12 @@ class _Search(NamedTuple):
         Limits of jerk.
     least : float
         The shortest duration.
+    ruled : ndarray of bool, shape (stations,)
+        Where static bodies are in a contact that the scene allows; only the proof considers these.
     closed : list of (int, float, int)
         Sections and times that are not proven free, and by how many bins around.
     blocking : list of str
-        What was met there.
+        Their descriptions, for messages.
     """
 
     checker: CollisionChecker
@@ -318,16 +324,17 @@ class _Search(NamedTuple):
     window: float
     most: Floats | None
     least: float
+    ruled: Bools
     closed: list[tuple[int, float, int]]
     blocking: list[str]
 
     def found(self, exact: bool) -> Trajectory | None:
         """Return a trajectory that is proven; one that arrives at the limit itself, if `exact`.
 
-        None if it would meet what stands still.
+        None if it would meet a static body.
         """
         judge, start = self.judge, np.append(self.stations.knots[0], 0.0)
-        if not judge.free_at(start[None])[0]:
+        if not (self.ruled[0] or judge.free_at(start[None])[0]):
             raise PlanningError(
                 f"path: expected a start that is free at the start time {judge.begin:g} s, found a collision of "
                 f"{judge.touching(start)}"
@@ -362,14 +369,16 @@ class _Search(NamedTuple):
         return _Visits(np.arange(n + 1), share, np.append(0.0, departs[1:]), departs)
 
     def _visits(self, horizon: float, exact: bool) -> tuple[_Visits | None, str]:
-        """Search for times up to a horizon; without any, describe what is in the way."""
-        count = int(np.clip(np.ceil(horizon / self.base.duration * BINS), 1, MOST_BINS))
+        """Search for times up to a horizon; without any, describe the body in the way."""
+        most = max(MOST_BINS // len(self.stations.knots), 2)
+        count = int(np.clip(np.ceil(horizon / self.base.duration * BINS), 1, most))
         step = horizon / count
-        free, seconds, resting = self._free(count, step), self.stations.seconds, ~self.stations.rates.any(axis=1)
+        free, seconds = self._free(count, step), self.stations.seconds
+        resting = np.asarray(~self.stations.rates.any(axis=1))
         ends = 0, len(SHARES) - 1 if self.base.rates[-1].any() else 0
         if exact:  # backward from the end
-            free, seconds, ends = free[::-1, ::-1], seconds[::-1].transpose(0, 2, 1), ends[::-1]
-            resting = resting[::-1]
+            free, seconds = free[::-1, ::-1], seconds[::-1].transpose(0, 2, 1)
+            ends, resting = ends[::-1], resting[::-1]
         visits, last, early = _searched(seconds, resting, free, step, *ends, exact)
         if visits is None:
             return None, self._blocked(free, last, early, step, exact)
@@ -383,11 +392,11 @@ class _Search(NamedTuple):
         return visits, ""
 
     def _free(self, count: int, step: float) -> Bools:
-        """Check the stations at times, shape (stations, count + 1), and close what was not proven."""
+        """Check the stations at times, shape (stations, count + 1), and close unproven sections."""
         knots, at = self.stations.knots, step * np.arange(count + 1) + self.window / 2
         states = np.column_stack([np.repeat(knots, len(at), axis=0), np.tile(at, len(knots))])
         parts = [self.judge.free_at(states[k : k + MANY]) for k in range(0, len(states), MANY)]
-        free = np.concatenate(parts).reshape(len(knots), len(at))
+        free = np.concatenate(parts).reshape(len(knots), len(at)) | self.ruled[:, None]
         for section, time, around in self.closed:
             bin = int(time / step)
             free[section : section + 2, max(bin + 1 - around, 0) : bin + 1 + around] = False
@@ -412,7 +421,7 @@ class _Search(NamedTuple):
         return self.blocking[-1] if self.blocking else f"{way}no speeds lead past {share:.3g} of the path"
 
     def _fraction(self, station: int) -> float:
-        ways = np.linalg.norm(np.diff(self.stations.knots, axis=0), axis=1)
+        ways = np.abs(np.diff(self.stations.knots, axis=0)).max(axis=1)
         return float(ways[:station].sum() / ways.sum())
 
     def _close(self, visits: _Visits, proof: CertifiedTrajectory, around: int) -> bool:
@@ -444,7 +453,8 @@ def _searched(
 ) -> tuple[_Visits | None, int, float]:
     """Search for the earliest visits of all stations, station by station.
 
-    Of all ways to a station at a share within one bin of time, the one with the fewest changes of the share is kept.
+    Several ways may lead to a station at one share within one bin of time; the way with the fewest changes of the share
+    is kept.
 
     Parameters
     ----------
@@ -470,8 +480,8 @@ def _searched(
     n, bins = len(seconds), free.shape[1] - 1
     states = (n + 1, len(SHARES), bins)
     met = np.concatenate([np.zeros((n + 1, 1), dtype=np.int64), np.cumsum(~free, axis=1)], axis=1)  # before a time
-    best, changes = np.full(states, np.inf), np.full(states, MANY)
-    parents, waits = np.full(states, -1), np.full((n + 1, bins), -1)
+    best, changes = np.full(states, np.inf), np.full(states, MANY, dtype=np.int32)
+    parents, waits = np.full(states, -1, dtype=np.int32), np.full((n + 1, bins), -1)
     if not free[0, :2].all():
         return None, -1, 0.0
     best[0, first, 0] = changes[0, first, 0] = 0
@@ -510,8 +520,8 @@ def _wait(best: Floats, changes: Ints, waits: Ints, free: Bools, step: float) ->
     """Let a robot at rest wait, as long as its place is free; `waits` receives the bins of arrival."""
     bins = np.arange(len(best))
     halts = np.cumsum(~(free[:-1] & free[1:]))
-    # Of the arrivals since the last halt, the best has the fewest changes, and is the latest.
-    keys = np.where(np.isfinite(best), changes * 2 * MOST_BINS - bins, 2 * MANY * MOST_BINS)
+    # The best arrival since the last halt has the fewest changes, and is the latest with so few.
+    keys = np.where(np.isfinite(best), changes.astype(np.int64) * 2 * MOST_BINS - bins, 2 * MANY * MOST_BINS)
     keys = np.minimum.accumulate(keys - halts * 4 * MANY * MOST_BINS) + halts * 4 * MANY * MOST_BINS
     fewest = -(-keys // (2 * MOST_BINS))
     waiting = (fewest < MANY) & (fewest + 1 < changes)
@@ -523,9 +533,9 @@ def _traced(best: Floats, parents: Ints, waits: Ints, share: int, bin: int, step
     """List the visits that lead to a state of the last station."""
     visits = []
     for i in range(len(best) - 1, -1, -1):
-        departs = float(best[i, share, bin])
+        left = float(best[i, share, bin])
         came = int(waits[i, bin]) if share == 0 and waits[i, bin] >= 0 else bin
-        visits.append((i, share, float(best[i, share, came]), departs))
+        visits.append((i, share, float(best[i, share, came]), left))
         share, bin = divmod(int(parents[i, share, came]), best.shape[2])
     station, shares, arrives, departs = (np.array(column) for column in zip(*visits[::-1], strict=True))
     return _Visits(station, shares, arrives, departs)
@@ -533,7 +543,7 @@ def _traced(best: Floats, parents: Ints, waits: Ints, share: int, bin: int, step
 
 def _rows(stations: _Stations, visits: _Visits) -> tuple[Floats, Floats, Floats, Bools]:
     """Compute the arrays of a `Trajectory` from visits of all stations."""
-    x, moving = SHARES[visits.share], stations.rates.any(axis=1)
+    x, moving = SHARES[visits.share], np.asarray(stations.rates.any(axis=1))
     rates = x[:, None] * stations.rates
     rates[-1] = stations.rates[-1]
     # Sections of one piece that are followed at one share of its speed are one section.
