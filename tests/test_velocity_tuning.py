@@ -85,12 +85,14 @@ def test_the_robot_passes_as_the_gate_opens(slider):
     assert 3.6 < found.duration < 3.65
 
 
-def test_nothing_in_the_way(slider):
+@pytest.mark.parametrize("jerk", [None, 20.0])
+def test_nothing_in_the_way(slider, jerk):
     """In a still scene, and where the gate is open, times are those of `trajectory`."""
-    fastest = planners.trajectory(slider, [LEFT, RIGHT], **HASTE)
+    fastest = planners.trajectory(slider, [LEFT, RIGHT], jerk=jerk, **HASTE)
     for scene, begin in ((Scene(), -4.0), (gate(), 3.0), (gate(1.7e9), 1.7e9 + 1.0)):
-        found = planners.time_path(CollisionChecker(slider, scene), [LEFT, RIGHT], start_time=begin, **HASTE)
-        check(CollisionChecker(slider, scene), [LEFT, RIGHT], found, begin)
+        checker = CollisionChecker(slider, scene)
+        found = planners.time_path(checker, [LEFT, RIGHT], start_time=begin, jerk=jerk, **HASTE)
+        check(checker, [LEFT, RIGHT], found, begin, jerk=jerk)
         assert found.duration == pytest.approx(fastest.duration, rel=1e-12)
 
 

@@ -624,7 +624,7 @@ def trajectory(
 
     See Also
     --------
-    plan : Finds paths.
+    plan : Finds paths. time_path : Assigns times among bodies that move.
 
     Notes
     -----
@@ -654,20 +654,22 @@ def trajectory(
     judge = None if checker is None else Judge.of(checker, 0.0)
     if judge is not None and len(rows) > 1:
         refuse_unfree(judge, rows, "path")
-    if most is None:
-        return fastest_along(robot, Straights.of(rows, fastest, strongest), judge, share)
-    motions = JerkLimited.of(rows, fastest, strongest, most)
-    return Trajectory(robot.configuration_names, *motions.timed(_halves(motions, judge, share)))._read_only()
+    motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
+    return fastest_along(robot, motions, judge, share)
 
 
 def fastest_along(
-    robot: Robot, motions: Straights, judge: Judge | None, share: float, last_speed: float = 0.0
+    robot: Robot, motions: Straights | JerkLimited, judge: Judge | None, share: float, last_speed: float = 0.0
 ) -> Trajectory:
     """Follow motions as fast as possible, with proven blends that take up to a share of them, if there is a judge.
 
-    The path ends at a speed, as a share of full speed, or at the highest one below it that is reached.
+    Without limits of jerk, the path ends at a speed, as a share of full speed, or at the highest speed below it that is
+    reached.
     """
-    return _timed(robot, motions, _halves(motions, judge, share), last_speed)
+    halves = _halves(motions, judge, share)
+    if isinstance(motions, JerkLimited):
+        return Trajectory(robot.configuration_names, *motions.timed(halves))._read_only()
+    return _timed(robot, motions, halves, last_speed)
 
 
 # -- arguments ----------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from loewner._guard import guarded
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.in_time import TimedJudge, horizon_of
-from loewner.planners.jerk_limited import TO_ROUNDING
+from loewner.planners.jerk_limited import TO_ROUNDING, JerkLimited
 from loewner.planners.joint_limits import JointLimits, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.straights import Straights
@@ -196,7 +196,8 @@ def time_path(
     "path-velocity decomposition", IJRR 1986). The search is one of finite resolution: it may fail where there are
     times, and the result need not arrive as early as possible. With limited jerk, the robot follows the average of its
     positions over a window of time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of
-    velocity and acceleration, and takes longer by the window; the robot stays at stops for as long.
+    velocity and acceleration, and takes longer by the window; the robot stays at stops for as long. If nothing is in
+    the way, the result is the trajectory that `trajectory` finds.
 
     Examples
     --------
@@ -218,17 +219,23 @@ def time_path(
         raise InputError("path: expected two different configurations or more, found one")
     begin = _validate.real(start_time, "start_time")
     fastest, strongest, most = limits_of(robot, rows, limits, velocity, acceleration, jerk)
-    window = 0.0
+    judge = Judge.of(still, 0.0, joint_error)
+    refuse_unfree(judge, rows, "path")
+    window, smooth = 0.0, None
     if most is not None:
+        smooth = fastest_along(robot, JerkLimited.of(rows, fastest, strongest, most), judge, share)
         fastest, strongest = fastest * (1 - TO_ROUNDING), strongest * (1 - TO_ROUNDING)
         moves = np.isfinite(strongest)
         window = float((2 * strongest[moves] / (most[moves] * (1 - TO_ROUNDING))).max()) * (1 + LONGER)
-    judge = Judge.of(still, 0.0, joint_error)
-    refuse_unfree(judge, rows, "path")
     motions = Straights.of(rows, fastest, strongest)
     last_speed = 0.0 if end_velocity is None else _last_speed(motions, end_velocity, window)
     errors = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
     timed = TimedJudge(robot, prepared_of(checker, timed=True), begin, np.inf, fastest, errors)
+    if smooth is not None:  # as fast as possible, without averages
+        limit, exact = _times(begin, arrive_by, arrive_at, smooth.duration, np.inf)
+        made = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
+        if made.duration <= limit and made.certify(checker, joint_error=errors).verdict == Verdict.FREE:
+            return made._read_only()
     # Averages of blends are proven as a whole only; without blends, the robot stays on the path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
         base = fastest_along(robot, motions, judge, size, last_speed)
@@ -269,8 +276,8 @@ def _times(
     at = _validate.real(given, name)
     if not at - begin >= least:
         raise PlanningError(
-            f"{name}: expected {begin + least:.6g} s or later, since the path takes at least {least:.6g} s within the "
-            f"limits; found {at:g} s"
+            f"{name}: expected {begin + least:.6g} s or later, since the path takes {least:.6g} s within the limits; "
+            f"found {at:g} s"
         )
     return (at - begin, True) if arrive_by is None else (min(at - begin, bodies + 2 * least), False)
 
@@ -593,9 +600,14 @@ def _averaged_over(moved: Trajectory, window: float, longest: float) -> Trajecto
     k = np.searchsorted(moved.times, low[:-1], side="right") - 1, np.searchsorted(moved.times, high[1:]) - 1
     cuts = np.concatenate([[0], np.cumsum(moved.blended)])
     blended = cuts[np.minimum(k[1] + 1, len(cuts) - 1)] > cuts[np.minimum(k[0], len(cuts) - 1)]
-    late = longest - window
-    if late > 0:
-        ends = np.append(0.0, ends + late)
-        knots, rates, bends = (np.concatenate([rows[:1], rows]) for rows in (knots, rates, bends))
-        blended = np.append(False, blended)
-    return Trajectory(moved.names, ends, knots, rates, blended, bends, start_time=moved.start_time)
+    made = Trajectory(moved.names, ends, knots, rates, blended, bends, start_time=moved.start_time)
+    return _delayed(made, longest - window)
+
+
+def _delayed(moved: Trajectory, wait: float) -> Trajectory:
+    """Let a trajectory with limited jerk begin with a wait [s]."""
+    if not wait > 0 or moved.bends is None:
+        return moved
+    knots, rates, bends = (np.concatenate([rows[:1], rows]) for rows in (moved.knots, moved.rates, moved.bends))
+    times, blended = np.append(0.0, moved.times + wait), np.append(False, moved.blended)
+    return replace(moved, times=times, knots=knots, rates=rates, blended=blended, bends=bends)
