@@ -252,6 +252,15 @@ def test_example_conveyor(tmp_path):
     assert (tmp_path / "late.svg").is_file()
 
 
+def test_example_belt_pick(tmp_path):
+    """The three curves are proven, and no joint exceeds its limits of velocity and acceleration."""
+    out = example("belt_pick.py", "--out", "belt.png", cwd=tmp_path)
+    assert re.findall(r"^(.+): FREE", out, flags=re.M) == ["meet", "down and close", "up"]
+    shares = re.search(r"largest velocity ([0-9.]+), largest acceleration ([0-9.]+) of the limits", out).groups()
+    assert max(float(share) for share in shares) <= 1
+    assert (tmp_path / "belt.png").stat().st_size > 0
+
+
 def test_example_pick_and_place(tmp_path):
     """Every motion from the table to the shelf and back is proven; a millimetre into the table is a collision."""
     out = example("pick_and_place.py", "--out", "carry.csv", cwd=tmp_path)

@@ -21,7 +21,7 @@ from loewner.planners.jerk_limited import JerkLimited
 from loewner.planners.joint_limits import limits_of
 from loewner.planners.judge import Judge
 from loewner.planners.profiles import Limits, phases, ramp, ramp_way, reached
-from loewner.planners.trajectories import _corners
+from loewner.planners.trajectories import corners_of
 from loewner.robots.courses import configurations
 from loewner.robots.curves import curve_of
 from motion_oracle import FINGERS, example, free_configurations, ring, steps, written
@@ -60,7 +60,7 @@ def extremes(times, knots, rates):
 def least(path, limits):
     """The shortest phase of trajectories on a path."""
     moves = (path != path[0]).any(axis=0)
-    along = JerkLimited.of(path[_corners(path)], *(np.where(moves, limit, np.inf) for limit in limits.values())).along
+    along = JerkLimited.of(path[corners_of(path)], *(np.where(moves, limit, np.inf) for limit in limits.values())).along
     return along[0].least if along else 0.0
 
 

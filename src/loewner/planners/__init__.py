@@ -11,6 +11,7 @@ from loewner.planners.planning import plan, shorten
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.roadmaps import Roadmap, roadmap
 from loewner.planners.trajectories import Trajectory, trajectory
+from loewner.planners.velocity_tuning import time_path
 
 __all__ = [
     "ControllerPoints",
@@ -26,5 +27,6 @@ __all__ = [
     "shorten",
     "space_information",
     "straight",
+    "time_path",
     "trajectory",
 ]

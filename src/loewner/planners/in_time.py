@@ -229,9 +229,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
     if not crossing <= SLOWEST:
         raise InputError(f"velocity: expected joints that cross their ranges in {SLOWEST:g} s, found {crossing:g} s")
-    paths = () if ready.paths is None else ready.paths.paths
-    spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
-    limit = CROSSINGS * crossing + max(spans, default=0.0)
+    paths, limit = () if ready.paths is None else ready.paths.paths, CROSSINGS * crossing + horizon_of(ready, begin)
     if last is not None:
         last = _validate.real(last, "arrive_by")
         if not last > begin:
@@ -250,6 +248,13 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
             f"start_time: expected a time to which motions of {crossing:.3g} s can be added, found {begin:.15g}"
         )
     return TimedJudge(robot, ready, begin, limit, fastest, joint_errors(robot, joint_error))
+
+
+def horizon_of(ready: Problem, begin: float) -> float:
+    """Return how long bodies still move, from the start of a plan on; of motions that repeat, some periods."""
+    paths = () if ready.paths is None else ready.paths.paths
+    spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
+    return max(spans, default=0.0)
 
 
 def _started(judge: TimedJudge, path: Floats) -> Floats | None:

@@ -197,7 +197,8 @@ def plan(
 
     See Also
     --------
-    roadmap : For many queries in one scene. trajectory : Assigns times to the path.
+    roadmap : For many queries in one scene. trajectory : Assigns times to the path. time_path : Assigns times among
+        bodies that move, which a drive can follow.
 
     Notes
     -----

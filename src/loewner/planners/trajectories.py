@@ -104,7 +104,8 @@ class Trajectory(KeepsReadOnly):
         Seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest,
-        except in plans in time. Where velocities jump, they are those after the jump.
+        except in plans in time, and at an `end_velocity` of `time_path`. Where velocities jump, they are those after
+        the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
@@ -658,8 +659,8 @@ class Trajectory(KeepsReadOnly):
             return "times that start at 0 and increase, found others"
         if self.jumps:
             return ""
-        if self.rates[[0, -1]].any():
-            return "rest at both ends, found a velocity"
+        if self.rates[0].any():
+            return "rest at the start, found a velocity"
         if self.bends is None:
             return self._jump(self.knots, self.rates, 0.0, "constant accelerations")
         bent = np.diff(self.bends, axis=0) * T[:, None] ** 2 / 12
@@ -765,6 +766,7 @@ def trajectory(
     See Also
     --------
     plan : Finds paths. straight : Finds paths on which a link keeps a line.
+    time_path : Assigns times among bodies that move.
 
     Notes
     -----
@@ -785,14 +787,12 @@ def trajectory(
     >>> trajectory(robot, path, velocity=1.0, acceleration=2.0, jerk=20.0, checker=CollisionChecker(robot))
     Trajectory(2.6 s, 2 joints, stops at 0 corners, 1 blend)
     """
-    rows = _checked(robot, path)
-    share = _validate.positive_scalar(blend, "blend", zero=True)
-    if share > LARGEST_SHARE:
-        raise InputError(f"blend: expected a share from 0 to {LARGEST_SHARE:g}, found {share:g}")
+    rows = checked_rows(robot, path)
+    share = checked_blend(blend)
     if checker is not None and checked_checker(checker).robot is not robot:
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
     lines = kept_lines(robot, line, rows)
-    numbers = _corners(rows, sorted({at for each in lines for at in (each.first, each.last)}))
+    numbers = corners_of(rows, sorted({at for each in lines for at in (each.first, each.last)}))
     rows = rows[numbers]
     fastest, strongest, most = limits_of(robot, rows, limits, velocity, acceleration, jerk)
     judge = None if checker is None else Judge.of(checker, 0.0)
@@ -800,21 +800,34 @@ def trajectory(
         refuse_unfree(judge, rows, "path")
     motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
     kept = [_on_line(robot, each, rows, numbers) for each in lines]
-    halves = np.zeros(max(len(rows) - 2, 0))
-    if judge is not None and share > 0 and len(halves):
-        halves = _shortest(motions, _proven_blends(judge, motions, share, kept))
-    if isinstance(motions, JerkLimited):
-        made = Trajectory(robot.configuration_names, *motions.timed(halves))
-    else:
-        made = _timed(robot, motions, halves)
+    made = fastest_along(robot, motions, judge, share, kept=kept)
     spacing = (SPACED_WITHOUT_JERK if most is None else SPACED) * made._shortest(fastest, strongest, most)
     return replace(made, spacing=spacing)._read_only()
+
+
+def fastest_along(
+    robot: Robot,
+    motions: Straights | JerkLimited,
+    judge: Judge | None,
+    share: float,
+    last_speed: float = 0.0,
+    kept: Sequence[OnLine] = (),
+) -> Trajectory:
+    """Follow motions as fast as possible, with proven blends that take up to a share of them, if there is a judge.
+
+    Without limits of jerk, the path ends at a speed, as a share of full speed, or at the highest speed below it that is
+    reached. Blends on `kept` lines stay on them.
+    """
+    halves = _halves(motions, judge, share, kept)
+    if isinstance(motions, JerkLimited):
+        return Trajectory(robot.configuration_names, *motions.timed(halves))._read_only()
+    return _timed(robot, motions, halves, last_speed)
 
 
 # -- arguments ----------------------------------------------------------------------------------
 
 
-def _checked(robot: Robot, path: ArrayLike) -> Floats:
+def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
     """Check a user's path."""
     expect_robot(robot)
     if not robot.runs_straight:
@@ -825,7 +838,15 @@ def _checked(robot: Robot, path: ArrayLike) -> Floats:
     return checked_path(robot, path)
 
 
-def _corners(rows: Floats, ends: Sequence[int] = ()) -> Ints:
+def checked_blend(blend: float) -> float:
+    """Check the share of a motion that blends may take."""
+    share = _validate.positive_scalar(blend, "blend", zero=True)
+    if share > LARGEST_SHARE:
+        raise InputError(f"blend: expected a share from 0 to {LARGEST_SHARE:g}, found {share:g}")
+    return share
+
+
+def corners_of(rows: Floats, ends: Sequence[int] = ()) -> Ints:
     """Number the ends of the path, its corners, and the given ends of lines, but no repeated rows.
 
     Rows on a straight line are corners only if they are ends of lines.
@@ -861,6 +882,15 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 # -- blends -------------------------------------------------------------------------------------
 
 
+def _halves(motions: Straights | JerkLimited, judge: Judge | None, share: float, kept: Sequence[OnLine]) -> Floats:
+    """Choose the sizes of blends that are proven free and on lines; 0 for stops."""
+    on = motions if isinstance(motions, Straights) else motions.straights
+    corners = max(len(on.rows) - 2, 0)
+    if judge is None or share == 0 or corners == 0:
+        return np.zeros(corners)
+    return _shortest(motions, _proven_blends(judge, motions, share, kept))
+
+
 def _proven_blends(
     judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[OnLine]
 ) -> list[Floats]:
@@ -876,6 +906,8 @@ def _proven_blends(
     halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
     astray = BLEND_ROUNDINGS * speeds * _duration(motions, np.zeros(len(halves)))
+    if judge.joint_error is not None:
+        astray += judge.joint_error
     roundings = CUBIC_ROUNDINGS if isinstance(motions, JerkLimited) else BLEND_ROUNDINGS
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
@@ -958,7 +990,7 @@ def _shortest_part(straights: Straights | JerkLimited, proven: list[Floats]) -> 
 # -- times --------------------------------------------------------------------------------------
 
 
-def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[float]]:
+def _passed(straights: Straights, halves: Floats, last_speed: float = 0.0) -> tuple[list[float], list[float]]:
     """Compute speeds at the rows, as shares of full speed, and lengths between blends, in seconds at full speed.
 
     Parameters
@@ -973,7 +1005,7 @@ def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[flo
     taken = np.concatenate([[0.0], halves, [0.0]])
     left = np.maximum(straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
     gains = straights.gains.tolist()
-    speeds = [0.0, *np.minimum(limits, 1.0).tolist(), 0.0]
+    speeds = [0.0, *np.minimum(limits, 1.0).tolist(), last_speed]
     for k in range(len(left)):
         speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] * speeds[k] + 2 * gains[k] * left[k]))
     for k in range(len(left) - 1, -1, -1):
@@ -1016,9 +1048,9 @@ def _duration(straights: Straights | JerkLimited, halves: Floats) -> float:
     return total
 
 
-def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
+def _timed(robot: Robot, straights: Straights, halves: Floats, last_speed: float = 0.0) -> Trajectory:
     """Make the trajectory of all phases in sequence."""
-    speeds, left = _passed(straights, halves)
+    speeds, left = _passed(straights, halves, last_speed)
     first, _, last = straights.corners(halves)
     ends, taken = [*first, straights.rows[-1]], [0.0, *halves.tolist(), 0.0]
     times, knots, rates, blended = [0.0], [straights.rows[0]], [np.zeros(robot.dof)], []
