@@ -188,7 +188,7 @@ def _answer(
         found.proof.save(written)
     robot, times, unproven = checker.robot, found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
     timed = isinstance(given, planners.ControllerPoints)
-    near, contacts = approaches.along(checker, curve, unproven)
+    near, allowed, contacts = approaches.along(checker, curve, unproven)
     names = found.segments.names
     pieces = [
         {
@@ -219,6 +219,7 @@ def _answer(
         "unproven": pieces,
         "contacts": contacts.tolist(),
         **_nearest(near, near.nearest),
+        "allowed": [{"pair": list(pair)} | _nearest(of_pair, of_pair.nearest) for pair, of_pair in allowed.items()],
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
         "proof": str(written) if found.proof is not None else None,
@@ -307,6 +308,11 @@ def _print_answer(answer: dict[str, Any]) -> None:
     if len(answer["contacts"]) > SHOWN:
         print(f"          and {len(answer['contacts']) - SHOWN} more times")
     _print_nearest(answer, unit)
+    for one in answer["allowed"]:
+        print(
+            f"allowed   contact of {' and '.join(one['pair'])} at the beginning or the end, down to "
+            f"{1e3 * one['nearest']:z.3f} mm at {one['nearest_time']:.6g}{unit}"
+        )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     if answer["timed"]:
         print(f"curve     {answer['controller']} between points{error}")

@@ -18,7 +18,7 @@ from loewner import _validate
 from loewner._kernels import codes, columns
 from loewner._matrices import lengths
 from loewner._pictures import pictured, verdicts
-from loewner._validate import Floats, Ints
+from loewner._validate import Floats, Ints, Pair
 from loewner.robots import in_time, motions
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, parts
 from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits
@@ -192,12 +192,34 @@ def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
     return ClosestApproach(curve.times, np.minimum(lower, search.distance), search.distance, times, names)
 
 
-def along(checker: Any, curve: Curve, unproven: Ints) -> tuple[ClosestApproach, Floats]:
-    """Measure a curve from `curves.proven`; also return when collisions on its unproven pieces begin and end."""
-    ready = checker._ready(timed=bool(checker.scene.following))
+class Measured(NamedTuple):
+    """Distances along a curve.
+
+    Attributes
+    ----------
+    near : ClosestApproach
+        Of all pairs that no rule allows to touch; of all pairs if there are no others.
+    allowed : dict of (str, str) to ClosestApproach
+        Of each pair that may be in contact at the beginning or the end.
+    contacts : ndarray, shape (m, 2)
+        Times at which collisions on unproven pieces begin and end.
+    """
+
+    near: ClosestApproach
+    allowed: dict[Pair, ClosestApproach]
+    contacts: Floats
+
+
+def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
+    """Measure a curve from `curves.proven`, whose pieces with the given numbers are not proven free."""
+    ready: Problem = checker._ready(timed=bool(checker.scene.following))
     whole = cut_in_time(checker.robot, ready, curve)
-    near = measured(ready, whole)
-    return near, contacts(ready, whole, unproven, near)
+    near = measured(ready.unruled if len(ready.ruled) < len(ready.pairs) else ready, whole)
+    allowed = {}
+    for pair in ready.ruled.tolist():
+        a, b = (ready.names[k] for k in ready.pairs[pair])
+        allowed[a, b] = measured(ready.only(np.array([pair])), whole)
+    return Measured(near, allowed, contacts(ready, whole, unproven, near))
 
 
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:

@@ -218,7 +218,7 @@ class Problem:
         chosen = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs[pairs],
             self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
-        ).with_poses(self.standing.poses, self.version)  # fmt: skip
+        )._placed(self.standing.poses, version=self.version, paths=self.paths)  # fmt: skip
         Problem.cut.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
         return chosen
 
