@@ -131,7 +131,7 @@ def test_rules_about_other_pairs_or_ends_do_not_help():
     assert (found.segments.verdict == FREE).sum() >= 3  # with those that the rules allow
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 60))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 20))])
 def test_random_curves_keep_the_rules_in_dense_samples(seed):
     """FREE curves keep the rules by plane geometry, and nearly all curves that keep them are FREE."""
     rng = np.random.default_rng(seed)
@@ -205,7 +205,7 @@ def test_a_stretch_is_recorded_with_its_end_and_depth():
     assert (height(curve(np.linspace(at, 4, 1000)), 0.002) > 0).all()
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 40))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 20))])
 def test_bodies_of_several_pieces_and_thin_tables(seed):
     """Each pair of pieces keeps the rule in dense exact distances: with flanges, a table of 1 mm, and deep starts."""
     rng = np.random.default_rng(seed)
@@ -215,7 +215,7 @@ def test_bodies_of_several_pieces_and_thin_tables(seed):
         Body.cylinder(0.03, 0.2).transformed(translation(z=0.1)),
     ]
     free = 0
-    for _ in range(8):
+    for number in range(8):
         scene, thin, sunk = Scene(margin=rng.choice([0, 0.003])), rng.choice([0.1, 0.001]), rng.choice([0, 0.003, 0.02])
         boxes = [[0, 0, -thin / 2], [0.3, 0, 0.1], [-0.5, 0, -0.2]], [[0.5, 0.5, thin], [0.05, 0.3, 0.2], [0.3] * 3]
         scene.add("table", Body.boxes(*boxes))
@@ -225,8 +225,10 @@ def test_bodies_of_several_pieces_and_thin_tables(seed):
         rows = np.zeros((4, 3))
         rise = np.abs(rng.normal(size=(3, 1))) * 10.0 ** rng.uniform(-3.5, -1, size=(3, 1))
         across = rng.normal(size=(3, 2)) * [rng.choice([0, 0.02, 0.2]), rng.choice([0, 1e-3, 0.05, 0.5])]
+        across *= number > 0
         rows[1:] = np.cumsum(np.concatenate([across[:, :1], rise, across[:, 1:]], axis=1), axis=0)
-        curve = CubicSpline(np.arange(4.0), rows, bc_type="clamped")
+        form = CubicSpline if number else PchipInterpolator  # the first one goes straight up
+        curve = form(np.arange(4.0), rows)
         if checker.certify_trajectory(curve, tolerance=TOLERANCE).verdict != FREE:
             continue
         free += 1
