@@ -454,7 +454,8 @@ class CollisionChecker:
         motions = found.of_shape(shape, ready)
         if model is None or not (found.verdicts == codes.FREE).all():
             return motions
-        return replace(motions, proof=proof_of(model, ready, straight(ready.robot, a, b), errors))
+        deeper = None if errors.any() else tolerance
+        return replace(motions, proof=proof_of(model, ready, straight(ready.robot, a, b), errors, deeper))
 
     @overload
     def certify_trajectory(
