@@ -499,9 +499,10 @@ static void read_contacts(Block *b, size_t count) {
 static void tell_contacts(void) {
     EACH(k, contact_count) {
         const Contact *c = contacts + k;
-        printf("contact: bodies %zu and %zu may %s %.17g m in the %s 2^-%u of motion %zu\n", (size_t)(c->key >> 32),
-               (size_t)(c->key & 0xffffffff), c->least < 0 ? "overlap by" : "come as near as", fabs(c->least),
-               c->end ? "last" : "first", c->k, c->motion);
+        printf("contact: bodies %zu and %zu may %s %.17g m in ", (size_t)(c->key >> 32), (size_t)(c->key & 0xffffffff),
+               c->least < 0 ? "overlap by" : "come as near as", fabs(c->least));
+        if (c->k) printf("the %s 2^-%u of motion %zu\n", c->end ? "last" : "first", c->k, c->motion);
+        else printf("all of motion %zu\n", c->motion);
     }
 }
 

@@ -379,7 +379,7 @@ class _Motion:
 
 
 class _Checker:
-    def __init__(self, model: bytes, proof: bytes, version: int) -> None:
+    def __init__(self, model: bytes, proof: bytes, version: int = 1) -> None:
         reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
         self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
         for _ in range(reader.count(107, "links", most=MOST_LINKS)):
