@@ -21,8 +21,8 @@ from loewner.robots.proof_models import LARGEST, TURNS, Model, contents, differe
 if TYPE_CHECKING:
     from loewner.verify import Report
 
-# A model with rules of contact has the second version.
-MAGIC, VERSION, WITH_RULES, FREE, COMMON = b"LOEWNERP", 1, 2, 1, 2
+# Models without rules of contact have the first version.
+MAGIC, VERSION, WITHOUT_RULES, FREE, COMMON = b"LOEWNERP", 2, 1, 1, 2
 _HEAD = struct.Struct("<8sIIII")
 
 # Programs that check proofs may refuse larger files [bytes], and joints that turn beyond this [rad].
@@ -202,8 +202,8 @@ def _fault(data: bytes) -> str | None:
     if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
         return "a proof of loewner, found something else"
     _, version, what, model, proof = _HEAD.unpack_from(data)
-    if (version, what) not in ((VERSION, FREE), (VERSION, COMMON), (WITH_RULES, FREE)):
-        return f"version {VERSION} or {WITH_RULES} of the format, found {version}, which proves {what}"
+    if (version, what) not in ((WITHOUT_RULES, FREE), (WITHOUT_RULES, COMMON), (VERSION, FREE)):
+        return f"version {WITHOUT_RULES} or {VERSION} of the format, found {version}, which proves {what}"
     if len(data) != _HEAD.size + model + proof + 32:
         return f"{_HEAD.size + model + proof + 32} bytes, found {len(data)}: it is not whole"
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
@@ -211,7 +211,7 @@ def _fault(data: bytes) -> str | None:
     return None
 
 
-def assembled(what: int, model: bytes, proof: bytes, version: int = VERSION) -> Proof:
+def assembled(what: int, model: bytes, proof: bytes, version: int = WITHOUT_RULES) -> Proof:
     """Make a file of its blocks, unless it is larger than checkers take."""
     data = _HEAD.pack(MAGIC, version, what, len(model), len(proof)) + model + proof
     if len(data) + 32 > MOST_BYTES:
@@ -255,4 +255,4 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, 
         )
     touching, found = separations.trees(ready, model, courses, deviations, tolerance)
     block = separations.written(deviations, courses) + separations.written_contacts(model, touching) + found
-    return assembled(FREE, model.data, block, WITH_RULES if model.rules.any() else VERSION)
+    return assembled(FREE, model.data, block, VERSION if model.rules.any() else WITHOUT_RULES)
