@@ -156,7 +156,7 @@ class _Touched(NamedTuple):
     apart, planes : ndarray of int64, shape (pairs, 2)
         Pairs of pieces that are apart, and pairs that touch.
     distances : ndarray
-        Signed distances of those that touch.
+        Signed distances of the pairs that touch.
     normals : ndarray, shape (planes, 3)
         Unit vectors in the frame of the second body, which point to the first one.
     """
