@@ -521,7 +521,7 @@ def of_kernel(robot, scene):
     """The input of the kernel, and the model it was made of."""
     model = proof_models.model_of(CollisionChecker(robot, scene)._ready())
     prepared = separations._Prepared(model, robot.tree, np.zeros(len(model.link), dtype=np.int64))
-    return model, prepared.records[0]
+    return model, prepared.model
 
 
 def reaches(record, cluster, n):

@@ -108,14 +108,14 @@ class Report:
         for name, pairs in groupby(self.left_out, lambda pair: pair[0]):
             lines.append(("left out", f"{_shown(name)} and {', '.join(_shown(other) for _, other in pairs)}"))
         lines += [("not covered", f"the interior of {_shown(name)}") for name in self.uncovered]
-        for *pair, ends in self.rules:
-            where = ("at the start", "at the end", "at the start and at the end")[ends - 1]
-            lines.append(("rule", f"{_shown(*pair)} may be in contact {where} of motions"))
-        for *pair, number, since, until, least in self.contacts:
-            near = f"overlap by {-1000 * least:.12g} mm" if least < 0 else f"come as near as {1000 * least:.12g} mm"
+        for a, b, which in self.rules:
+            when = ("at the start", "at the end", "at the start and at the end")[which - 1]
+            lines.append(("rule", f"{_shown(a, b)} may be in contact {when} of motions"))
+        for a, b, number, since, until, room in self.contacts:
+            near = f"overlap by {-1000 * room:.12g} mm" if room < 0 else f"come as near as {1000 * room:.12g} mm"
             when = f"until t = {until}" if since == 0 else f"from t = {since} on"
             when = f"all along motion {number}" if until - since == 1 else f"in motion {number} {when}"
-            lines.append(("contact", f"{_shown(*pair)} may {near} {when}"))
+            lines.append(("contact", f"{_shown(a, b)} may {near} {when}"))
         free = "FREE, except for the contacts above" if self.contacts else "FREE"
         lines.append(("claim", f"COLLIDING: {_shown(*self.common)} have a common point" if self.common else free))
         return "\n".join(f"{what:12} {text}" for what, text in lines)

@@ -202,9 +202,9 @@ class _Prepared:
             np.column_stack([model.link, placed_by, made.of_body]), model.turn.reshape(-1, 9),
             np.empty((len(model.link), 4)), model.pairs, model.margins, np.column_stack([links.above, depth]), joints,
         )  # fmt: skip
-        self.records = [type(record)(*map(np.ascontiguousarray, record)) for record in (one, tree)]
-        self.tables = [records.table_of(record) for record in self.records]
-        entries.measure_model(self.tables[0].ctypes.data)
+        self.model = records.PlaneModel(*map(np.ascontiguousarray, one))
+        self.tree = records.Tree(*map(np.ascontiguousarray, tree))
+        entries.measure_model(records.table_of(self.model).ctypes.data)
 
     def speeds(self, courses: Floats, deviations: Floats) -> Floats:
         """Bound speeds, second derivatives, deviations and ways of joints on motions, shape (N, joints, 4)."""
@@ -222,13 +222,12 @@ class _Prepared:
         margins: Floats | None = None,
     ) -> bytes | Failed:  # fmt: skip
         """Make the trees of all pairs, or of some consecutive ones, for one motion."""
-        model, tree = self.records
-        own = model.margins[pairs] if margins is None else margins
-        chosen = model._replace(pairs=model.pairs[pairs], margins=own)
-        table = records.table_of(chosen)
+        own = self.model.margins[pairs] if margins is None else margins
+        some = self.model._replace(pairs=self.model.pairs[pairs], margins=own)
+        tables = records.table_of(some), records.table_of(self.tree)
         nodes, planes, pair, low, high = entries.plane_trees(
-            table.ctypes.data, self.tables[1].ctypes.data, np.ascontiguousarray(course), speeds, room,
-            memory.state[pairs], memory.tokens, memory.normals,
+            *(table.ctypes.data for table in tables), np.ascontiguousarray(course), speeds, room, memory.state[pairs],
+            memory.tokens, memory.normals,
         )  # fmt: skip
         if pair >= 0:
             return Failed((pairs.start or 0) + pair, low, high, nodes == MOST_NODES or planes == MOST_NORMALS)
