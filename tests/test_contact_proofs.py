@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import loewner
 from checker_oracle import robot_of
 from families import translation
+from gantry import gantry, wall
 from loewner import Body, CollisionChecker, Scene, Verdict, cli, planners
 from loewner.verify import Refused, verify
 
@@ -223,6 +224,29 @@ def test_plans_and_commands(hand, tmp_path, capsys):
         assert words in out
         assert status == 2 or "\ncontact      can and table may overlap by " in out
         assert ("verified" in out) == (status == 0)
+
+
+def test_commands_with_rules(tmp_path, capsys):
+    """`plan` and `audit` write proofs of motions from contact, and `verify` compares their rules with a scene's."""
+    urdf, srdf = gantry(tmp_path)
+    file, path, proof = (str(tmp_path / name) for name in ("scene.yaml", "path.csv", "path.proof"))
+    loewner.save_scene(wall(), file)
+    robot, rule = [str(urdf), "--srdf", str(srdf), "--scene", file], ["--leave", "ball", "wall"]
+    plan = ["plan", *robot, "--start", "-0.15 -0.5 1.57", "--goal", "-0.5 -0.5 1.57", "-o", path, "--proof", proof]
+    assert cli.main([*plan, *rule]) == 0
+    assert cli.main(["verify", proof, "--robot", *robot, *rule, "--path", path]) == 0
+    assert "contact      ball and wall may overlap by 0.01" in capsys.readouterr().out
+    assert cli.main(["verify", proof, "--robot", *robot, "--path", path]) == 1
+    assert "at which contact is allowed for ball and wall: only in the proof" in capsys.readouterr().out
+    assert cli.main(["verify", proof, "--robot", *robot, "--reach", "ball", "wall"]) == 1
+    assert "for ball and wall: 1 instead of 2" in capsys.readouterr().out
+    assert cli.main(["verify", proof, *rule]) == 2
+    assert "--leave: expected --robot with it" in capsys.readouterr().err
+    scene = wall()
+    scene.leave("ball", "wall")
+    loewner.save_scene(scene, file)
+    assert cli.main(["audit", robot[0], path, *robot[1:], "--proof", proof]) == 0
+    assert cli.main(["verify", proof, "--robot", *robot, "--path", path]) == 0
 
 
 def test_joint_errors_have_no_contacts(hand):

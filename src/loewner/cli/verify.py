@@ -49,6 +49,7 @@ def add(commands: Any) -> None:
     )
     inputs.add_robot_options(command, required=False)
     command.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    inputs.add_rule_options(command, "start of motions", "end of motions")
     command.add_argument("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
     command.add_argument(
         "--overlap", type=float, default=OVERLAP, metavar="M",
@@ -60,7 +61,7 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     if options.urdf is None:
-        for name in ("srdf", "scene", "model", "decompose", "package_dir"):
+        for name in ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
     data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # too large ones are refused below
@@ -72,6 +73,7 @@ def _run(options: argparse.Namespace) -> int:
     lines, faults = [str(report)], list[str]()
     if options.urdf is not None:
         scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+        inputs.apply_rules(scene, options)
         made_for = ", ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
         found = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
         lines += [f"different    {words}" for words in found[:MOST_SHOWN]]
