@@ -492,8 +492,8 @@ static void read_contacts(Block *b, size_t count) {
     EACH(k, contact_count) {
         const Contact *c = contacts + k;
         const size_t m = c->motion;
-        if (touches(m, c->key, 0) && m > 0 && joined(m) && !touches(m - 1, c->key, 1)) refuse("a contact begins late");
-        if (touches(m, c->key, 1) && m + 1 < count && joined(m + 1) && !touches(m + 1, c->key, 0)) refuse("a contact ends early");
+        if (c->end == 0 && m > 0 && joined(m) && !touches(m - 1, c->key, 1)) refuse("a contact begins late");
+        if (c->end == 1 && m + 1 < count && joined(m + 1) && !touches(m + 1, c->key, 0)) refuse("a contact ends early");
     }
 }
 static void tell_contacts(void) {

@@ -213,12 +213,16 @@ def test_odd_contacts_are_refused():
     for contacts, rules, motions in (
         ([(0, 0, 1, 0, 5, -1.0), (1, 0, 1, 0, 0, -1.0)], ((0, 1, 1),), (LIFTED, back)),
         ([(0, 0, 1, 1, 0, -1.0), (1, 0, 1, 1, 5, -1.0)], ((0, 1, 2),), (LIFTED, back)),
-        ([(0, 0, 1, 0, 0, -1.0)], ((0, 1, 1),), (LIFTED, back)),
-        ([(0, 0, 1, 1, 5, -1.0)], ((0, 1, 2),), (back, LIFTED)),
+        ([(1, 0, 1, 0, 0, -1.0)], ((0, 1, 3),), (LIFTED, back)),
+        ([(0, 0, 1, 1, 5, -1.0)], ((0, 1, 3),), (back, LIFTED)),
     ):
         with pytest.raises(Refused, match="can and table: contact in only one of motions 0 and 1"):
             verify(leaving(contacts, rules, motions))
     verify(leaving([whole, (1, 0, 1, 0, 0, -1.0)], motions=(LIFTED, back), tree=ALONG_Y + b"\3"))
+    # A contact may end, or begin, where motions join.
+    still = ((0.5,), (0.5,))
+    verify(leaving([whole], motions=(LIFTED, still), tree=ALONG_Y + b"\3"))
+    verify(leaving([(1, 0, 1, 1, 0, -1.0)], ((0, 1, 2),), (still, back), ALONG_Y + b"\3"))
     # Motions that start anew are sequences of their own.
     verify(leaving([whole, (1, 0, 1, 0, 0, -1.0)], motions=(back, back), tree=ALONG_Y + b"\3"))
     for rules in (((0, 1, 0),), ((0, 1, 4),), ((0, 1, 1), (0, 1, 2)), ((1, 1, 1),), ((1, 0, 1),), ((0, 2, 1),)):

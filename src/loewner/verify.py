@@ -421,28 +421,27 @@ class _Checker:
 
     def read_contacts(self) -> None:
         """Read where pairs may be in contact, and check that the rules allow it and that joined motions agree."""
-        before: tuple[int, ...] = ()
+        before, anchors, whole = (-1, 0, 0, 0), list[tuple[int, Pair, int]](), 1 << DEEPEST
         for _ in range(self.reader.count(22, "contacts")):
             (number, i, j, end, k), (least,) = self.reader.take("3I2B"), self.reader.doubles(1)
-            key, pair, whole = (number, i, j, end), (i, j), 1 << DEEPEST
+            key, pair = (number, i, j, end), (i, j)
             if key <= before or number >= len(self.points) or not self.rules.get(pair, 0) & end + 1:
                 raise Refused(f"No rule allows bodies {i} and {j} a contact in motion {number}, or it is out of order.")
             if end > 1 or k >= DEEPEST or not least < self.margins.get(pair, self.margin):
                 raise Refused(f"{_shown(*self.named(pair))}: a contact has the end {end}, 2^-{k} and {least!r} m.")
             found, before = self.contacts.setdefault((number, pair), []), key
             found.append((whole - (whole >> k), whole, least) if end else (0, whole >> k, least))
+            anchors.append((number, pair, end))
             if len(found) == 2 and found[0][1] > found[1][0]:
                 raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
             low, high = (Fraction(t, whole) for t in found[-1][:2])
             self.told.append((*self.named(pair), number, low, high, least))
-        for (number, pair), found in self.contacts.items():
-            for other, side in ((number - 1, 0), (number + 1, 1)):
-                first, last = sorted((number, other))
-                joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
-                here, there = side << DEEPEST, (1 - side) << DEEPEST  # t where the two motions join
-                goes_on = any(there in x[:2] for x in self.contacts.get((other, pair), ()))
-                if joined and not goes_on and any(here in x[:2] for x in found):
-                    raise Refused(f"{_shown(*self.named(pair))}: contact in only one of motions {first} and {last}.")
+        for number, pair, end in anchors:  # where another motion joins, it has to be in contact there
+            other, there = (number + 1, 0) if end else (number - 1, whole)
+            first, last = sorted((number, other))
+            joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
+            if joined and not any(there in x[:2] for x in self.contacts.get((other, pair), ())):
+                raise Refused(f"{_shown(*self.named(pair))}: contact in only one of motions {first} and {last}.")
 
     def named(self, pair: Pair) -> Names:
         return self.bodies[pair[0]].name, self.bodies[pair[1]].name

@@ -117,11 +117,12 @@ def trees(
         if isinstance(tree, Failed):
             a, b = (ready.names[n] for n in model.pairs[tree.pair])
             why = "they come nearer than the room for rounding that proofs leave"
-            if first in ruled and tolerance is not None:
-                why = "the planes of their contact do not suffice, or it lasts longer than a proof can say"
+            touched = first in ruled and tolerance is not None
+            if touched:
+                why = "the planes of their contact do not suffice"
             if tree.many:
                 why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
-            elif deviations.any():
+            elif deviations.any() and not touched:
                 why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
             raise ConvergenceError(
                 f"proof: expected planes between {a} and {b} all along motion {k}, found none from the fraction "
@@ -133,10 +134,10 @@ def trees(
 
 
 def _expect_joined(ready: Problem, courses: Floats, touching: list[Contact]) -> None:
-    """Refuse a contact at an end of a motion that is not one of the motion that joins it there."""
+    """Refuse a contact at an end of a motion where another motion joins it that is not in contact there."""
     ends = {(c.motion, c.pair, end) for c in touching for end in (0, 1) if end == c.end or c.k == 0}
     joined = (courses[1:, 0] == courses[:-1, -1]).all(axis=1)
-    for motion, pair, end in ends:
+    for motion, pair, end, *_ in touching:
         first, other = (motion, motion + 1) if end else (motion - 1, motion - 1)
         if 0 <= first < len(joined) and joined[first] and (other, pair, 1 - end) not in ends:
             a, b = (ready.names[n] for n in ready.pairs[pair])
@@ -265,16 +266,18 @@ class _Search(NamedTuple):
 
     def with_contacts(self, touching: list[Contact]) -> bytes | Failed:
         """Make the tree, if contacts suffice, and append them; each is as short as possible."""
-        ends_ = {AT_START: [(0.0, 1.0, 0)], AT_END: [(0.0, 1.0, 1)], AT_START + AT_END: [(0.0, 0.5, 0), (0.5, 1.0, 1)]}
-        found, made = [], list[Contact]()
-        for low, high, end in ends_[int(self.model.rules[self.pair])]:
-            tree = self._part(low, high, end, made)
-            if isinstance(tree, Failed):
-                return tree
-            found.append(tree)
-        touching += made
-        self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
-        return b"\0" * (len(found) - 1) + b"".join(found)
+        start, end = (0.0, 1.0, 0), (0.0, 1.0, 1)
+        ways = {AT_START: [[start]], AT_END: [[end]]}
+        # With both rules, each half may be in contact at its end of the motion, or else all of the motion at one end.
+        for way in ways.get(int(self.model.rules[self.pair]), [[(0.0, 0.5, 0), (0.5, 1.0, 1)], [start], [end]]):
+            made = list[Contact]()
+            found = [self._part(*part, made) for part in way]
+            done = [tree for tree in found if not isinstance(tree, Failed)]
+            if len(done) == len(found):
+                touching += made
+                self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
+                return b"\0" * (len(found) - 1) + b"".join(done)
+        return next(tree for tree in found if isinstance(tree, Failed))
 
     def _part(self, low: float, high: float, end: int, made: list[Contact]) -> bytes | Failed:
         """Make the tree of a part of the motion, with a contact at one of its ends if it needs one."""
