@@ -34,7 +34,7 @@ exit status: 0 verified to be free, and the same model and path; 1 verified to c
 refused, too deep a contact, or a different model or path; 2 error
 """
 
-# Metres by which bodies may overlap in contacts: more than rounding and tolerances, less than what bends a thing.
+# Metres by which bodies may overlap in contacts: well above tolerances and errors of poses.
 OVERLAP = 1e-3
 
 # Differences of two models that are printed.

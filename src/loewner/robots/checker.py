@@ -403,8 +403,8 @@ class CollisionChecker:
             As for `collide`.
         ConvergenceError
             If the motions are free, but a proof cannot be written: since its bound on the effect of joint errors is
-            coarser, since a pair comes within some micrometres of its margin, or since the planes of a contact at an end
-            do not suffice. The message names the pair.
+            coarser, since a pair comes within some micrometres of its margin, or since the planes of a contact do not
+            suffice. The message names the pair.
 
         See Also
         --------

@@ -323,14 +323,8 @@ class _Search(NamedTuple):
         if least is not None and normals is not None:
             state = np.append(memory.state, np.tile(normals.ravel(), (len(memory.state), 1)), axis=1)
             memory, margins = memory._replace(state=state), np.array([least + DEPTH_ROOM * abs(least)])
-        tree = self.prepared.trees(
-            course,
-            self.speeds * [width, width * width, 1.0, 1.0],
-            ROOM,
-            memory,
-            slice(self.pair, self.pair + 1),
-            margins,
-        )
+        speeds, alone = self.speeds * [width, width * width, 1.0, 1.0], slice(self.pair, self.pair + 1)
+        tree = self.prepared.trees(course, speeds, ROOM, memory, alone, margins)
         if isinstance(tree, Failed):
             return tree._replace(low=low + width * tree.low, high=low + width * tree.high)
         return tree
