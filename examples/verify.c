@@ -1,6 +1,7 @@
 /* Checks a proof that motions of a robot are free of collisions, or that two bodies have a common point.
  * Build:  gcc -std=c11 -O2 verify.c -o verify -lm        Use:  ./verify file.proof
  * It prints "verified: FREE, ..." (exit 0), "verified: COLLIDING, ..." or "refused: why" (exit 1); exit 2: no such file.
+ * If pairs may be in contact at ends of motions, it prints "verified: FREE, except for ..." and a line for each contact.
  *
  * The page proof-format.md defines the format and what is checked. All real numbers are enclosed: next to each computed
  * double there is a bound of its distance to the true number, which grows with each rounding by more than the rounding's
@@ -187,11 +188,12 @@ static void compose(const Pose *a, const Pose *b, Pose *out) {
 /* ------------------------------------------------------------------------------------------------------ The model */
 /* A link's kind is 0 (does not move), 1 (turns) or 2 (slides). n: its axis, of length 1 if it turns; len: a bound of the
  * length of the axis as it is given; fixed: F and t. A piece has k points (or balls) in x, or one c and G; far and big are
- * bounds of the points and radii. c, r of a body: the first ball. A pair's key is 2^32 i + j; lower: 1 is i, 2 is j. */
+ * bounds of the points and radii. c, r of a body: the first ball. A pair's key is 2^32 i + j; lower: 1 is i, 2 is j; rule:
+ * 1 if contact is allowed at the start of motions, 2 at the end, 3 at both. */
 typedef struct { long up, value, group; int kind; double len; Num m, f, n[3]; Pose fixed; } Link;
 typedef struct { int kind; double radius, far, big; size_t k; Num *x; } Piece;
 typedef struct { long link, group; Num M[9], s[3], c[3]; double r; size_t first, count; } Body;
-typedef struct { uint64_t key; double margin, N[3]; int lower; } Pair;
+typedef struct { uint64_t key; double margin, N[3]; int lower; unsigned rule; } Pair;
 static Link *links;
 static Body *bodies;
 static Piece *pieces;
@@ -278,7 +280,7 @@ static Pair *read_named(Block *b, int with_margin) { /* in their order, with a l
     EACH(k, n) {
         uint64_t i = u32(b), j = u32(b);
         if (i >= j || j >= body_count) refuse("a named pair is not one of two bodies in their order");
-        list[k] = (Pair){i << 32 | j, with_margin ? size(b) : 0, {0, 0, 0}, 0};
+        list[k] = (Pair){i << 32 | j, with_margin ? size(b) : 0, {0, 0, 0}, 0, 0};
     }
     qsort(list, n, sizeof *list, by_key);
     for (size_t k = 1; k < n; k++) if (list[k].key == list[k - 1].key) refuse("a pair is named twice");
@@ -298,11 +300,24 @@ static void read_pairs(Block *b, size_t limit) {
         if (bodies[i].group == bodies[j].group || skip[s].key == key) continue;
         if (++pair_count > limit) continue; /* each pair needs a byte of the proof */
         if (pair_count > room && !(pairs = realloc(pairs, (room *= 2) * sizeof *pairs))) refuse("not enough memory");
-        pairs[pair_count - 1] = (Pair){key, except[e].key == key ? except[e].margin : margin, {0, 0, 0}, 0};
+        pairs[pair_count - 1] = (Pair){key, except[e].key == key ? except[e].margin : margin, {0, 0, 0}, 0, 0};
     }
     free(skip), free(except);
 }
-static void read_model(Block b, size_t pair_limit) {
+static Pair *find_pair(uint64_t key) {
+    Pair wanted = {key, 0, {0, 0, 0}, 0, 0};
+    return bsearch(&wanted, pairs, pair_count, sizeof *pairs, by_key);
+}
+static void read_rules(Block *b) {
+    for (size_t n = counted(b, 9); n > 0; n--) {
+        const uint64_t i = u32(b), j = u32(b);
+        const unsigned ends = u8(b);
+        Pair *p = i < j && j < body_count ? find_pair(i << 32 | j) : NULL;
+        if (!p || p->rule || ends < 1 || ends > 3) refuse("a rule has no ends, or is about a pair with another or unchecked");
+        p->rule = ends;
+    }
+}
+static void read_model(Block b, size_t pair_limit, int with_rules) {
     FOR(i, 9) world.r[i] = num(i % 4 == 0);
     link_count = counted(&b, 107);
     if (link_count > MAX_LINKS) refuse("too many links");
@@ -321,6 +336,8 @@ static void read_model(Block b, size_t pair_limit) {
     pieces = allocate(b.left / 37, sizeof *pieces);
     for (size_t i = 0, first = 0; i < body_count; first += bodies[i++].count) read_body(&b, bodies + i, first, &x);
     read_pairs(&b, pair_limit);
+    if (pair_count > pair_limit) refuse("the proof is too short for all pairs");
+    if (with_rules) read_rules(&b);
     if (b.left) refuse("the model has more bytes than it uses");
 }
 
@@ -356,6 +373,9 @@ static Pose *cache; /* cache_size times the poses of all links, at the times cac
 static Time *cached;
 static size_t cache_size = 1024, plane_count;
 static double tightest = INFINITY;
+typedef struct { size_t motion; uint64_t key; unsigned end, k; double least; } Contact; /* for t to 2^-k, or from 1 - 2^-k */
+static Contact *contacts, *contact; /* all, in order, behind them one of no motion; the first one of the tree at hand */
+static size_t contact_count;
 static Num control(int k, size_t value) { return num(plain(motion->points + 8 * ((size_t)k * value_count + value))); }
 static void start_motion(void) {
     int d = motion->degree;
@@ -433,9 +453,69 @@ static Ball carried(const Body *lower, const Body *upper) {
     return ball;
 }
 
+/* ------------------------------------------------------------------------------------------------------- Contacts */
+static int by_place(const void *a, const void *b) { /* by motion, then by pair */
+    const Contact *x = a, *y = b;
+    if (x->motion != y->motion) return x->motion > y->motion ? 1 : -1;
+    return (x->key > y->key) - (x->key < y->key);
+}
+static int touches(size_t m, uint64_t key, unsigned end) { /* Is the pair in contact at this end of the motion? */
+    Contact wanted = {m, key, 0, 0, 0};
+    const Contact *c = bsearch(&wanted, contacts, contact_count, sizeof *contacts, by_place);
+    if (!c) return 0;
+    if (c > contacts && by_place(c - 1, c) == 0) c--;
+    for (int turn = 0; turn < 2 && c < contacts + contact_count && by_place(c, &wanted) == 0; turn++, c++)
+        if (c->end == end || c->k == 0) return 1;
+    return 0;
+}
+static int joined(size_t m) { /* Does this motion start where the one before ends? */
+    EACH(v, value_count) {
+        double start = plain(motions[m].points + 8 * v);
+        if (start != plain(motions[m - 1].points + 8 * ((size_t)motions[m - 1].degree * value_count + v))) return 0;
+    }
+    return 1;
+}
+static void read_contacts(Block *b, size_t count) {
+    contact_count = counted(b, 22);
+    contacts = allocate(contact_count, sizeof *contacts);
+    for (Contact *c = contacts; c < contacts + contact_count; c++) {
+        c->motion = u32(b), c->key = (uint64_t)u32(b) << 32, c->key |= u32(b);
+        c->end = u8(b), c->k = u8(b), c->least = real(b, -INFINITY);
+        const Pair *p = find_pair(c->key);
+        if (!p || c->motion >= count || c->end > 1 || !(p->rule & (c->end + 1))) refuse("no rule allows a contact");
+        if (c->k > 63 || !(c->least < p->margin)) refuse("a contact is too short, or its distance is not below the margin");
+        const int order = c > contacts ? by_place(c - 1, c) : -1;
+        if (order > 0 || (order == 0 && c[-1].end >= c->end)) refuse("contacts are not in order, or are named twice");
+        if (order == 0 && (c->k == 0 || c[-1].k == 0)) refuse("two contacts of a motion overlap");
+    }
+    contacts[contact_count].motion = SIZE_MAX;
+    EACH(k, contact_count) {
+        const Contact *c = contacts + k;
+        const size_t m = c->motion;
+        if (c->end == 0 && m > 0 && joined(m) && !touches(m - 1, c->key, 1)) refuse("a contact begins late");
+        if (c->end == 1 && m + 1 < count && joined(m + 1) && !touches(m + 1, c->key, 0)) refuse("a contact ends early");
+    }
+}
+static void tell_contacts(void) {
+    EACH(k, contact_count) {
+        const Contact *c = contacts + k;
+        printf("contact: bodies %zu and %zu may %s %.17g m in ", (size_t)(c->key >> 32), (size_t)(c->key & 0xffffffff),
+               c->least < 0 ? "overlap by" : "come as near as", fabs(c->least));
+        if (c->k) printf("the %s 2^-%u of motion %zu\n", c->end ? "last" : "first", c->k, c->motion);
+        else printf("all of motion %zu\n", c->motion);
+    }
+}
+
 /* ---------------------------------------------------------------------------------------------------------- Trees */
 typedef struct { uint64_t k; int h; size_t first[2], count[2]; } Part; /* t from k / 2^h to (k + 1) / 2^h; pieces of i, j */
 static Ball bounds[2]; /* with A and V, for each body as the lower one; the radius is negative if not known yet */
+static double required(const Part *p) { /* the margin, or in a contact the least distance */
+    for (const Contact *c = contact; c->motion == (size_t)(motion - motions) && c->key == pair->key; c++) {
+        const uint64_t at = p->h < (int)c->k ? 1 : c->k == 0 ? 0 : p->k >> (p->h - (int)c->k);
+        if (p->h >= (int)c->k && at == (c->end ? ((uint64_t)1 << c->k) - 1 : 0)) return c->least;
+    }
+    return pair->margin;
+}
 static void check_plane(const Part *p) {
     int low = pair->lower - 1, up = 1 - low;
     const size_t i = pair->key >> 32, j = pair->key & 0xffffffff;
@@ -446,7 +526,8 @@ static void check_plane(const Part *p) {
     scale(N, 3), apply(lower->M, N, 0, n), scale(n, 3);
     FOR(a, 3) n[a].e = 0; /* any normal will do, so we take a multiple of the rounded one */
     double len = length(n, 3), s = support(lower, p->first[low], p->count[low], n);
-    double need = more(pair->margin + ldexp(bounds[low].A, -2 * p->h) / 8 + bounds[low].V), right = more(len * need);
+    double need = above(required(p), more(ldexp(bounds[low].A, -2 * p->h) / 8 + bounds[low].V));
+    double right = need < 0 ? len * (1 - 0x1p-40) * need * (1 - 0x1p-40) : more(len * need); /* len is too long by less */
     FOR(end, 2) {
         uint64_t k = p->k + (uint64_t)end;
         const Pose *all = end && k == 0 ? poses(1, 0) : poses(k, p->h); /* 2^64 / 2^64 does not fit */
@@ -483,7 +564,7 @@ static void tree(Block *b, Part p, int depth) {
         check_plane(&p);
     }
 }
-static void check_motions(Block *b) {
+static void check_motions(Block *b, int with_contacts) {
     deviation = allocate(3 * value_count, sizeof *deviation);
     steps = deviation + value_count, bends = steps + value_count;
     EACH(i, value_count) deviation[i] = size(b);
@@ -494,6 +575,9 @@ static void check_motions(Block *b) {
         if (motion->degree == 0 || motion->degree > MAX_DEGREE) refuse("a motion of degree 0, or above 31");
         EACH(k, ((size_t)motion->degree + 1) * value_count) real(b, -INFINITY);
     }
+    contacts = allocate(1, sizeof *contacts), contacts->motion = SIZE_MAX;
+    if (with_contacts) read_contacts(b, n);
+    contact = contacts;
     if (n == 0 || pair_count > b->left / n) refuse(n ? "the proof is too short for all pairs" : "a proof without motions");
     while (cache_size > 1 && cache_size * link_count * sizeof *cache > MAX_FILE) cache_size /= 2;
     cache = allocate(cache_size * link_count, sizeof *cache), cached = allocate(cache_size, sizeof *cached);
@@ -502,11 +586,15 @@ static void check_motions(Block *b) {
         for (pair = pairs; pair < pairs + pair_count; pair++) {
             const Body *o = bodies + (pair->key >> 32), *q = bodies + (pair->key & 0xffffffff);
             bounds[0].r = bounds[1].r = -1;
+            const Contact here = {(size_t)(motion - motions), pair->key, 0, 0, 0};
+            while (by_place(contact, &here) < 0) contact++;
             tree(b, (Part){0, 0, {o->first, q->first}, {o->count, q->count}}, 0);
         }
     }
     if (b->left) refuse("the proof has more bytes than it uses");
-    printf("verified: FREE, %zu motions, %zu pairs, %zu planes, tightest %.3g m", n, pair_count, plane_count, tightest);
+    printf("verified: FREE, ");
+    if (contact_count) printf("except for %zu contacts, ", contact_count);
+    printf("%zu motions, %zu pairs, %zu planes, tightest %.3g m", n, pair_count, plane_count, tightest);
 }
 
 /* -------------------------------------------------------------------------------------------------- Common points */
@@ -585,16 +673,18 @@ int main(int argc, char **argv) {
     if (!file || ferror(file)) return fprintf(stderr, "cannot read the file; use: verify file.proof\n"), 2;
     if (fclose(file), n > MAX_FILE) refuse("a file over 16 MiB");
     Block all = {data, n};
-    if (memcmp(bytes(&all, 8), "LOEWNERP", 8) != 0 || u32(&all) != 1) refuse("not a proof of version 1");
-    const size_t kind = u32(&all), model_size = u32(&all), proof_size = u32(&all);
-    if (kind < 1 || kind > 2 || (uint64_t)model_size + proof_size + 32 != all.left) refuse("the kind or a length is wrong");
+    if (memcmp(bytes(&all, 8), "LOEWNERP", 8) != 0) refuse("not a proof");
+    const size_t version = u32(&all), kind = u32(&all), model_size = u32(&all), proof_size = u32(&all);
+    if (version < 1 || version > 2 || kind < 1 || kind > 3 - version) refuse("the version or the claim is unknown");
+    if ((uint64_t)model_size + proof_size + 32 != all.left) refuse("a length is wrong");
     sha256(data, n - 32, hash);
     if (memcmp(hash, data + n - 32, 32) != 0) refuse("the file's hash is wrong");
     Block model = {bytes(&all, model_size), model_size}, proof = {bytes(&all, proof_size), proof_size};
-    read_model(model, kind == 1 ? proof_size : SIZE_MAX);
-    kind == 1 ? check_motions(&proof) : check_point(&proof);
+    read_model(model, kind == 1 ? proof_size : SIZE_MAX, version == 2);
+    kind == 1 ? check_motions(&proof, version == 2) : check_point(&proof);
     if (hollow_count) printf(", %zu bodies with interiors that are not covered", hollow_count);
     sha256(model.p, model_size, hash);
     FOR(i, 32) printf("%s%02x%s", i ? "" : ", model ", hash[i], i < 31 ? "" : "\n");
+    tell_contacts();
     return kind == 2;
 }

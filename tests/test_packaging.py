@@ -113,4 +113,6 @@ def test_policy_names_the_versions_of_formats():
     )
     written = {"body": BODIES.version, "proof": VERSION, "report": report.VERSION, "roadmap": ROADMAPS.version}
     assert rows == {name: str(version) for name, version in written.items()}
-    assert "reads version 1," in Path(verify.__file__).read_text()
+    text = Path(verify.__file__).read_text()
+    assert "reads version 1," in text
+    assert f"version {VERSION}, claim 1." in text

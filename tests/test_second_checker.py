@@ -19,6 +19,9 @@ from test_pair_proofs import at_gap, mutants
 from test_verify import (
     ALONG_Y,
     BELOW,
+    FROM_CONTACT,
+    INTO_CONTACT,
+    LIFTED,
     ROD,
     TURNING,
     body,
@@ -27,6 +30,7 @@ from test_verify import (
     common,
     doubles,
     hull,
+    leaving,
     link,
     model,
     plane,
@@ -66,6 +70,8 @@ def agrees(tmp_path_factory):
         assert said == (report is not None) or not (exactly or said), told.stdout
         assert report is None or not said or report.model in told.stdout
         assert not said or ("COLLIDING" in told.stdout) == (report.common is not None)
+        assert not said or told.stdout.count("\ncontact: ") == len(report.contacts)
+        assert not said or ("except for" in told.stdout) == bool(report.contacts)
         return report is not None and said
 
     return both
@@ -83,6 +89,40 @@ def test_they_agree_about_a_turning_rod(agrees):
     assert not agrees(turning(tree=ALONG_Y + b"\0"))
     assert not agrees(turning(motions=[], tree=b"", deviations=[0.0]))
     assert not agrees(sealed(model([], [], []), proof([], b"", [])))
+
+
+CONTACT, BACK = (0, 0, 1, 0, 5, -1e-3), LIFTED[::-1]
+
+
+def test_they_agree_about_contacts(agrees, rng):
+    """Both allow the same depths, at the same leaves, and refuse the same lists."""
+    least = -bound([0.0, 0.5]) / 32**2
+    assert agrees(leaving([(0, 0, 1, 0, 5, least - 1e-11)]))
+    assert not agrees(leaving([(0, 0, 1, 0, 5, least + 1e-11)]))
+    assert agrees(leaving([(0, 0, 1, 1, 5, -1e-3)], ((0, 1, 2),), (BACK,), INTO_CONTACT))
+    assert agrees(leaving([(0, 0, 1, 0, 0, 5e-4)], motions=[((0.01,), (0.01,))], tree=ALONG_Y, margin=0.1))
+    assert not agrees(leaving([(0, 0, 1, 0, 0, 2.1e-3)], motions=[((0.01,), (0.01,))], tree=ALONG_Y, margin=0.1))
+    down = FROM_CONTACT + b"\0\3" * 5 + b"\3"
+    assert agrees(leaving([CONTACT, (1, 0, 1, 1, 5, -1e-3)], ((0, 1, 3),), (LIFTED, BACK), down))
+    for k in (29, 30, 31, 63, 64):  # the leaf at the end in contact has the length 2^-30
+        deep = b"\0" * 30 + ALONG_Y + b"\3" * 30, (b"\0" + ALONG_Y) * 30 + b"\3"
+        for end, motion in enumerate((LIFTED, BACK)):
+            assert agrees(leaving([(0, 0, 1, end, k, -1e-6)], ((0, 1, 3),), (motion,), deep[end])) == (k <= 30)
+    whole = b"\0" * 64 + ALONG_Y + b"\3" * 64, (b"\0" + ALONG_Y) * 64 + b"\3"
+    assert all(agrees(leaving([(0, 0, 1, 0, 0, -1.0)], tree=tree)) for tree in whole)
+    # Any lists: ordered or not, of one motion or of two that may join.
+    verified = 0
+    for _ in range(60):
+        motions = [(LIFTED, BACK)[n] for n in rng.integers(2, size=rng.integers(1, 4))]
+        rows = {
+            (int(rng.integers(len(motions))), 0, 1, int(rng.integers(2)), int(rng.choice([0, 1, 5]))) for _ in range(3)
+        }
+        rows = sorted((*row, -1.0) for row in rows)
+        if rng.integers(6) == 0:
+            rows.reverse()
+        tree = b"".join(ALONG_Y if rng.integers(2) else (INTO_CONTACT, FROM_CONTACT)[x is LIFTED] for x in motions)
+        verified += agrees(leaving(rows, ((0, 1, int(rng.integers(1, 4))),), motions, tree))
+    assert 0 < verified < 60
 
 
 def test_they_agree_about_an_arm(panda, agrees, rng):  # noqa: F811
@@ -123,6 +163,8 @@ def test_they_agree_about_mutants(count, agrees):
             model([TURNING, link(0, 2, 1, axis=(1, 0, 0))], [(-3, 3), (-1, 1)], [body(1, ROD), body(-1, BELOW)]),
             proof([[(0.0, 0.0), (0.2, 0.1)]], ALONG_Y, [1e-4, 1e-3]),
         ),
+        leaving([CONTACT]),
+        leaving([CONTACT, (1, 0, 1, 1, 5, -1e-3)], ((0, 1, 3),), (LIFTED, BACK), FROM_CONTACT + INTO_CONTACT),
     ]
     sound += pair
     assert all(agrees(data) for data in sound)

@@ -42,6 +42,7 @@ Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
 Names = tuple[str, str]
 Tightest = tuple[str, str, int, Fraction, Fraction, float, Fraction]
+Contact = tuple[str, str, int, Fraction, Fraction, float]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
 EVERY = [(i, k) for i in range(3) for k in range(3)]
@@ -69,6 +70,9 @@ class Report:
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
         The check with the least to spare: two bodies, a motion, an interval, the margin, and how much is left; two
         bodies with a common point, if this is the claim of the file.
+    rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
+        Pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3); where they may be:
+        two bodies, a motion, an interval, and their least distance in metres, negative for an overlap.
     """
 
     model: str
@@ -81,6 +85,8 @@ class Report:
     motions: tuple[tuple[int, bool, bool, int], ...]
     tightest: Tightest | None
     common: Names | None
+    rules: tuple[tuple[str, str, int], ...] = ()
+    contacts: tuple[Contact, ...] = ()
 
     def __str__(self) -> str:
         lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
@@ -102,7 +108,16 @@ class Report:
         for name, pairs in groupby(self.left_out, lambda pair: pair[0]):
             lines.append(("left out", f"{_shown(name)} and {', '.join(_shown(other) for _, other in pairs)}"))
         lines += [("not covered", f"the interior of {_shown(name)}") for name in self.uncovered]
-        lines.append(("claim", f"COLLIDING: {_shown(*self.common)} have a common point" if self.common else "FREE"))
+        for a, b, which in self.rules:
+            when = ("at the start", "at the end", "at the start and at the end")[which - 1]
+            lines.append(("rule", f"{_shown(a, b)} may be in contact {when} of motions"))
+        for a, b, number, since, until, room in self.contacts:
+            near = f"overlap by {-1000 * room:.12g} mm" if room < 0 else f"come as near as {1000 * room:.12g} mm"
+            when = f"until t = {until}" if since == 0 else f"from t = {since} on"
+            when = f"all along motion {number}" if until - since == 1 else f"in motion {number} {when}"
+            lines.append(("contact", f"{_shown(a, b)} may {near} {when}"))
+        free = "FREE, except for the contacts above" if self.contacts else "FREE"
+        lines.append(("claim", f"COLLIDING: {_shown(*self.common)} have a common point" if self.common else free))
         return "\n".join(f"{what:12} {text}" for what, text in lines)
 
 
@@ -364,7 +379,7 @@ class _Motion:
 
 
 class _Checker:
-    def __init__(self, model: bytes, proof: bytes) -> None:
+    def __init__(self, model: bytes, proof: bytes, version: int = 1) -> None:
         reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
         self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
         for _ in range(reader.count(107, "links", most=MOST_LINKS)):
@@ -376,6 +391,11 @@ class _Checker:
         self.bodies = [_Body(reader, self.links) for _ in range(reader.count(132, "bodies"))]
         self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
         self.margins = self.read_pairs(reader, 16, "margins")
+        found = self.read_pairs(reader, 9, "rules") if version > 1 else {}
+        self.version, self.rules = version, {pair: int(ends) for pair, ends in found.items()}
+        for pair, ends in self.rules.items():
+            if not 0 < ends < 4 or not self.checked(pair):
+                raise Refused(f"{_shown(*self.named(pair))}: a rule has the ends {ends}, or the pair is not checked.")
         reader.end()
         self.sizes = {"links": len(self.links), "values": len(self.values), "bodies": len(self.bodies)}
         self.sizes |= {"pieces": sum(len(x.pieces) for x in self.bodies), "pairs": 0, "planes": 0, "intervals": 0}
@@ -384,16 +404,44 @@ class _Checker:
         self.last, self.balls = dict[Pair, tuple[bool, Whole]](), dict[Pair, list[Pair]]()
         self.tightest: Tightest | None = None
         self.common: Names | None = None
+        self.contacts, self.told = dict[tuple[int, Pair], list[tuple[int, int, float]]](), list[Contact]()
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
-        """Read pairs of bodies, and a margin of each if this belongs to the list."""
+        """Read pairs of bodies, and the margin of each, or the ends at which a rule allows contact."""
         found: dict[Pair, float] = {}
         for _ in range(reader.count(size, what)):
             i, j = reader.take("2I")
             if not i < j < len(self.bodies) or (i, j) in found:
                 raise Refused(f"The pair {i}, {j} of bodies is out of order, does not exist or is named twice.")
-            found[i, j] = reader.doubles(1, "margin")[0] if size > 8 else 0
+            found[i, j] = reader.doubles(1, "margin")[0] if size > 9 else reader.take("B")[0] if size > 8 else 0
         return found
+
+    def checked(self, pair: Pair) -> bool:
+        return self.bodies[pair[0]].group != self.bodies[pair[1]].group and pair not in self.apart
+
+    def read_contacts(self) -> None:
+        """Read where pairs may be in contact, and check that the rules allow it and that joined motions agree."""
+        before, anchors, whole = (-1, 0, 0, 0), list[tuple[int, Pair, int]](), 1 << DEEPEST
+        for _ in range(self.reader.count(22, "contacts")):
+            (number, i, j, end, k), (least,) = self.reader.take("3I2B"), self.reader.doubles(1)
+            key, pair = (number, i, j, end), (i, j)
+            if key <= before or number >= len(self.points) or not self.rules.get(pair, 0) & end + 1:
+                raise Refused(f"No rule allows bodies {i} and {j} a contact in motion {number}, or it is out of order.")
+            if end > 1 or k >= DEEPEST or not least < self.margins.get(pair, self.margin):
+                raise Refused(f"{_shown(*self.named(pair))}: a contact has the end {end}, 2^-{k} and {least!r} m.")
+            found, before = self.contacts.setdefault((number, pair), []), key
+            found.append((whole - (whole >> k), whole, least) if end else (0, whole >> k, least))
+            anchors.append((number, pair, end))
+            if len(found) == 2 and found[0][1] > found[1][0]:
+                raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
+            low, high = (Fraction(t, whole) for t in found[-1][:2])
+            self.told.append((*self.named(pair), number, low, high, least))
+        for number, pair, end in anchors:  # where another motion joins, it has to be in contact there
+            other, there = (number + 1, 0) if end else (number - 1, whole)
+            first, last = sorted((number, other))
+            joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
+            if joined and not any(there in x[:2] for x in self.contacts.get((other, pair), ())):
+                raise Refused(f"{_shown(*self.named(pair))}: contact in only one of motions {first} and {last}.")
 
     def named(self, pair: Pair) -> Names:
         return self.bodies[pair[0]].name, self.bodies[pair[1]].name
@@ -427,10 +475,12 @@ class _Checker:
                 raise Refused(f"Motion {number} has the degree {degree}.")
             self.spend(1000 * (degree + 1) + 100 * len(self.links) + len(self.bodies) ** 2 // 8)
             motions.append([self.reader.doubles(len(self.values)) for _ in range(degree + 1)])
+        if self.version > 1:
+            self.read_contacts()
         for number, points in enumerate(motions):
             motion, self.sizes["pairs"] = _Motion(number, points, self.links, self.deviations), 0
             for i, j in combinations(range(len(self.bodies)), 2):
-                if self.bodies[i].group != self.bodies[j].group and (i, j) not in self.apart:
+                if self.checked((i, j)):
                     self.sizes["pairs"] += 1
                     self.tree(motion, (i, j))
             joined = number == 0 or points[0] == motions[number - 1][-1]
@@ -479,8 +529,11 @@ class _Checker:
         size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
         slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
         margin = self.margins.get(pair, self.margin)
+        for opens, closes, least in self.contacts.get((motion.number, pair), ()):
+            margin = least if opens <= start and end <= closes else margin
         needed = _up(margin) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
-        spare = (min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack) // norm - needed
+        gap = min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack  # |n| times this, and |n| > norm - 2
+        spare = gap // (norm if gap > 0 else norm - 2) - needed
         since, until = (Fraction(t, 1 << DEEPEST) for t in spans[0])
         if spare <= 0:
             where = f"for motion {motion.number}, t in [{since}, {until}], fails by"
@@ -560,13 +613,16 @@ def verify(data: bytes) -> Report:
     if not 56 <= len(data) <= MOST_BYTES:
         raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
     version, claim, size, rest = struct.unpack_from("<4I", data, 8)
-    if version != 1 or claim not in (1, 2):
-        raise Refused(f"The file has version {version}, claim {claim}; this program reads version 1, claims 1 and 2.")
+    if (version, claim) not in ((1, 1), (1, 2), (2, 1)):
+        raise Refused(
+            f"The file has version {version}, claim {claim}; this program reads version 1, claims 1 and 2, and "
+            "version 2, claim 1."
+        )
     if len(data) != 56 + size + rest:
         raise Refused(f"The file is truncated or extended: it has {len(data)} bytes instead of {56 + size + rest}.")
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
-    checker = _Checker(data[24 : 24 + size], data[24 + size : -32])
+    checker = _Checker(data[24 : 24 + size], data[24 + size : -32], version)
     (checker.run if claim == 1 else checker.common_point)()
     checker.reader.end()
     return Report(
@@ -574,6 +630,7 @@ def verify(data: bytes) -> Report:
         tuple(map(checker.named, checker.apart)), tuple(body.name for body in checker.bodies if body.inside),
         tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False)),
         tuple(tuple(map(tuple, x)) for x in checker.points), tuple(checker.motions), checker.tightest, checker.common,
+        tuple((*checker.named(pair), ends) for pair, ends in checker.rules.items()), tuple(checker.told),
     )  # fmt: skip
 
 

@@ -63,6 +63,22 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     command.set_defaults(usual_model=default)
 
 
+def add_rule_options(command: argparse.ArgumentParser, start: str, end: str) -> None:
+    """Add the options that allow contact where motions begin or end."""
+    for rule, where in (("leave", start), ("reach", end)):
+        command.add_argument(
+            f"--{rule}", nargs=2, metavar=("A", "B"), action="append", default=[],
+            help=f"two bodies or links that may be in contact at the {where} only; repeatable",
+        )  # fmt: skip
+
+
+def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
+    """Apply these options to a scene."""
+    for rule, pairs in ((scene.leave, options.leave), (scene.reach, options.reach)):
+        for pair in pairs:
+            rule(*pair)
+
+
 def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Add the options of commands that take a robot; if it is not required, it is an option, too."""
     if required:

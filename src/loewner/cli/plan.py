@@ -68,15 +68,7 @@ def add(commands: Any) -> None:
     plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES)
     inputs.add_robot_options(plan)
     plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
-    for rule, where in (("leave", "start"), ("reach", "goal")):
-        plan.add_argument(
-            f"--{rule}",
-            nargs=2,
-            metavar=("A", "B"),
-            action="append",
-            default=[],
-            help=f"two bodies or links that may be in contact at the {where} only; repeatable",
-        )
+    inputs.add_rule_options(plan, "start", "goal")
     plan.add_argument("--start", required=True, metavar="Q", help="start: a state, a file, or numbers")
     ends = plan.add_mutually_exclusive_group(required=True)
     ends.add_argument("--goal", metavar="Q", help="goal, likewise")
@@ -137,9 +129,7 @@ def _run(options: argparse.Namespace) -> int:
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     _begin_in_time(options, scene)
     remove_older_proof(options.proof)
-    for rule, pairs in ((scene.leave, options.leave), (scene.reach, options.reach)):
-        for pair in pairs:
-            rule(*pair)
+    inputs.apply_rules(scene, options)
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     start = robot.checked_one(configurations.given(options.start, "--start", options, robot, None), "--start")

@@ -22,15 +22,20 @@ EXAMPLES = """examples:
   loewner verify plan.proof
   loewner verify plan.proof --path path.csv
   loewner verify plan.proof --robot panda.urdf --srdf panda.srdf --scene shelf.yaml
+  loewner verify lift.proof --overlap 0.00002
 
 The proof is checked by loewner.verify, which computes in whole numbers and shares no code with the planner. It is about
 the model and the motions in the file. With --robot, the model must be identical, bit for bit, to that of this robot and
 scene. With --path, the motions must be the straight ones between the configurations of the path, in order and bit for
-bit.
+bit. Where a scene has rules of contact (leave:, reach:), each contact is printed with its motion, its interval, and the
+overlap that it allows; an overlap deeper than --overlap is refused.
 
 exit status: 0 verified to be free, and the same model and path; 1 verified to collide (a proof by loewner.prove),
-refused, or a different model or path; 2 error
+refused, too deep a contact, or a different model or path; 2 error
 """
+
+# Metres by which bodies may overlap in contacts: well above tolerances and errors of poses.
+OVERLAP = 1e-3
 
 # Differences of two models that are printed.
 MOST_SHOWN = 10
@@ -44,13 +49,19 @@ def add(commands: Any) -> None:
     )
     inputs.add_robot_options(command, required=False)
     command.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    inputs.add_rule_options(command, "start of motions", "end of motions")
     command.add_argument("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
+    command.add_argument(
+        "--overlap", type=float, default=OVERLAP, metavar="M",
+        help="deepest overlap that contacts may allow, in metres (default %(default)s)",
+    )  # fmt: skip
     command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
+    overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     if options.urdf is None:
-        for name in ("srdf", "scene", "model", "decompose", "package_dir"):
+        for name in ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach"):
             if getattr(options, name):
                 raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
     data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # too large ones are refused below
@@ -62,6 +73,7 @@ def _run(options: argparse.Namespace) -> int:
     lines, faults = [str(report)], list[str]()
     if options.urdf is not None:
         scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+        inputs.apply_rules(scene, options)
         made_for = ", ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
         found = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
         lines += [f"different    {words}" for words in found[:MOST_SHOWN]]
@@ -75,6 +87,9 @@ def _run(options: argparse.Namespace) -> int:
             faults.append(f"DIFFERENT PATH: {words}")
         else:
             lines.append(f"the motions are those of {options.path.name}")
+    for *pair, motion, _, _, least in [row for row in report.contacts if -row[-1] > overlap][:1]:
+        words = f"{verify._shown(*pair)} may overlap by {-1000 * least:.12g} mm in motion {motion}"
+        faults.append(f"DEEP CONTACT: {words}, and --overlap allows {1000 * overlap:.12g} mm")
     print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]))
     return COLLIDING if faults or report.common else FREE
 
@@ -82,7 +97,8 @@ def _run(options: argparse.Namespace) -> int:
 def _claim(report: verify.Report) -> str:
     if report.common:
         return f"COLLIDING, {' and '.join(report.common)} have a common point"
-    return "FREE, all pairs are farther apart than their margins, at every time"
+    contacts = f" except in {len(report.contacts)} contacts, which are listed above" if report.contacts else ""
+    return f"FREE, all pairs are farther apart than their margins, at every time{contacts}"
 
 
 def _difference(report: verify.Report, path: Path) -> str:

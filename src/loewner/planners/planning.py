@@ -16,7 +16,7 @@ from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
 from loewner.planners.in_time import Times, plan_in_time
-from loewner.planners.judge import Judge, checked_checker, refuse_unfree
+from loewner.planners.judge import TOLERANCE, Judge, checked_checker, refuse_unfree
 from loewner.planners.kept_axes import KeptAxis
 from loewner.planners.pose_goals import PoseGoal, joints_of
 from loewner.planners.space import Space, checked_ends
@@ -297,7 +297,9 @@ def plan(
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
     try:
-        return replace(made, proof=proof_of(model, judge.ready, straight(robot, path[:-1], path[1:]), off))
+        moves = straight(robot, path[:-1], path[1:])
+        deeper = None if off.any() else TOLERANCE
+        return replace(made, proof=proof_of(model, judge.ready, moves, off, deeper))
     except ConvergenceError as error:
         raise ConvergenceError(str(error), partial=made) from None
 

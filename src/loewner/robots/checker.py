@@ -396,8 +396,8 @@ class CollisionChecker:
             motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
         proof : bool
             Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
-            proof exists for joints that turn or slide, and for bodies that neither follow motions nor may be in contact
-            at the ends of motions (`Scene.leave`, `Scene.reach`).
+            proof exists for joints that turn or slide, and for bodies that follow no motions. It states where bodies
+            are in contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deep they may overlap there.
 
         Returns
         -------
@@ -414,7 +414,8 @@ class CollisionChecker:
             As for `collide`.
         ConvergenceError
             If the motions are free, but a proof cannot be written: since its bound on the effect of joint errors is
-            coarser, or since a pair comes within some micrometres of its margin. The message names the pair.
+            coarser, since a pair comes within some micrometres of its margin, or since the planes of a contact do not
+            suffice. The message names the pair.
 
         See Also
         --------
@@ -465,7 +466,8 @@ class CollisionChecker:
         motions = found.of_shape(shape, ready)
         if model is None or not (found.verdicts == codes.FREE).all():
             return motions
-        return replace(motions, proof=proof_of(model, ready, straight(ready.robot, a, b), errors))
+        deeper = None if errors.any() else tolerance
+        return replace(motions, proof=proof_of(model, ready, straight(ready.robot, a, b), errors, deeper))
 
     @overload
     def certify_trajectory(

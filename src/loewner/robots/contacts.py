@@ -417,6 +417,63 @@ def _reach(ready: Problem, pair: int, run: Run) -> float:
     return float(ready.motions.tables.chain[1] + far + np.abs(T[:3, 3]).sum())
 
 
+class _Touched(NamedTuple):
+    """The pieces of two bodies, the pairs of them that are apart or touch at a configuration, and contact normals.
+
+    Attributes
+    ----------
+    ours, theirs : Bodies
+        A body of each piece of the first and of the second body.
+    apart, planes : ndarray of int64, shape (pairs, 2)
+        Pairs of pieces that are apart, and pairs that touch.
+    distances : ndarray
+        Signed distances of the pairs that touch.
+    normals : ndarray, shape (planes, 3)
+        Unit vectors in the frame of the second body, which point to the first one.
+    """
+
+    ours: Bodies
+    theirs: Bodies
+    apart: Ints
+    planes: Ints
+    distances: Floats
+    normals: Floats
+
+
+def contact_normals(ready: Problem, pair: int, Q: Floats, tolerance: float) -> Floats:
+    """Find normals of the pieces that touch at the first of some configurations; the others follow on the motion.
+
+    Returns
+    -------
+    ndarray, shape (planes, 3)
+        In the frame of the second body; unit vectors that point to the first body.
+    """
+    run = Run.whole(np.stack([Q[0], Q[-1]])[None], np.zeros((1, Q.shape[1])))
+    return _touched(ready, pair, ready.poses(Q), _reach(ready, pair, run), tolerance).normals
+
+
+def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: float) -> _Touched:
+    """Find the pieces that touch at the first of some poses of all bodies, and their normals there or later."""
+    i, j = (int(k) for k in ready.pairs[pair])
+    ours, theirs = _pieces(ready, i), _pieces(ready, j)
+    every = np.moveaxis(np.indices((len(ours), len(theirs))), 0, -1).reshape(-1, 2)
+    at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
+    touching = at_start <= float(ready.margins[pair]) + tolerance
+    apart, planes = every[~touching], every[touching]
+    # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
+    # have one. Any normal is safe, since the proof fails with a bad one.
+    u, v = planes.T
+    found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
+    when, nth = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
+    moved = np.tile(T[0, i], (len(planes), 1, 1))
+    moved[:, :3, 3] -= LEAST_SHARE * reach * found.normal[0]
+    apart_by_little = queries.distance(ours[u], moved, theirs[v], T[0, j], exact=True).normal
+    # In the frame of the second body, which carries the planes.
+    R = T[when, j, :3, :3]
+    normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
+    return _Touched(ours, theirs, apart, planes, at_start[touching], normals)
+
+
 def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: float) -> tuple[Problem, float]:
     """Pair the pieces of the first body with planes in front of which they begin, in place of the touched pieces.
 
@@ -428,31 +485,16 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
     places = np.append(0.0, end * STRETCHES[::-1])
     k = np.minimum(places.astype(np.int64), len(run.number) - 1)
     margin, T = float(ready.margins[pair]), ready.poses(configurations(ready.robot, run.courses[k], places - k))
-    ours, theirs = _pieces(ready, i), _pieces(ready, j)
-    every = np.moveaxis(np.indices((len(ours), len(theirs))), 0, -1).reshape(-1, 2)
-    at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
-    touching = at_start <= margin + tolerance
-    apart, planes = every[~touching], every[touching]
     reach = _reach(ready, pair, run)
-    # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
-    # have one. Any normal is safe, since the proof fails with a bad one.
-    u, v = planes.T
-    found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
-    when, nth = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
-    moved = np.tile(T[0, i], (len(planes), 1, 1))
-    moved[:, :3, 3] -= LEAST_SHARE * reach * found.normal[0]
-    apart_by_little = queries.distance(ours[u], moved, theirs[v], T[0, j], exact=True).normal
-    # In the frame of the second body, which carries the planes. The space behind a plane is represented by a cube that
-    # reaches farther than the robot.
-    R = T[when, j, :3, :3]
-    normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
+    ours, theirs, apart, planes, distances, normals = _touched(ready, pair, T, reach, tolerance)
     # How far the piece reaches along the normal, whatever that is: from its distance to a wall beyond it.
     far = 2 * float(packed_of(theirs).kernel.table[:, columns.REACH].max())
     walls = Bodies([Body.half_space(-n, -far, extent=8 * far) for n in normals])
-    reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[v], None, walls, None, exact=True).distance
-    gap = at_start[touching] - margin
+    reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[planes[:, 1]], None, walls, None, exact=True).distance
+    gap = distances - margin
     back = np.where(gap > TOUCHING * reach, gap, (1 - FOR_PROOF) * tolerance)
-    offsets = reached + at_start[touching] - back
+    offsets = reached + distances - back
+    # The space behind a plane is represented by a cube that reaches farther than the robot.
     behind = [Body.half_space(n, offset, extent=8 * reach) for n, offset in zip(normals, offsets, strict=True)]
     bodies = [*(ours[k] for k in range(len(ours))), *(theirs[k] for k in range(len(theirs))), *behind]
     first = len(ours)

@@ -30,6 +30,9 @@ STAYS, TURNS, SLIDES = 0, 1, 2
 HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
 _CURVED = {columns.ELLIPSOID: BALL, columns.CYLINDER: CYLINDER, columns.CONE: CONE}
 
+# Where rules allow contact: at the start of motions, at their end, or at both (the sum).
+AT_START, AT_END = 1, 2
+
 # Programs that check proofs may refuse longer lengths [m], and more links.
 LARGEST, MOST_LINKS = 2.0**32, 1000
 
@@ -122,6 +125,8 @@ class Model(NamedTuple):
     pieces : Pieces
     pairs : ndarray of int64, shape (pairs, 2)
     margins : ndarray, shape (pairs,)
+    rules : ndarray of int64, shape (pairs,)
+        1 for pairs that may be in contact at the start of motions, 2 at the end, 3 at both, else 0.
     """
 
     data: bytes
@@ -132,6 +137,7 @@ class Model(NamedTuple):
     pieces: Pieces
     pairs: Ints
     margins: Floats
+    rules: Ints
 
     @property
     def hash(self) -> str:
@@ -162,8 +168,9 @@ def model_of(ready: Problem) -> Model:
     shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
     placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed))
     limits = list(zip(robot.configuration_names, robot.hard_lower, robot.hard_upper, strict=True))
+    rules = AT_START * ready.leaving + AT_END * ready.reaching
     known = _known[ready] = _model(
-        links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins
+        links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins, rules
     )  # fmt: skip
     return known
 
@@ -190,7 +197,7 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
         ["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none
     )  # fmt: skip
     placed = Placed(PAIR, np.array([0, -1]), poses[:, :3, :3], poses[:, :3, 3], pieces_of(join(cut)))
-    return _model(links, [], placed, _hollow(packs, cut), np.array([[0, 1]]), np.array([margin]))
+    return _model(links, [], placed, _hollow(packs, cut), np.array([[0, 1]]), np.array([margin]), np.zeros(1, int))
 
 
 def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
@@ -200,7 +207,13 @@ def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
 
 
 def _model(
-    links: Links, limits: list[tuple[str, float, float]], bodies: Placed, hollow: Bools, pairs: Ints, margins: Floats
+    links: Links,
+    limits: list[tuple[str, float, float]],
+    bodies: Placed,
+    hollow: Bools,
+    pairs: Ints,
+    margins: Floats,
+    rules: Ints,
 ) -> Model:
     """Make a model of its parts, if checkers take its numbers."""
     pieces = bodies.pieces
@@ -215,7 +228,10 @@ def _model(
         struct.pack("<I", len(limits)), *(_name(name) + struct.pack("<dd", *ends) for name, *ends in limits),
         of_bodies(bodies, hollow), of_pairs(_groups(links, bodies.link), pairs, margins),
     ]  # fmt: skip
-    return Model(b"".join(data), links, bodies.link, bodies.turn, bodies.shift, pieces, pairs, margins)
+    if rules.any():
+        data += [struct.pack("<I", np.count_nonzero(rules))]
+        data += [struct.pack("<IIB", *pairs[k].tolist(), rules[k]) for k in np.flatnonzero(rules)]
+    return Model(b"".join(data), links, bodies.link, bodies.turn, bodies.shift, pieces, pairs, margins, rules)
 
 
 def _refuse(ready: Problem) -> None:
@@ -224,12 +240,6 @@ def _refuse(ready: Problem) -> None:
         raise InputError(
             "proof: plans in time have no proofs yet, and bodies of the scene follow motions (Scene.follow); leave out "
             "proof= or --proof: motions among these bodies are proven all the same, but not written"
-        )
-    for pair in ready.ruled[:1]:
-        a, b = (ready.names[k] for k in ready.pairs[pair])
-        raise InputError(
-            f"proof: expected pairs that may never be in contact, found {a} and {b}, which may be at the ends of a "
-            "motion (Scene.leave, Scene.reach)"
         )
     tree = ready.robot.tree
     for k in np.flatnonzero((tree.kind == columns.FLOATING) | (tree.kind == columns.BALL))[:1]:
@@ -411,6 +421,9 @@ def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
     for _ in range(*take("I")):
         part = f"margin of {pair()}"
         found[part] = take("d")
+    for _ in range(*take("I") if at < len(data) else (0,)):
+        part = f"ends of motions at which contact is allowed for {pair()}"
+        found[part] = take("B")
     return values, found
 
 

@@ -7,7 +7,7 @@ the pieces of all bodies, which trees may divide, and the joints between the bod
 from __future__ import annotations
 
 import struct
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -20,8 +20,10 @@ from loewner._native import entries
 from loewner._rotations import rotations_of
 from loewner._validate import Floats, Ints
 from loewner.errors import ConvergenceError
+from loewner.robots import contacts
+from loewner.robots.courses import configurations, parts
 from loewner.robots.problem import Problem
-from loewner.robots.proof_models import HULL, SLIDES, Model
+from loewner.robots.proof_models import AT_END, AT_START, HULL, SLIDES, Model
 
 # Tokens of the trees whose planes have normals of 16 bits a coordinate, and of doubles; 3 refers to the last plane.
 NORMAL, DOUBLES = 16, 18
@@ -31,6 +33,15 @@ ROOM = 2e-11
 
 # Nodes of the trees of one motion, and normals among them: with more of them, the search would not end.
 MOST_NODES, MOST_NORMALS = 2**20, 2**18
+
+# Columns of the kernel's memory with the last plane named of a pair; normals to try are behind them.
+NAMED = slice(4, 8)
+
+# The shortest contacts are a motion, or half of one, halved so often.
+MOST_HALVED = 15
+
+# Least distances below 0 are raised by this share for the search, which adds room for rounding to sums in proportion.
+DEPTH_ROOM = 4e-9
 
 # The number that kernels use for each kind of piece in the format.
 _KINDS = np.array([POLYTOPE, ELLIPSOID, CYLINDER, CONE])
@@ -63,8 +74,27 @@ class Clusters(NamedTuple):
     of_body: Ints
 
 
-def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> bytes:
-    """Make the trees of all motions and pairs, in order.
+class Contact(NamedTuple):
+    """A contact of the format: the motion, the index of the pair, the end, the length 2^-k, and the least distance."""
+
+    motion: int
+    pair: int
+    end: int
+    k: int
+    least: float
+
+
+def trees(
+    ready: Problem, model: Model, courses: Floats, deviations: Floats, tolerance: float | None
+) -> tuple[list[Contact], bytes]:
+    """Make the trees of all motions and pairs, in order, with the contacts that they need.
+
+    Parameters
+    ----------
+    ready, model, courses, deviations
+        See `written_proofs.proof_of`.
+    tolerance : float or None
+        Distance in metres by which contacts may get deeper than at the ends of motions; None if none are allowed.
 
     Raises
     ------
@@ -77,22 +107,44 @@ def trees(ready: Problem, model: Model, courses: Floats, deviations: Floats) -> 
         placed_by = np.where(links < 0, len(ready.robot.link_names), links)
         prepared = _known[ready] = _Prepared(model, ready.robot.tree, placed_by)
     speeds, memory = prepared.speeds(courses, deviations), _Memory.of(model)
-    found = []
-    for k, course in enumerate(courses):
-        tree = prepared.trees(course, speeds[k], ROOM, memory)
+    ruled, touching, found = np.flatnonzero(model.rules), list[Contact](), list[bytes]()
+    runs = list(pairwise(sorted({0, len(model.pairs), *ruled.tolist(), *(ruled + 1).tolist()})))
+    for k, (first, last) in product(range(len(courses)), runs):
+        tree = prepared.trees(courses[k], speeds[k], ROOM, memory, slice(first, last))
+        if isinstance(tree, Failed) and first in ruled and tolerance is not None:
+            search = _Search(prepared, ready, model, k, courses[k], speeds[k], first, memory, tolerance)
+            tree = search.with_contacts(touching)
         if isinstance(tree, Failed):
             a, b = (ready.names[n] for n in model.pairs[tree.pair])
             why = "they come nearer than the room for rounding that proofs leave"
+            touched = first in ruled and tolerance is not None
+            if touched:
+                why = "the planes of their contact do not suffice"
             if tree.many:
                 why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
-            elif deviations.any():
+            elif deviations.any() and not touched:
                 why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
             raise ConvergenceError(
                 f"proof: expected planes between {a} and {b} all along motion {k}, found none from the fraction "
                 f"{tree.low:.6g} to {tree.high:.6g} that a proof can hold, although the motion is free: {why}"
             )
         found.append(tree)
-    return b"".join(found)
+    _expect_joined(ready, courses, touching)
+    return touching, b"".join(found)
+
+
+def _expect_joined(ready: Problem, courses: Floats, touching: list[Contact]) -> None:
+    """Refuse a contact at an end of a motion where another motion joins it that is not in contact there."""
+    ends = {(c.motion, c.pair, end) for c in touching for end in (0, 1) if end == c.end or c.k == 0}
+    joined = (courses[1:, 0] == courses[:-1, -1]).all(axis=1)
+    for motion, pair, end, *_ in touching:
+        first, other = (motion, motion + 1) if end else (motion - 1, motion - 1)
+        if 0 <= first < len(joined) and joined[first] and (other, pair, 1 - end) not in ends:
+            a, b = (ready.names[n] for n in ready.pairs[pair])
+            raise ConvergenceError(
+                f"proof: expected a contact of {a} and {b} to go on from motion {first} to motion {first + 1}, which "
+                "starts there, found it in only one of them; prove the two motions one at a time"
+            )
 
 
 def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
@@ -151,9 +203,9 @@ class _Prepared:
             np.column_stack([model.link, placed_by, made.of_body]), model.turn.reshape(-1, 9),
             np.empty((len(model.link), 4)), model.pairs, model.margins, np.column_stack([links.above, depth]), joints,
         )  # fmt: skip
-        self.records = [type(record)(*map(np.ascontiguousarray, record)) for record in (one, tree)]
-        self.tables = [records.table_of(record) for record in self.records]
-        entries.measure_model(self.tables[0].ctypes.data)
+        self.model = records.PlaneModel(*map(np.ascontiguousarray, one))
+        self.tree = records.Tree(*map(np.ascontiguousarray, tree))
+        entries.measure_model(records.table_of(self.model).ctypes.data)
 
     def speeds(self, courses: Floats, deviations: Floats) -> Floats:
         """Bound speeds, second derivatives, deviations and ways of joints on motions, shape (N, joints, 4)."""
@@ -166,14 +218,20 @@ class _Prepared:
         far = self.slides * (np.abs(links.multiplier * P + links.offset).max(axis=1) + off)
         return np.ascontiguousarray(np.stack([rates, bends, off, far], axis=2))
 
-    def trees(self, course: Floats, speeds: Floats, room: float, memory: _Memory) -> bytes | Failed:
-        """Make the trees of all pairs for one motion."""
-        handles = (table.ctypes.data for table in self.tables)
+    def trees(
+        self, course: Floats, speeds: Floats, room: float, memory: _Memory, pairs: slice = slice(None),
+        margins: Floats | None = None,
+    ) -> bytes | Failed:  # fmt: skip
+        """Make the trees of all pairs, or of some consecutive ones, for one motion."""
+        own = self.model.margins[pairs] if margins is None else margins
+        some = self.model._replace(pairs=self.model.pairs[pairs], margins=own)
+        tables = records.table_of(some), records.table_of(self.tree)
         nodes, planes, pair, low, high = entries.plane_trees(
-            *handles, np.ascontiguousarray(course), speeds, room, *memory
-        )
+            *(table.ctypes.data for table in tables), np.ascontiguousarray(course), speeds, room, memory.state[pairs],
+            memory.tokens, memory.normals,
+        )  # fmt: skip
         if pair >= 0:
-            return Failed(pair, low, high, nodes == MOST_NODES or planes == MOST_NORMALS)
+            return Failed((pairs.start or 0) + pair, low, high, nodes == MOST_NODES or planes == MOST_NORMALS)
         token, normal = memory.tokens[:nodes], memory.normals[:planes]
         size_of = 1 + 6 * (token >= NORMAL) + 18 * (token >= DOUBLES)
         place = np.cumsum(size_of) - size_of
@@ -188,6 +246,88 @@ class _Prepared:
 
 
 _known: WeakKeyDictionary[Problem, _Prepared] = WeakKeyDictionary()
+
+
+# -- contacts ---------------------------------------------------------------------------------
+
+
+class _Search(NamedTuple):
+    """The search for the tree of a pair that may be in contact at an end of a motion."""
+
+    prepared: _Prepared
+    ready: Problem
+    model: Model
+    motion: int
+    course: Floats
+    speeds: Floats
+    pair: int
+    memory: _Memory
+    tolerance: float
+
+    def with_contacts(self, touching: list[Contact]) -> bytes | Failed:
+        """Make the tree, if contacts suffice, and append them; each is as short as possible."""
+        start, end = (0.0, 1.0, 0), (0.0, 1.0, 1)
+        ways = {AT_START: [[start]], AT_END: [[end]]}
+        # With both rules, each half may be in contact at its end of the motion, or else all of the motion at one end.
+        for way in ways.get(int(self.model.rules[self.pair]), [[(0.0, 0.5, 0), (0.5, 1.0, 1)], [start], [end]]):
+            made = list[Contact]()
+            found = [self._part(*part, made) for part in way]
+            done = [tree for tree in found if not isinstance(tree, Failed)]
+            if len(done) == len(found):
+                touching += made
+                self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
+                return b"\0" * (len(found) - 1) + b"".join(done)
+        return next(tree for tree in found if isinstance(tree, Failed))
+
+    def _part(self, low: float, high: float, end: int, made: list[Contact]) -> bytes | Failed:
+        """Make the tree of a part of the motion, with a contact at one of its ends if it needs one."""
+        whole = self._tree(low, high)
+        if not isinstance(whole, Failed):
+            return whole
+        # Halves at the other end, as long as they keep the margin.
+        rest, width = list[bytes](), high - low
+        while len(rest) < MOST_HALVED:
+            width /= 2.0
+            tree = self._tree(high - 2.0 * width, high - width) if end else self._tree(low + width, low + 2.0 * width)
+            if isinstance(tree, Failed):
+                break
+            rest.append(tree)
+        width = (high - low) * 0.5 ** len(rest)
+        least, normals = self._contact(low, high, end)
+        if len(normals) == 0:  # nothing touches
+            return whole
+        tree = self._tree(*((high - width, high) if end else (low, low + width)), least, normals)
+        if isinstance(tree, Failed):
+            return tree
+        made.append(Contact(self.motion, self.pair, end, round(-np.log2(width)), least))
+        return b"".join([b"\0" + half for half in rest] + [tree] if end else [b"\0" * len(rest), tree, *rest[::-1]])
+
+    def _contact(self, low: float, high: float, end: int) -> tuple[float, Floats]:
+        """The least distance that a contact at an end has to keep, and its normals as the kernel takes them."""
+        shares = np.append(0.0, contacts.STRETCHES[::-1])
+        fractions = high - (high - low) * shares if end else low + (high - low) * shares
+        Q = configurations(self.ready.robot, np.tile(self.course, (len(shares), 1, 1)), fractions)
+        at_end = contacts.distance_at(self.ready, self.pair, Q[0])
+        least = min(at_end, float(self.model.margins[self.pair])) - self.tolerance
+        normals = contacts.contact_normals(self.ready.in_parts, self.pair, Q, self.tolerance)
+        at = np.unique(normals.round(12), axis=0, return_index=True)[1]
+        return least, np.column_stack([np.ones(len(at)), normals[at]])
+
+    def _tree(
+        self, low: float, high: float, least: float | None = None, normals: Floats | None = None
+    ) -> bytes | Failed:  # fmt: skip
+        """Make the tree of a part of the motion, with the margin of the pair or with another distance."""
+        width, (course,) = high - low, parts(self.ready.robot, self.course[None], np.array([low]), np.array([high]))
+        memory, margins = self.memory, None
+        memory.state[self.pair, NAMED] = 0.0
+        if least is not None and normals is not None:
+            state = np.append(memory.state, np.tile(normals.ravel(), (len(memory.state), 1)), axis=1)
+            memory, margins = memory._replace(state=state), np.array([least + DEPTH_ROOM * abs(least)])
+        speeds, alone = self.speeds * [width, width * width, 1.0, 1.0], slice(self.pair, self.pair + 1)
+        tree = self.prepared.trees(course, speeds, ROOM, memory, alone, margins)
+        if isinstance(tree, Failed):
+            return tree._replace(low=low + width * tree.low, high=low + width * tree.high)
+        return tree
 
 
 # -- shapes -----------------------------------------------------------------------------------
@@ -242,3 +382,9 @@ def written(deviations: Floats, courses: Floats) -> bytes:
     head = deviations.astype("<f8").tobytes() + struct.pack("<I", len(courses))
     degree = struct.pack("<B", courses.shape[1] - 1)
     return head + b"".join(degree + course.astype("<f8").tobytes() for course in courses)
+
+
+def written_contacts(model: Model, touching: list[Contact]) -> bytes:
+    """Write the contacts of a proof; none if the model has no rules."""
+    rows = [struct.pack("<3I2Bd", k, *model.pairs[pair].tolist(), *rest) for k, pair, *rest in touching]
+    return struct.pack("<I", len(rows)) + b"".join(rows) if model.rules.any() else b""

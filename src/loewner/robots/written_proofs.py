@@ -21,7 +21,8 @@ from loewner.robots.proof_models import LARGEST, TURNS, Model, contents, differe
 if TYPE_CHECKING:
     from loewner.verify import Report
 
-MAGIC, VERSION, FREE, COMMON = b"LOEWNERP", 1, 1, 2
+# Models without rules of contact have the first version.
+MAGIC, VERSION, WITHOUT_RULES, FREE, COMMON = b"LOEWNERP", 2, 1, 1, 2
 _HEAD = struct.Struct("<8sIIII")
 
 # Programs that check proofs may refuse larger files [bytes], and joints that turn beyond this [rad].
@@ -201,8 +202,8 @@ def _fault(data: bytes) -> str | None:
     if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
         return "a proof of loewner, found something else"
     _, version, what, model, proof = _HEAD.unpack_from(data)
-    if version != VERSION or what not in (FREE, COMMON):
-        return f"version {VERSION} of the format, found {version}, which proves {what}"
+    if (version, what) not in ((WITHOUT_RULES, FREE), (WITHOUT_RULES, COMMON), (VERSION, FREE)):
+        return f"version {WITHOUT_RULES} or {VERSION} of the format, found {version}, which proves {what}"
     if len(data) != _HEAD.size + model + proof + 32:
         return f"{_HEAD.size + model + proof + 32} bytes, found {len(data)}: it is not whole"
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
@@ -210,9 +211,9 @@ def _fault(data: bytes) -> str | None:
     return None
 
 
-def assembled(what: int, model: bytes, proof: bytes) -> Proof:
+def assembled(what: int, model: bytes, proof: bytes, version: int = WITHOUT_RULES) -> Proof:
     """Make a file of its blocks, unless it is larger than checkers take."""
-    data = _HEAD.pack(MAGIC, VERSION, what, len(model), len(proof)) + model + proof
+    data = _HEAD.pack(MAGIC, version, what, len(model), len(proof)) + model + proof
     if len(data) + 32 > MOST_BYTES:
         raise InputError(
             f"proof: expected a file of at most {MOST_BYTES} bytes, found {len(data) + 32}, of which the model takes "
@@ -221,7 +222,7 @@ def assembled(what: int, model: bytes, proof: bytes) -> Proof:
     return Proof(data + hashlib.sha256(data).digest())
 
 
-def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) -> Proof:
+def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, tolerance: float | None) -> Proof:
     """Write the proof of courses that the kernel has proven free.
 
     Parameters
@@ -232,6 +233,9 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) 
     courses : ndarray, shape (N, degree + 1, dof)
     deviations : ndarray, shape (dof,)
         How far each value may deviate from the courses.
+    tolerance : float or None
+        Distance in metres by which allowed contacts may get deeper than at the ends of the motions; None if rules of
+        contact do not apply.
 
     Raises
     ------
@@ -249,5 +253,6 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats) 
             f"proof: expected values below {LARGEST:g} and joints that turn to {FARTHEST_TURN:g} rad at most, found "
             "others"
         )
-    found = separations.trees(ready, model, courses, deviations)
-    return assembled(FREE, model.data, separations.written(deviations, courses) + found)
+    touching, found = separations.trees(ready, model, courses, deviations, tolerance)
+    block = separations.written(deviations, courses) + separations.written_contacts(model, touching) + found
+    return assembled(FREE, model.data, block, VERSION if model.rules.any() else WITHOUT_RULES)

@@ -68,8 +68,8 @@ KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
 
 # Columns of `state`: the last normal that a search found for each pair, behind its side, and the last plane named,
-# behind its token.
-RECENT, NAMED = 0, 4
+# behind its token; and then normals that are given, likewise. GJK finds none for pieces that touch or overlap.
+RECENT, NAMED, GIVEN, EACH = 0, 4, 8, 4
 
 
 class _Sides(NamedTuple):
@@ -504,6 +504,13 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
         first, last = _gaps(model, pair, clusters, sides, recent, old)
         if min(first, last) > need[recent] + limits.room:
             return (NORMAL if _is_short(old) else DOUBLES) + recent, old, spare, False
+    for at in range(GIVEN, state.shape[1], EACH):
+        side, N = int(state[row, at]), _three(state, row, at + 1)
+        keep = pair.margin + pair.deviation[side]
+        first, last = _gaps(model, pair, clusters, sides, side, N)
+        if min(first, last) > need[side] + limits.room:
+            return (NORMAL if _is_short(N) else DOUBLES) + side, N, spare, False
+        spare = max(spare[0], first - keep), max(spare[1], last - keep)
     favoured = 0 if need[0] <= need[1] else 1
     for turn in range(2):
         side = favoured if turn == 0 else 1 - favoured
@@ -577,7 +584,7 @@ def _settled(model, pair, clusters, sides, width, limits, deep, still, state, sc
         p, q = _three(model.boxes, clusters[0], INSIDE), _three(model.boxes, clusters[1], INSIDE)
         first = minus(image(sides.turns[0][0], sides.shifts[0][0], q), p)
         last = minus(image(sides.turns[0][1], sides.shifts[0][1], q), p)
-        least, keep = min(need[0], need[1]), pair.margin + min(pair.deviation[0], pair.deviation[1])
+        least, keep = min(need[0], need[1]), max(0.0, pair.margin + min(pair.deviation[0], pair.deviation[1]))
         if min(dot(first, first), dot(last, last)) < least * least and least > 2.0 * keep:
             return HALVED, (0.0, 0.0, 0.0)
     best = _compare_boxes(model, pair.bodies, clusters[0], clusters[1], sides, need, scores)
@@ -617,8 +624,10 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
         Bounds on the joints' first and second derivatives, their deviations, and how far they slide.
     room : float
         What gaps must exceed, as a share of the size of the model.
-    state : ndarray, shape (pairs, 8)
-        The last normal of each pair and the last plane that was named for it, which is kept from motion to motion.
+    state : ndarray, shape (pairs, 8 + 4 k)
+        The last normal of each pair and the last plane that was named for it, which is kept from motion to motion; then
+        k normals to try, each behind the side of the body in whose frame it is. Margins may be negative, which allows
+        overlaps that are less deep.
     tokens : ndarray of uint8
     normals : ndarray, shape (N, 3)
         Receive the tokens, and the normals of all planes whose token is NORMAL or higher.
