@@ -224,8 +224,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     """Draw the distances of the nearest pairs along a curve, its worst moment, and where it is not proven free.
 
     A line shows the distance of a pair in millimetres, measured at equal steps in time; below zero it is a depth.
-    Besides the nearest pairs, those at which the proof of a piece ended have lines. Such a piece has a coloured
-    background: a pair collides, or is ambiguous. A dot marks the least of the measured distances.
+    Besides the nearest pairs, each pair at which the proof of a piece ended has a line. Such a piece has a coloured
+    background: a pair collides, or is ambiguous. A dot marks the least measured distance.
 
     Parameters
     ----------
@@ -261,8 +261,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
     >>> points = planners.ControllerPoints([0.0, 1.0, 2.0], [[0.0, 1.57], [1.0, 1.57], [0.0, 1.57]])
     >>> ax = plots.trajectory(checker, points)
-    >>> ax.get_title(), [line.get_label() for line in ax.get_lines()]
-    ('COLLIDING', ['cart and post', '150 mm deep at 1 s', '_child2'])
+    >>> ax.get_title(), ax.get_lines()[0].get_label(), ax.get_lines()[-2].get_label()
+    ('COLLIDING', 'cart and post', '200 mm deep at 0.9 s')
     """
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
@@ -285,7 +285,7 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
 
 
 def _draw_distances(ax: Any, checker: CollisionChecker, ticks: Floats, Q: Floats, found: Any, unit: str) -> None:
-    """Draw the distances of the nearest pairs, and of those that are not proven free, and mark the least one."""
+    """Draw the distances of the nearest pairs and of all pairs that are not proven free, and mark the least one."""
     nearest = checker.distance(Q, ticks, exact=True).distance
     top = 1.05 * max(float(nearest.max()), 0.0) + 1e-3
     near = checker.distance_by_pair(Q, ticks, within=top)

@@ -607,6 +607,7 @@ def distance(
     ConvergenceError
         If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth computed for
         cylinders, cones and capsules is never less than the true depth; if many directions tie, it is proven to 1e-3.)
+        For ellipsoids flatter than about 1 : 5e7, it fails for one pair in twenty.
 
     Examples
     --------

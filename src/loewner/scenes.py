@@ -1033,9 +1033,9 @@ class Scene:
 
     def _standing_at(self, time: float | None) -> Scene:
         """Return a snapshot with packed bodies, and keep the packing for the next snapshot if no body moves."""
-        now, t = self.snapshot(), None if time is None else _validate.real(time, "time")
+        now, t = self.snapshot(), 0.0 if time is None else _validate.real(time, "time")
         moving = now.following
-        if moving and t is None:
+        if moving and time is None:
             raise InputError(f"time: expected seconds, since bodies follow motions ({', '.join(moving)}), found None")
         for name, motion in moving.items():
             now.detach(name, motion.poses(t))

@@ -1,6 +1,7 @@
 """What a page of the viewer shows is what the library answers; it follows Python, sliders, paths and scenes."""
 
 import dataclasses
+import json
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 import loewner
 from families import translation
@@ -482,7 +484,7 @@ def test_what_is_proven_along_a_path(arm):
     rows = np.array([[0.0, 0.0], [0.5, 0.0], [1.5, 0.0], [1.5, 0.0], [0.5, 1.0]])
     with viewer.show_robot(arm, path=rows) as page:
         eventually(lambda: page._proof is not None)
-        times, verdicts = page._proof
+        times, verdicts, _ = page._proof
         assert set(page._way.times) <= set(times)
         samples = times[:-1, None] + np.diff(times)[:, None] * np.linspace(0.0, 1.0, 9)
         hits = arm.collide(page._way.positions(np.minimum(samples, page._way.duration))).any(axis=1)
@@ -601,9 +603,12 @@ def test_nothing_to_check(lonely):
         (["part.npz", "part.npz", "--trajectory", "a.csv"], "expected --trajectory with --robot only"),
         (
             ["--robot", "arm.urdf", "--trajectory", "none.csv"],
-            "none.csv: expected a trajectory, but there is no such file",
+            "none.csv: expected points of a trajectory, but there is no such file",
         ),
-        (["--robot", "arm.urdf", "--trajectory", "other.csv"], "trajectory: expected one of 'arm'"),
+        (
+            ["--robot", "arm.urdf", "--trajectory", "other.csv"],
+            "trajectory: expected the joints shoulder, elbow, found the unknown a",
+        ),
         (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
         (["part.npz", "nothing.npz"], "nothing.npz: expected a saved file"),
         (["part.npz", "broken.stl"], "broken.stl: expected a whole text STL"),
@@ -628,7 +633,7 @@ def test_command_line_says_what_is_wrong(arguments, expected, arm, tmp_path, mon
     Path("broken.urdf").write_text("<robot")
     Path("bare.urdf").write_text('<robot name="bare"><link name="base"/></robot>')
     Path("broken.stl").write_text("solid part\nfacet")
-    planners.Trajectory(("a",), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(0, bool)).save("other.csv")
+    Path("other.csv").write_text("time,a\n0,0\n1,1\n")
     assert cli.main(["view", *arguments, "--no-browser"]) == 2
     captured = capsys.readouterr()
     assert expected in captured.err
@@ -702,3 +707,124 @@ def test_a_path_is_played_at_an_even_pace(arm) -> None:
         np.testing.assert_allclose(page.q, way.positions(way.duration / 2), atol=1e-9)
     with pytest.raises(InputError, match="found both"):
         viewer.show_robot(checker, path=rows, trajectory=rows)
+
+
+def test_the_verdict_on_the_page_is_the_paths(arm) -> None:
+    """Green means that every moment is proven free: not before the proof, and not for a path that collides later."""
+
+    def shown(page):
+        return re.search(r'data-loewner="verdict"[^>]*>([^<]*)<', page._verdict.content)[1]
+
+    rows = [[0.0, 0.0], [0.5, 0.0], [1.5, 0.0]]
+    with viewer.show_robot(arm, path=rows) as page:
+        assert (page.colliding, page.path_verdict, shown(page)) == (False, Verdict.COLLIDING, "COLLIDING")
+        assert re.search(r'data-loewner="here"[^>]*>FREE<', page._verdict.content)
+        t = page.go_to_worst()
+        assert page.colliding
+        assert page.time == t
+        distances = arm.distance(page._way.positions(np.linspace(0.0, page._way.duration, 999)), exact=True).distance
+        assert page.bounds.distance <= distances.min() + 1e-3
+        page.q = [0.1, 0.2]  # not on the path
+        assert (page.path_verdict, shown(page)) == (None, "FREE")
+    with viewer.show_robot(arm, path=rows[:2]) as page:
+        with page.lock:
+            if page._proof is None:
+                assert (page.path_verdict, shown(page)) == (Verdict.AMBIGUOUS, "AMBIGUOUS")
+        with page._without_gizmos():  # as for a picture
+            assert (page.path_verdict, shown(page)) == (Verdict.FREE, "FREE")
+    with viewer.show_robot(arm) as page:
+        assert (page.path_verdict, shown(page)) == (None, "FREE")
+        with pytest.raises(InputError, match="page: expected one with a path"):
+            page.go_to_worst()
+
+
+def test_curves_of_controllers_are_played(arm) -> None:
+    """Points with velocities are joined by cubic polynomials, which the page plays and proves at their own times."""
+    t, x, v = np.array([1.0, 2.0, 4.0]), np.array([[0.0, 0.0], [0.5, 0.4], [0.2, 1.0]]), np.full((3, 2), 0.1)
+    points = planners.ControllerPoints(t, x, v, names=arm.robot.configuration_names, start_time=5.0)
+    way = playing.Executed(arm.robot, points)
+    spline = CubicHermiteSpline(t, x, v)
+    assert (way.start_time, way.duration) == (6.0, 3.0)
+    at = np.linspace(0.0, 3.0, 40).reshape(4, 10)
+    np.testing.assert_allclose(way.positions(at), spline(1.0 + at), atol=1e-12)
+    np.testing.assert_allclose(way.positions(3.0), x[-1], atol=1e-12)
+    with pytest.raises(InputError, match="t: expected seconds from 0 to 3"):
+        way.positions(3.1)
+    proof = playing.proven_along(arm, way)
+    found = arm.certify_trajectory(points)
+    np.testing.assert_array_equal(proof.times, found.times - 6.0)
+    np.testing.assert_array_equal(proof.verdicts, found.segments.verdict)
+    with viewer.show_robot(arm, trajectory=points) as page:
+        page.time = 1.5
+        np.testing.assert_allclose(page.q, spline(2.5), atol=1e-12)
+
+
+def test_the_command_line_plays_all_files_of_audit(arm, tmp_path, monkeypatch) -> None:
+    """Points of a table and of messages, in parts and with bodies that the robot carries and puts down."""
+    monkeypatch.chdir(tmp_path)
+    seen = {}
+
+    class Page:
+        url, time = "", None
+
+        def go_to_worst(self):
+            seen["worst"] = True
+
+        def wait(self):
+            pass
+
+    def show(checker, *, port, **given):
+        seen.update(checker=checker, page=Page(), **given)
+        return seen["page"]
+
+    monkeypatch.setattr(viewer, "show_robot", show)
+    scene = Scene()
+    scene.add("cup", Body.sphere(0.05), translation(5.0))
+    scene.add("post", Body.sphere(0.05), translation(9.0))
+    loewner.save_scene(scene, "scene.yaml")
+    names = arm.robot.configuration_names
+    Path("moves.csv").write_text(f"# start_time: 2\ntime,{','.join(names)}\n0,0,0\n1,0.5,0.2\n")
+    rows = [[0.0, 0.0], [0.5, 0.0]]
+    parts = [
+        {"joint_names": list(names), "points": [{"positions": q, "time_from_start": t} for t, q in enumerate(ends)]}
+        for ends in (rows, rows[::-1])
+    ]
+    message = {"trajectory": [{"joint_trajectory": part} for part in parts]}
+    Path("moves.json").write_text(json.dumps(message))
+    view = ["view", "--robot", "arm.urdf", "--no-browser", "--scene", "scene.yaml", "--trajectory"]
+
+    assert cli.main([*view, "moves.csv", "--at", "0.5"]) == 0
+    assert seen["trajectory"].start_time == 2.0
+    assert seen["page"].time == 0.5
+    assert cli.main([*view, "moves.csv", "--start-time", "7", "--at", "worst"]) == 0
+    assert seen["trajectory"].start_time == 7.0
+    assert seen["worst"]
+
+    link = arm.robot.link_names[-1]
+    assert cli.main([*view, "moves.json"]) == 2
+    assert cli.main([*view, "moves.json", "--part", "2", "--attach", f"1:cup={link}"]) == 0
+    assert not seen["checker"].scene.attachments
+    moved = arm.robot.forward_kinematics(rows)[:, -1]
+    wanted = moved[1] @ np.linalg.inv(moved[0]) @ translation(5.0)
+    np.testing.assert_allclose(seen["checker"].scene.pose("cup"), wanted, atol=1e-12)
+    assert seen["trajectory"].start_time == 1.0
+    assert cli.main([*view, "moves.json", "--part", "2", "--attach", f"2:cup={link}"]) == 0
+    assert seen["checker"].scene.attachments["cup"].link == link
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--trajectory", "moves.csv", "--at", "best"], "--at: expected seconds or \"worst\", found 'best'"),
+        (["--trajectory", "moves.csv", "--at", "9"], "t: expected seconds from 0 to 1"),
+        (["--trajectory", "moves.csv", "--part", "2"], "--part: expected one of the 1 trajectories"),
+        (["--at", "worst"], "expected --at with --trajectory only"),
+        (["--attach", "cup=hand"], "expected --attach with --trajectory only"),
+    ],
+)
+def test_options_of_trajectories(arguments, expected, arm, tmp_path, monkeypatch, capsys) -> None:
+    """An option without an effect, and a time beside the path, are refused."""
+    monkeypatch.chdir(tmp_path)
+    Path("moves.csv").write_text(f"time,{','.join(arm.robot.configuration_names)}\n0,0,0\n1,0.5,0.2\n")
+    assert cli.main(["view", "--robot", "arm.urdf", "--no-browser", *arguments]) == 2
+    assert expected in capsys.readouterr().err

@@ -79,7 +79,7 @@ def standard_output() -> Iterator[None]:
         return
     out.flush()
     sys.stdout = io.TextIOWrapper(
-        io.BufferedWriter(raw), out.encoding, "backslashreplace", line_buffering=out.line_buffering
+        io.BufferedWriter(raw), out.encoding, "backslashreplace", line_buffering=bool(out.line_buffering)
     )
     try:
         yield

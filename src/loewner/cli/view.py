@@ -24,6 +24,9 @@ EXAMPLES = """examples:
   loewner view --robot panda.urdf --srdf panda.srdf --scene kitchen.yaml --package-dir robots
   loewner view --robot panda.urdf --scene shelf.yaml --trajectory moves.csv --at worst --screenshot worst.png
 
+trajectory: any file of loewner audit, with its options --controller, --others, --attach and --start-time; the page
+  shows the verdict of the whole trajectory, and below it the answer for the position that is shown.
+
 The page is served on this machine, at the address that is printed; Ctrl+C closes it.
 """
 

@@ -195,7 +195,7 @@ def plan_in_time(
         return Trajectory._straight(robot.configuration_names, np.zeros(1), q[None], judge.begin)._read_only()
     if needs.min() > judge.limit:
         raise PlanningError(
-            f"arrive_by: expected {judge.begin + needs.min():.15g} s or later, since the nearest goal takes at least "
+            f"arrive_by: expected {judge.begin + needs.min():.9g} s or later, since the nearest goal takes at least "
             f"{needs.min():.6g} s within the velocity limits; found {judge.begin + judge.limit:.15g} s"
         )
     ends = np.column_stack([goals, needs])

@@ -193,7 +193,7 @@ def found_along(checker: CollisionChecker, way: Way) -> Ints:
 
 
 class Proof(NamedTuple):
-    """What is proven along a path, part by part.
+    """The verdicts along a path, part by part, as they are proven.
 
     Attributes
     ----------

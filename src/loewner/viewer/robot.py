@@ -304,7 +304,7 @@ class RobotViewer(Viewer):
             self.refresh()
 
     def go_to_worst(self) -> float:
-        """Move the robot to where the nearest pair is nearest, of 401 moments and those at which proofs ended.
+        """Move the robot to where the nearest pair is nearest, of 401 moments and all at which proofs ended.
 
         Returns
         -------
