@@ -112,8 +112,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen, which collide only if there are too few free ones. An approach and a retreat,
-            if the goal has them, are free for all of them.
+            At most sixteen, which collide only if there are too few free ones. An approach and a retreat, if the goal
+            has them, are free for all of them.
 
         Raises
         ------
@@ -307,7 +307,7 @@ class Approaches(NamedTuple):
     Attributes
     ----------
     judge : Judge
-        By which they are free.
+        It found the lines free.
     rows : list of ndarray, shape (k, dof)
         For each goal, the approach; a single configuration if there is none.
     retreats : list of ndarray, shape (k, dof), or None
