@@ -66,26 +66,18 @@ def moved(hand: Array, up: float) -> Array:
     return at(0, 0, up) @ hand
 
 
-def by_a_line(robot: Robot, checker: CollisionChecker, q: Array, ends: Array) -> tuple[Array, Array]:
-    """A path to above one of several poses of the hand, and the line down to it; poses whose line fails are dropped."""
-    number = robot.link_names.index(HAND)
-    while True:
-        above = moved(ends, RISE)
-        path = planners.plan(checker, q, planners.PoseGoal(HAND, above), joints="arm")
-        k = int(np.abs(above - robot.forward_kinematics(path[-1])[number]).max(axis=(1, 2)).argmin())
-        try:
-            return path, planners.straight(checker, path[-1], HAND, ends[k], joints="arm")
-        except PlanningError:
-            if len(ends) == 1:
-                raise
-            ends = np.delete(ends, k, axis=0)
+def by_a_line(checker: CollisionChecker, q: Array, ends: Array) -> tuple[Array, Array]:
+    """A path to above one of several poses of the hand, and the line down to it."""
+    goal = planners.PoseGoal(HAND, ends, approach=("world", [0.0, 0.0, -RISE]))
+    found = planners.plan(checker, q, goal, joints="arm", full=True)
+    return found.path[: found.approach + 1], found.path[found.approach :]
 
 
 def solve(robot: Robot, scene: Scene, checker: CollisionChecker, can: Array, shelf: Array) -> list[Array]:
     """Plan all motions of a task, one after the other."""
     home = robot.configuration("default")
     home[-1] = OPEN
-    path, down = by_a_line(robot, checker, home, hands(can))
+    path, down = by_a_line(checker, home, hands(can))
     closed = down[-1].copy()
     closed[-1] = CLOSED
     for finger in FINGERS:
@@ -98,7 +90,7 @@ def solve(robot: Robot, scene: Scene, checker: CollisionChecker, can: Array, she
     scene.attach("can", HAND, T_hand_can, touch_links=FINGERS, leave=["table"], reach=["shelf"])
     lift = planners.straight(checker, closed, HAND, moved(hand, RISE), joints="arm")
     turned = np.linalg.inv(hands(can)[0]) @ hands(can)  # the can may be turned about its axis
-    carry, put = by_a_line(robot, checker, lift[-1], shelf @ np.linalg.inv(can) @ hand @ turned)
+    carry, put = by_a_line(checker, lift[-1], shelf @ np.linalg.inv(can) @ hand @ turned)
     return [path, down, close, lift, carry, put]
 
 

@@ -1252,7 +1252,7 @@ CALLS: dict[str, Call] = {
             "limits": arg(joint_limits, NONE),
             "checker": arg(checker, NONE),
             "blend": arg(0.25, ZERO, "5e-324"),
-            "line": arg(lambda: planners.Line("ball", 0, 1), NOTHING),
+            "line": arg(lambda: planners.Line("ball", 0, 1), NOTHING, NONE),
         },
     ),
     "planners.Line": Call(

@@ -18,6 +18,9 @@ from loewner.robots.motion_tables import STRETCH
 from loewner.robots.reaching import Chain, refuse_far
 from loewner.robots.robot import chain_to
 
+# Largest deviations from a line [m, rad], unless others are given.
+POSITION, ROTATION = 1e-4, 1e-3
+
 # Tolerances below this [m, rad] are near the rounding of poses.
 LEAST_TOLERANCE = 1e-9
 
@@ -64,8 +67,8 @@ class Line:
     link: str
     first: int = 0
     last: int = -1
-    position: float = 1e-4
-    rotation: float = 1e-3
+    position: float = POSITION
+    rotation: float = ROTATION
 
     def __post_init__(self) -> None:
         if not isinstance(self.link, str):
@@ -168,7 +171,7 @@ class KeptLine:
         -------
         ndarray of bool, shape (N,)
         ndarray, shape (N, 2)
-            In metres, and in the Frobenius norm of rotation matrices; they are on the line's curve at least.
+            In metres, and in the Frobenius norm of rotation matrices.
         """
         most = np.array([self.line.position, chord_of(self.line.rotation)])
         kept, found = np.zeros(len(courses), dtype=bool), np.full((len(courses), 2), np.inf)
@@ -229,8 +232,10 @@ class KeptLine:
         return STRETCH * bent, STRETCH * astray
 
 
-def kept_lines(robot: Robot, line: Any, rows: Floats) -> list[Line]:
+def kept_lines(line: Any, rows: Floats) -> list[Line]:
     """Check an argument `line`; numbers of rows are then counted from the start of the path."""
+    if line is None:
+        return []
     given = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")
     made = [Line(each) if isinstance(each, str) else each for each in given]
     for k, each in enumerate(made):

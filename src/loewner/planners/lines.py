@@ -17,16 +17,13 @@ from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.kept_axes import KeptAxis
-from loewner.planners.kept_lines import checked_tolerance, chord_of
+from loewner.planners.kept_lines import POSITION, ROTATION, checked_tolerance, chord_of
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.reaching import Chain, refuse_far, refuse_unsteady, targets_of
 from loewner.robots.robot import chain_to
-
-# Largest deviations from a line [m, rad], unless others are given.
-POSITION, ROTATION = 1e-4, 1e-3
 
 # Singular values of the Jacobian [m, rad] below this count as singular in messages.
 SINGULAR = 0.02

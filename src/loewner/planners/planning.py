@@ -166,7 +166,7 @@ def plan(
     ndarray, shape (k, dof), or Plan
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
         joint that turns without limits takes the shorter way around, so it ends at the goal's value or whole turns from
-        it (with OMPL's planners, always at the goal's value).
+        it (with OMPL's planners, always at the goal's value). It ends with the approach of a `PoseGoal`.
     Trajectory
         If `start_time` is given. Between its times the robot moves straight at a constant rate, or waits. Its times
         count from its own `start_time`, at which ``checker.certify_trajectory(found)`` proves it FREE. Every velocity
@@ -175,7 +175,8 @@ def plan(
     Raises
     ------
     PlanningError
-        If a pose cannot be reached (the message states how near the link came); if the start or all goals are outside
+        If a pose cannot be reached (the message states how near the link came), or has no free approach or retreat (the
+        message counts the reasons); if the start or all goals are outside
         the limits or collide (the message names joints, or pairs and depths), or
         do not keep the axis, or
         are not proven free within the joint error (the message states the largest error that is proven); if no short
@@ -287,6 +288,8 @@ def plan(
     follows: dict[str, Any] = {}
     if approaches is not None:
         path, row, retreat = approaches.joined(judge, path, space.unwound(path[-1], begins))
+        if retreat is not None:
+            retreat.flags.writeable = False
         follows = {"approach": row, "retreat": retreat}
     if kept is not None and not kept.on(path[:-1], path[1:]).all():
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")

@@ -24,6 +24,9 @@ from loewner.robots.verdicts import contacts, free
 # Configurations that are tried as goals at most: free ones first, then those nearest to the start.
 MOST_GOALS = 16
 
+# A goal in contact that has lines counts as so many: rules of contact take twenty times as long to prove.
+TOUCHING = 4
+
 # A displacement: "link" or "world" for the frame of its vector, shape (3,) [m].
 Displacement = tuple[str, Floats]
 FRAMES = ("link", "world")
@@ -109,8 +112,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen, which collide only if there are too few free ones. An approach and a retreat,
-            if the goal has them, are free for all of them.
+            At most sixteen, which collide only if there are too few free ones. An approach and a retreat, if the goal
+            has them, are free for all of them.
 
         Raises
         ------
@@ -264,8 +267,8 @@ class PoseGoal:
         PlanningError
             If there are none; the message counts the reasons.
         """
-        kept: list[int] = []
-        made, reasons = Approaches([], []), dict[str, list[str]]()
+        kept, room = list[int](), MOST_GOALS
+        made, reasons = Approaches(judge, [], []), dict[str, list[str]]()
         may_touch = judge.joint_error is None and len(judge.ready.ruled) > 0
         lines: list[tuple[str, Any, Judge]] = [
             ("approach", self.approach, judge), ("retreat", self.retreat, replace(judge, kept=None))
@@ -285,7 +288,8 @@ class PoseGoal:
             kept.append(k)
             made.rows.append(found["approach"])
             made.retreats.append(None if self.retreat is None else found["retreat"])
-            if len(kept) == MOST_GOALS:
+            room -= 1 if good[k] else TOUCHING
+            if room <= 0:
                 break
         if kept:
             return kept, made
@@ -302,12 +306,15 @@ class Approaches(NamedTuple):
 
     Attributes
     ----------
+    judge : Judge
+        It found the lines free.
     rows : list of ndarray, shape (k, dof)
         For each goal, the approach; a single configuration if there is none.
     retreats : list of ndarray, shape (k, dof), or None
         Likewise, the retreats.
     """
 
+    judge: Judge
     rows: list[Floats]
     retreats: list[Floats | None]
 
@@ -326,16 +333,17 @@ class Approaches(NamedTuple):
         PlanningError
             If a line is not proven after these turns, which round, or in another state of the scene.
         """
-        k, judge = int(np.abs(goals - path[-1]).max(axis=1).argmin()), replace(judge, kept=None)
-        turns, retreat = goals[k] - self.rows[k][0], self.retreats[k]
-        approach = np.concatenate([path[-1:], self.rows[k][1:] + turns])
-        if retreat is not None:
-            retreat = retreat + turns
-            refuse_unfree(judge, retreat, "retreat")
-        if len(approach) == 1:
-            return path, None, retreat
-        refuse_unfree(judge, approach, "approach")
-        return np.concatenate([path, approach[1:]]), len(path) - 1, retreat
+        k = int(np.abs(goals - path[-1]).max(axis=1).argmin())
+        approach, retreat = self.rows[k], self.retreats[k]
+        if judge is not self.judge or (path[-1] != approach[0]).any():
+            turns, judge = goals[k] - approach[0], replace(judge, kept=None)
+            approach = np.concatenate([path[-1:], approach[1:] + turns])
+            retreat = None if retreat is None else retreat + turns
+            for name, rows in (("approach", approach), ("retreat", retreat)):
+                if rows is not None and len(rows) > 1:
+                    refuse_unfree(judge, rows, name)
+        row = len(path) - 1 if len(approach) > 1 else None
+        return np.concatenate([path, approach[1:]]), row, retreat
 
 
 def _displacement(given: Any, name: str, sign: float) -> Displacement:

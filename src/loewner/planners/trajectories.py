@@ -713,7 +713,7 @@ def trajectory(
     limits: JointLimits | None = None,
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
-    line: str | Line | Iterable[str | Line] = (),
+    line: str | Line | Iterable[str | Line] | None = None,
 ) -> Trajectory:
     """Assign times to a path, as fast as limits of velocity, acceleration and perhaps jerk allow.
 
@@ -791,7 +791,7 @@ def trajectory(
     share = checked_blend(blend)
     if checker is not None and checked_checker(checker).robot is not robot:
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
-    lines = kept_lines(robot, line, rows)
+    lines = kept_lines(line, rows)
     numbers = corners_of(rows, sorted({at for each in lines for at in (each.first, each.last)}))
     rows = rows[numbers]
     fastest, strongest, most = limits_of(robot, rows, limits, velocity, acceleration, jerk)
