@@ -246,7 +246,7 @@ def test_corners_are_named(capsys, tmp_path):
     """A file without velocities has corners; a cubic through rest has none in velocity."""
     answer = audited(capsys, tmp_path, "time,x\n0,0\n1,0.5\n2,0.5\n3,0.2\n")[1]
     (jump,) = answer["jumps"]
-    assert (jump["quantity"], jump["count"], jump["time"]) == ("velocity", 2, 1.0)
+    assert (jump["quantity"], jump["often"], jump["time"]) == ("velocity", 2, 1.0)
     assert jump["size"] == pytest.approx(0.5)
     answer = audited(capsys, tmp_path, "time,x,x velocity\n0,0,0\n1,0.5,0.2\n2,0.6,0\n")[1]
     assert [jump["quantity"] for jump in answer["jumps"]] == ["acceleration"]

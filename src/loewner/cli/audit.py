@@ -147,8 +147,8 @@ def _way_to(
     robot, first = checker.robot, trajectories.end(checker.robot, part, 0)
     begin = part.start_time if isinstance(part, planners.ControllerPoints) else 0.0
     due = float(part.times[0]) if isinstance(part, planners.ControllerPoints) else 0.0
-    clock = {"t0": begin, "t1": begin + due} if checker.scene.following else {}
-    found = checker.certify_edges(present, first, joint_error=joint_error, **clock)
+    t0, t1 = (begin, begin + due) if checker.scene.following else (None, None)
+    found = checker.certify_edges(present, first, joint_error=joint_error, t0=t0, t1=t1)
     off = np.abs(first - present)
     most = int(off.argmax())
     text = f"the straight way from --from to the first point is {found.verdict.name}"
@@ -228,7 +228,7 @@ def _answer(
         "exceeded": [_for_json(use._asdict()) for use in uses if use.ratio > 1 + limit_use.ROUNDED],
         "beyond_limits": _beyond_limits(robot, curve),
         "jumps": [jump._asdict() for jump in limit_use.jumps(robot, curve)] if timed else [],
-        "doubts": limit_use.doubts(robot, curve, uses, timed and given.velocities is not None),
+        "doubts": limit_use.doubts(robot, curve, uses, getattr(given, "velocities", None) is not None),
         **_told_by_a_message(given),
     }
 
@@ -396,7 +396,7 @@ def _print_limits(answer: dict[str, Any], unit: str) -> None:
                 f"{use['time']:.6g}{unit}, {use['ratio']:.3g} times its limit of {abs(use['limit']):.6g}"
             )
     for jump in answer["jumps"]:
-        times = "once" if jump["count"] == 1 else f"at {jump['count']} times"
+        times = "once" if jump["often"] == 1 else f"at {jump['often']} times"
         print(
             f"corner    {jump['quantity']} jumps {times}, most in {jump['joint']}: by {jump['size']:.6g} at "
             f"{jump['time']:.6g}{unit}"

@@ -77,7 +77,7 @@ class Jump(NamedTuple):
     joint: str
     size: float
     time: float
-    count: int
+    often: int
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
