@@ -181,10 +181,11 @@ def time_path(
     ------
     PlanningError
         If a motion of the path is not proven free without the moving bodies; if the start collides at the start time;
-        or if no times are found: the message names a pair of bodies, the place and the time.
+        if a time of arrival is too early; or if no times are found: the message names a pair of bodies, the place and
+        the time.
     InputError
-        As for `trajectory`; if the path is one configuration only, a time is too early, the velocity at the end is not
-        along the last motion or cannot be reached on the path, or the jerk is limited as well.
+        As for `trajectory`; if the path is one configuration only, or the velocity at the end is not along the last
+        motion, cannot be reached on the path, or is given with limits of jerk.
 
     See Also
     --------
@@ -194,10 +195,10 @@ def time_path(
     -----
     The path is timed as by `trajectory`, and its speed is then tuned to the motions of the bodies (Kant and Zucker,
     "path-velocity decomposition", IJRR 1986). The search is one of finite resolution: it may fail where there are
-    times, and the result need not arrive as early as possible. With limited jerk, the robot follows the average of its
-    positions over a window of time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of
-    velocity and acceleration, and takes longer by the window; the robot stays at stops for as long. If nothing is in
-    the way, the result is the trajectory that `trajectory` finds.
+    times, and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory
+    that `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window
+    of time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration, and
+    takes longer by the window; the robot stays at stops for as long.
 
     Examples
     --------
