@@ -26,6 +26,7 @@ from loewner import (
 )  # fmt: skip
 from loewner.pose_paths import PackedPaths, PosePath, path_of
 from loewner.robots import in_time
+from loewner.robots.courses import parts
 from motion_oracle import AFLOAT
 
 SAMPLES = 400
@@ -297,11 +298,11 @@ def in_time_slerp(course, f):
     return slerp(path, f).astype(np.float64)
 
 
-def test_parts_of_courses_are_exact_but_for_rounding(slider, rng):
+def test_parts_of_courses_are_exact_but_for_rounding(rng):
     """De Casteljau in fractions."""
     courses = rng.normal(size=(5, 6, 2))
     low, high = np.sort(rng.uniform(0, 1, (2, 5)), axis=0)
-    found = in_time.parts(slider, courses, low, high)
+    found = parts(courses, low, high)
     for k in range(5):
         for column in range(2):
             points = [Fraction(float(x)) for x in courses[k, :, column]]

@@ -214,7 +214,7 @@ def _of(curve: Curve, rows: slice) -> Curve:
 def _cut(ready: Problem, piece: Curve) -> Curve:
     """Cut one piece into parts; bodies that move get courses of their own, since a shorter turn is missed by less."""
     shares = np.arange(PARTS + 1) / PARTS
-    courses = parts(ready.robot, np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
+    courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
     off = np.repeat(piece.off + CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1), PARTS, axis=0)
     begin, end = piece.times
     times = np.where(shares == 1.0, end, begin + shares * (end - begin))

@@ -21,7 +21,7 @@ from loewner.bodies import Bodies, Body, bodies_of, packed_of
 from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
 from loewner.robots import motions
-from loewner.robots.courses import CURVE_ROUNDINGS, configurations, parts
+from loewner.robots.courses import CURVE_ROUNDINGS, between, configurations
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 
@@ -141,7 +141,7 @@ class Run(NamedTuple):
         if fraction in (0.0, 1.0):
             return self.rows(0, k + int(fraction)), self.rows(k + int(fraction), len(self.number))
         two, ends = np.repeat(self.courses[k : k + 1], 2, axis=0), np.array([0.0, fraction, 1.0])
-        first, second = parts(robot, two, ends[:-1], ends[1:])
+        first, second = between(robot, two, ends[:-1], ends[1:])
         _, middle = self.place(k, fraction)
         before, after = self.rows(0, k + 1), self.rows(k, len(self.number))
         return (

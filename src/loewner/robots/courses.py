@@ -46,13 +46,16 @@ def elevated(points: Floats, by: int) -> Floats:
     return points
 
 
-def parts(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the part of each course between two fractions, shape (N,) each, by de Casteljau's scheme if curved."""
+def between(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the part of each course between two fractions, shape (N,) each; see `parts` for curved ones."""
+    if courses.shape[1] > 2:
+        return parts(courses, low, high)
+    return np.stack([interpolated(robot, courses[:, 0], courses[:, 1], f[:, None]) for f in (low, high)], axis=1)
+
+
+def parts(courses: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the part of each course between two fractions, shape (N,) each, by de Casteljau's scheme."""
     degree, made = courses.shape[1] - 1, np.empty_like(courses)
-    if degree == 1:
-        for k, fractions in enumerate((low, high)):
-            made[:, k] = interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])
-        return made
     for k in range(degree + 1):
         points = courses
         for step in range(degree):

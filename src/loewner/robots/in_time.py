@@ -18,7 +18,7 @@ from loewner._matrices import power
 from loewner._validate import Floats, Ints
 from loewner.pose_paths import PackedPaths
 from loewner.robots import motions, verdicts
-from loewner.robots.courses import CURVE_ROUNDINGS, elevated, parts, straight
+from loewner.robots.courses import CURVE_ROUNDINGS, between, elevated, straight
 from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import apply_rules, deviations, refuse_starts
@@ -113,7 +113,7 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     cut = np.flatnonzero(counts[owner] > 1)
     if len(cut):
         whole = of_robot[cut]
-        of_robot[cut] = parts(robot, whole, starts[cut], ends[cut])
+        of_robot[cut] = between(robot, whole, starts[cut], ends[cut])
         strays[cut] += CURVE_ROUNDINGS * np.abs(whole).max(axis=1)
     times = np.stack([begin, end], axis=1)
     return Pieces(owner, starts, ends, times, *_joined(paths, begin, end, of_robot, strays))
