@@ -24,7 +24,7 @@ from loewner.robots.verdicts import contacts, free
 # Configurations that are tried as goals at most: free ones first, then those nearest to the start.
 MOST_GOALS = 16
 
-# A goal in contact that has lines counts as so many: rules of contact take twenty times as long to prove.
+# A goal in contact that has lines counts as this many goals: rules of contact take twenty times as long to prove.
 TOUCHING = 4
 
 # A displacement: "link" or "world" for the frame of its vector, shape (3,) [m].
