@@ -420,7 +420,7 @@ def fault_of_robot(robot: Robot) -> str | None:
 def fault_of_scene(scene: Scene) -> str | None:
     if not np.isfinite(scene.static_poses).all():
         return "poses that are no numbers"
-    return None if scene.collide() == bool(scene.pairs()) else "pairs that contradict the whole"
+    return None if scene.collide(0.0) == bool(scene.pairs(0.0)) else "pairs that contradict the whole"
 
 
 def fault_of_saved(scene: Scene, path: Path) -> str | None:
@@ -428,7 +428,7 @@ def fault_of_saved(scene: Scene, path: Path) -> str | None:
     if fault is None:
         save_scene(scene, path)
         again = load_scene(path)
-        if again.names != scene.names or again.margins != scene.margins or again.collide() != scene.collide():
+        if again.names != scene.names or again.margins != scene.margins or again.collide(0.0) != scene.collide(0.0):
             return "a scene that is another one when it is saved"
     return fault
 
