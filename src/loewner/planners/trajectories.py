@@ -578,6 +578,11 @@ class Trajectory(KeepsReadOnly):
         size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
         return shortest(size, fastest, strongest, np.inf if jerk is None else jerk)
 
+    def _spaced(self, fastest: Floats, strongest: Floats, most: Floats | None) -> Trajectory:
+        """Return the same trajectory with the spacing of its limits, and with read-only arrays."""
+        spacing = (SPACED_WITHOUT_JERK if most is None else SPACED) * self._shortest(fastest, strongest, most)
+        return replace(self, spacing=spacing)._read_only()
+
     def _of(self, columns: list[int], names: Sequence[str]) -> Trajectory:
         """Return some columns, by other names."""
         bends = None if self.bends is None else self.bends[:, columns]
@@ -800,9 +805,7 @@ def trajectory(
         refuse_unfree(judge, rows, "path")
     motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
     kept = [_on_line(robot, each, rows, numbers) for each in lines]
-    made = fastest_along(robot, motions, judge, share, kept=kept)
-    spacing = (SPACED_WITHOUT_JERK if most is None else SPACED) * made._shortest(fastest, strongest, most)
-    return replace(made, spacing=spacing)._read_only()
+    return fastest_along(robot, motions, judge, share, kept=kept)._spaced(fastest, strongest, most)
 
 
 def fastest_along(

@@ -237,7 +237,7 @@ def time_path(
         limit, exact = _times(begin, arrive_by, arrive_at, smooth.duration, np.inf)
         made = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
         if made.duration <= limit and made.certify(checker, joint_error=errors).verdict == Verdict.FREE:
-            return made._read_only()
+            return made._spaced(fastest, strongest, most)
     # Averages of blends are proven as a whole only; without blends, the robot stays on the path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
         base = fastest_along(robot, motions, judge, size, last_speed)
@@ -249,7 +249,7 @@ def time_path(
         search = _Search(checker, replace(timed, limit=limit), stations, base, window, most, least, ruled, [], [])
         found = search.found(exact)
         if found is not None:
-            return found._read_only()
+            return found._spaced(fastest, strongest, most)
     raise PlanningError(
         "path: expected one that is free without the moving bodies, with its blends and within the joint error, found "
         f"{search.blocking[-1]}"
