@@ -5,8 +5,8 @@ python examples/belt_pick.py [--out PICTURE.png]
 Three curves follow each other, and each is proven free at every instant among the bodies that move: the way to the
 place above the box, which ends there at the belt's speed and in time; the way down with the box, until the fingers are
 closed; and the way up, until the arm rests. Velocities and accelerations are polynomials of time, so that their largest
-values are computed, not sampled. The fingers stop a quarter of a millimetre before the box, and the gripper's force
-closes this gap; the box lies a millimetre above the belt's body.
+values are computed, not sampled. The box is on the belt and touches it. The fingers may touch the box at the end of the
+second curve and not before, and the box may touch the belt at the start of the third and not afterwards.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from robot_meshes import panda_robot
 
 HAND, TIPS = "panda_hand", "panda_hand_tcp"  # the tips are a frame between the fingers
 FINGERS, FINGER = ("panda_leftfinger", "panda_rightfinger"), 7
-BOX, OPEN, CLOSED = 0.06, 0.04, 0.03025  # edges of the box, and the fingers' positions [m]
+BOX, OPEN, CLOSED = 0.06, 0.04, 0.030019  # edges of the box; positions of the fingers; closed, they touch it [m]
 SPEED, BELT_TOP, HIGH = 0.2, 0.1, 0.12  # of the belt [m/s]; its height, and that of the tips above the box [m]
 MEET, FIRST = 3.0, -0.25  # when the arm is above the box [s], and where along the belt [m]
 DOWN, CLOSE, UP, STOP = 1.0, 0.4, 0.8, 0.8  # how long the arm takes for it [s]
@@ -60,11 +60,14 @@ def main() -> None:
     options_of_times = {"arrive_at": MEET, "end_velocity": velocity, "acceleration": ACCELERATION}
     meet = planners.time_path(checker, path, start_time=0.0, **options_of_times)
     print(f"meet: {meet.certify(checker).verdict.name}, {meet}")
-    print(f"down and close: {checker.certify_trajectory(down).verdict.name}")
+    for finger in FINGERS:
+        scene.reach("box", finger)
+    touching = [f"{contact.name_a} and {contact.name_b}" for contact in checker.pairs(down(grasp), grasp)]
+    print(f"down and close: {checker.certify_trajectory(down).verdict.name}, then in contact: {', '.join(touching)}")
 
-    # The box moves with the hand from now on.
+    # The box moves with the hand from now on, and leaves the belt.
     T_hand = robot.forward_kinematics(carried(grasp))[robot.link_names.index(HAND)]
-    scene.attach("box", HAND, np.linalg.inv(T_hand) @ box_at(grasp), touch_links=FINGERS)
+    scene.attach("box", HAND, np.linalg.inv(T_hand) @ box_at(grasp), touch_links=FINGERS, leave=["belt"])
     print(f"up: {checker.certify_trajectory(up).verdict.name}")
 
     speeds, pushes = np.stack([largest(curve) for curve in (down, up)]).max(axis=0)
@@ -109,7 +112,7 @@ def smooth(x: float) -> float:
 
 def box_at(t: float) -> np.ndarray:
     """Where the box is on the belt."""
-    return at(0.55, FIRST + SPEED * (t - MEET), BELT_TOP + 0.001 + BOX / 2)
+    return at(0.55, FIRST + SPEED * (t - MEET), BELT_TOP + BOX / 2)
 
 
 def at(x: float, y: float, z: float) -> np.ndarray:

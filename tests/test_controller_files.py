@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.interpolate import BPoly
 
-from gantry import gantry
+from gantry import LEFT, RIGHT, gantry
 from loewner import CollisionChecker, FileError, InputError, Robot, UnknownNameError, Verdict, planners
 from loewner.planners import ControllerPoints, Trajectory, trajectory
+from test_plans_in_time import gate
 
 JERK = 30.0
 NAMES = ("x", "y", "turn")
@@ -297,6 +298,21 @@ def test_rows_without_a_limit_of_jerk_add_a_millionth(robot, alone, tmp_path_fac
     whole.save(file, rate=rate)
     after, _ = excesses(file, (1.0, 3.0), False)
     assert all(share <= max(old, 0) + Fraction(1, 10**6) for share, old in zip(after, before, strict=True))
+
+
+@pytest.mark.parametrize("jerk", [None, 30.0])
+def test_rows_keep_limits_of_times_for_a_path(robot, tmp_path, jerk):
+    """A trajectory of `time_path` that waits for a gate knows its spacing, and rows near a knot keep the limits."""
+    given = {"velocity": 1.0, "acceleration": 3.0, "jerk": jerk}
+    whole = planners.time_path(CollisionChecker(robot, gate(1.0)), [LEFT, RIGHT], start_time=0.0, **given)
+    assert 1e-4 < whole.spacing < 1e-2
+    at = whole.times[len(whole.times) // 2] + 0.1 * whole.spacing
+    worst = []
+    for rate in (None, round(40 * at) / at):
+        whole.save(tmp_path / "rows.csv", rate=rate)
+        worst.append(excesses(tmp_path / "rows.csv", tuple(given.values())[: 2 if jerk is None else 3], False)[0])
+    more = Fraction(1, 10**6) if jerk is None else 0
+    assert all(share <= max(old, 0) + more for old, share in zip(*worst, strict=True))
 
 
 def test_rows_are_apart(moved, tmp_path):

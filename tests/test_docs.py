@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import trimesh
 
 from gantry import gantry
 from loewner import load_scene
+from loewner.cli import main
 from robot_oracle import robots_folder
 from site_pages import MADE_BY_THE_BUILD
 
@@ -64,6 +66,21 @@ def test_code_blocks_run(name, folder_with_robot, capsys):
     program = blocks(ROOT / name)
     assert program
     exec(compile(program, name, "exec"), {})
+
+
+def test_the_pick_takes_sixty_lines(folder_with_robot, capsys):
+    """The page has at most 60 lines of code, and its commands prove the files that this code has written."""
+    page = ROOT / "docs/tutorial/pick.md"
+    assert sum(line.strip() != "" for line in blocks(page).splitlines()) <= 60
+    exec(compile(blocks(page), page.name, "exec"), {})
+    commands = re.findall(r"^    loewner (audit .+)$", page.read_text(), flags=re.M)
+    capsys.readouterr()
+    for name, command in zip(("pick", "carry", "back"), commands, strict=True):
+        assert f" {name}.yaml " in command
+        assert main([*shlex.split(command), "--package-dir", "packages"]) == 0
+        assert capsys.readouterr().out.startswith("FREE ")
+    # It is a proof of the carried can: with the can on the table, the same motion meets it.
+    assert main([*shlex.split(commands[1].replace("carry-scene", "pick-scene")), "--package-dir", "packages"]) == 1
 
 
 def test_readme_prints_what_it_says(folder_with_meshes, capsys):

@@ -94,6 +94,7 @@ def test_nothing_in_the_way(slider, jerk):
         found = planners.time_path(checker, [LEFT, RIGHT], start_time=begin, jerk=jerk, **HASTE)
         check(checker, [LEFT, RIGHT], found, begin, jerk=jerk)
         assert found.duration == pytest.approx(fastest.duration, rel=1e-12)
+        assert found.spacing == pytest.approx(fastest.spacing, rel=1e-5)
 
 
 def test_corners_are_passed_without_a_stop(slider):
