@@ -270,9 +270,10 @@ def test_example_conveyor(tmp_path):
 
 
 def test_example_belt_pick(tmp_path):
-    """The three curves are proven, and no joint exceeds its limits of velocity and acceleration."""
+    """The three curves are proven, only fingers touch, and joints keep their limits of velocity and acceleration."""
     out = example("belt_pick.py", "--out", "belt.png", cwd=tmp_path)
     assert re.findall(r"^(.+): FREE", out, flags=re.M) == ["meet", "down and close", "up"]
+    assert "then in contact: panda_leftfinger and box, panda_rightfinger and box\n" in out
     shares = re.search(r"largest velocity ([0-9.]+), largest acceleration ([0-9.]+) of the limits", out).groups()
     assert max(float(share) for share in shares) <= 1
     assert (tmp_path / "belt.png").stat().st_size > 0
