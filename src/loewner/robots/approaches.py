@@ -198,8 +198,8 @@ class Measured(NamedTuple):
     Attributes
     ----------
     near : ClosestApproach
-        All pairs, except for pairs that may be in contact at the beginning or the end on the pieces on which they come
-        within their margins.
+        All pairs, except for pairs that may be in contact at the beginning or the end on proven pieces on which they
+        come within their margins.
     allowed : dict of (str, str) to ClosestApproach
         Each pair that may be in contact.
     contacts : ndarray, shape (m, 2)
@@ -224,6 +224,7 @@ def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
         a, b = (ready.names[k] for k in ready.pairs[pair])
         own = allowed[a, b] = measured(ready.only(np.array([pair])), whole)
         apart = own.distance > ready.margins[pair]
+        apart[unproven] = True
         nearer = apart & (own.distance < near.distance)
         near = ClosestApproach(
             near.times, np.where(apart, np.minimum(own.lower, near.lower), near.lower),
