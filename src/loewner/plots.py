@@ -296,7 +296,6 @@ def _draw_distances(ax: Any, checker: CollisionChecker, ticks: Floats, Q: Floats
     ranked = sorted(distances, key=lambda names: float(np.nanmin(distances[names])))
     shown = [names for number, names in enumerate(ranked) if number < MOST_PAIRS or names in unproven]
     for number, names in enumerate(shown):
-        # A pair with a dip of its own is above the others elsewhere, where it is not measured.
         ax.plot(ticks, 1e3 * distances[names], color=f"C{number}", linewidth=1.2, label=" and ".join(names))
     worst = int(nearest.argmin())
     least, t = 1e3 * float(nearest[worst]), float(ticks[worst])
