@@ -368,8 +368,6 @@ def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
 
 def _print_nearest(answer: dict[str, Any], unit: str) -> None:
     """Print the least distance of the whole trajectory, with its proven bound."""
-    if answer["nearest"] is None:  # one pair, in contact that is allowed
-        return
     found, lower = 1e3 * answer["nearest"], answer["nearest_lower"]
     if lower is None:
         bound = "a surface may be deeper at another time"

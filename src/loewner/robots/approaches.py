@@ -21,7 +21,7 @@ from loewner._pictures import pictured, verdicts
 from loewner._validate import Floats, Ints, Pair
 from loewner.robots import in_time, motions
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, parts
-from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits
+from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits, proven
 from loewner.robots.distances import expect_pairs, nearest_columns
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
@@ -231,7 +231,15 @@ def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
             np.where(nearer, own.distance, near.distance), np.where(nearer, own.time, near.time),
             np.where(nearer[:, None], own.names, near.names),
         )  # fmt: skip
+    if not np.isfinite(near.distance).any():  # all is contact that is allowed
+        near = measured(ready, whole)
     return Measured(near, allowed, contacts(ready, whole, unproven, near))
+
+
+def worst(checker: Any, given: Any) -> ClosestApproach:
+    """Measure a curve in any form, where pairs that may touch keep their margins or are not proven."""
+    curve, found = proven(checker, given, 0.0)
+    return along(checker, curve, np.flatnonzero(found.segments.verdict != codes.FREE)).near
 
 
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:
