@@ -231,7 +231,7 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
     """Return the seconds since the start at which the nearest pair is nearest.
 
-    Of a path without times of its own, these are samples and the places where proofs ended.
+    On a path without times of its own, samples and the places where proofs ended are compared.
     """
     if isinstance(way, (Trajectory, Executed)):
         near = approaches.worst(checker, way.given if isinstance(way, Executed) else way)
