@@ -306,3 +306,21 @@ def test_the_thousand_curves_reach_the_post():
     knots = np.linspace(0.0, 1.0, 400)
     for size in (0.0, 0.075, 0.15):
         assert (np.diff(knots + size * np.sin(2 * np.pi * knots)) > 0).all()
+
+
+def test_the_audit_measures_a_pair_that_may_touch_where_it_keeps_its_margin(tmp_path):
+    """A ball that begins on a table is measured from it once it has left it; the contact is apart from that."""
+    scene = Scene(margin=0.002)
+    scene.add("post", Body.box([0.2, 0.2, 0.2]), at(-0.2, 0, 0))
+    scene.leave("ball", "post")
+    checker = CollisionChecker(Robot.from_urdf(text=SLIDE), scene)
+    knots = [[0.0], [0.05], [0.5], [0.3], [0.6]]
+    points = planners.ControllerPoints([0.0, 1.0, 2.0, 3.0, 4.0], knots)
+    curve, found = curves.proven(checker, points, 0.0)
+    assert found.verdict.name == "FREE"
+    near, allowed, contacts = approaches.along(checker, curve, np.array([], dtype=np.int64))
+    assert near.nearest == 1
+    assert near.distance[1:] == pytest.approx([0.05, 0.3, 0.3], abs=1e-9)
+    assert near.distance[0] == np.inf
+    assert allowed["ball", "post"].distance[0] == pytest.approx(0.0, abs=1e-9)
+    assert len(contacts) == 0

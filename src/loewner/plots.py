@@ -21,7 +21,8 @@ from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.queries import Verdict, classify, collide, distance
-from loewner.robots import CollisionChecker, Settled, curves
+from loewner.robots import ClosestApproach, CollisionChecker, Settled, approaches, curves
+from loewner.robots.courses import configurations
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
@@ -268,6 +269,13 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     courses, found = curves.proven(checker, curve, joint_error)
     ticks, _, Q = curves.sampled(checker.robot, courses, found)
+    near = None
+    if checker.checked_pairs:
+        near = approaches.along(checker, courses, np.flatnonzero(found.segments.verdict != Verdict.FREE)).near
+        k = near.nearest
+        share = (near.time[k] - found.times[k]) / (found.times[k + 1] - found.times[k])
+        q = configurations(checker.robot, courses.courses[k : k + 1], np.array([share]).clip(0.0, 1.0))
+        ticks, Q = np.append(ticks, near.time[k]), np.concatenate([Q, q])
     order = np.argsort(ticks, kind="stable")
     ticks, Q = ticks[order], Q[order]
     ax = _flat_axes(ax)
@@ -275,8 +283,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
         for k in np.flatnonzero(found.segments.verdict == verdict).tolist():
             ax.axvspan(found.times[k], found.times[k + 1], color=colour, linewidth=0, label=label)
             label = "_"  # in the legend once
-    if checker.checked_pairs:
-        _draw_distances(ax, checker, ticks, Q, found, "" if isinstance(curve, np.ndarray) else " s")
+    if near is not None:
+        _draw_distances(ax, checker, (ticks, Q), found, near, "" if isinstance(curve, np.ndarray) else " s")
     ax.axhline(0.0, color=LEVEL, linewidth=0.8)
     ax.set(xlim=(found.times[0], found.times[-1]), ylabel="distance, mm", title=found.verdict.name)
     ax.set_xlabel("number of the configuration" if isinstance(curve, np.ndarray) else "time, s")
@@ -284,22 +292,23 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     return ax
 
 
-def _draw_distances(ax: Any, checker: CollisionChecker, ticks: Floats, Q: Floats, found: Any, unit: str) -> None:
+def _draw_distances(
+    ax: Any, checker: CollisionChecker, samples: tuple[Floats, Floats], found: Any, near: ClosestApproach, unit: str
+) -> None:
     """Draw the distances of the nearest pairs and of all pairs that are not proven free, and mark the least one."""
+    ticks, Q = samples
     nearest = checker.distance(Q, ticks, exact=True).distance
     top = 1.05 * max(float(nearest.max()), 0.0) + 1e-3
-    near = checker.distance_by_pair(Q, ticks, within=top)
+    by_pair = checker.distance_by_pair(Q, ticks, within=top)
     distances: dict[tuple[str, ...], Floats] = {}
-    for names, k, found_there in zip(near.names.tolist(), near.configuration, near.distance, strict=True):
+    for names, k, found_there in zip(by_pair.names.tolist(), by_pair.configuration, by_pair.distance, strict=True):
         distances.setdefault(tuple(names), np.full(len(ticks), np.nan))[k] = found_there
     unproven = {tuple(names) for names in found.segments.names.tolist()}
     ranked = sorted(distances, key=lambda names: float(np.nanmin(distances[names])))
     shown = [names for number, names in enumerate(ranked) if number < MOST_PAIRS or names in unproven]
     for number, names in enumerate(shown):
-        # A pair with a dip of its own is above the others elsewhere, where it is not measured.
         ax.plot(ticks, 1e3 * distances[names], color=f"C{number}", linewidth=1.2, label=" and ".join(names))
-    worst = int(nearest.argmin())
-    least, t = 1e3 * float(nearest[worst]), float(ticks[worst])
+    least, t = 1e3 * float(near.distance[near.nearest]), float(near.time[near.nearest])
     label = f"{abs(least):.3g} mm {'deep' if least < 0 else 'apart'} at {t:.6g}{unit}"
     ax.plot(t, least, "o", color=NEAR, markersize=6, label=label)
     low = min(least, 0.0)

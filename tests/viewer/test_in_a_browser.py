@@ -157,7 +157,7 @@ def test_trajectory_in_the_browser(tab, arm):
     moved = planners.trajectory(arm.robot, [[0.0, 0.0], [1.5, 0.0]], velocity=4.0, acceleration=16.0)
     with viewer.show_robot(arm, trajectory=moved) as page:
         tab.goto(page.url)
-        assert shown(tab, "FREE") == "FREE"
+        assert shown(tab, "COLLIDING") == "COLLIDING"  # the trajectory does, later
         tab.get_by_role("button", name="play").click()
         eventually(lambda: page.time == moved.duration, PATIENCE / 1000)
         tab.locator('[data-loewner="note"]', has_text="wall/left").first.wait_for()
@@ -361,7 +361,7 @@ def test_the_slider_of_a_path_in_the_browser(tab, arm):
     rows = [[0.0, 0.0], [1.5, 0.0]]
     with viewer.show_robot(arm, path=rows) as page:
         tab.goto(page.url)
-        assert shown(tab, "FREE") == "FREE"
+        assert shown(tab, "COLLIDING") == "COLLIDING"  # the path does, later
         assert "colliding" in panel(tab)["along"]
         thumb = tab.get_by_role("slider").first
         thumb.focus()

@@ -393,7 +393,7 @@ def _print_limits(answer: dict[str, Any], unit: str) -> None:
             of_joint = use["unit"] + symbol
             print(
                 f"limits    {quantity} of {use['joint']} reaches {use['value']:.6g} {of_joint} at "
-                f"{use['time']:.6g}{unit}, {use['ratio']:.3g} times its limit of {abs(use['limit']):.6g}"
+                f"{use['time']:.6g}{unit}, {use['ratio']:.4g} times its limit of {abs(use['limit']):.6g}"
             )
     for jump in answer["jumps"]:
         times = "once" if jump["often"] == 1 else f"at {jump['often']} times"

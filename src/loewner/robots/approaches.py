@@ -21,7 +21,7 @@ from loewner._pictures import pictured, verdicts
 from loewner._validate import Floats, Ints, Pair
 from loewner.robots import in_time, motions
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, parts
-from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits
+from loewner.robots.curves import Curve, curves_of, cut_in_time, expect_short, hits, proven
 from loewner.robots.distances import expect_pairs, nearest_columns
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
@@ -198,9 +198,10 @@ class Measured(NamedTuple):
     Attributes
     ----------
     near : ClosestApproach
-        Of all pairs that no rule allows to touch; of all pairs if there are no others.
+        All pairs, except for pairs that may be in contact at the beginning or the end on proven pieces on which they
+        come within their margins.
     allowed : dict of (str, str) to ClosestApproach
-        Of each pair that may be in contact at the beginning or the end.
+        Each pair that may be in contact.
     contacts : ndarray, shape (m, 2)
         Times at which collisions on unproven pieces begin and end.
     """
@@ -213,13 +214,32 @@ class Measured(NamedTuple):
 def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
     """Measure a curve from `curves.proven`, whose pieces with the given numbers are not proven free."""
     ready: Problem = checker._ready(timed=bool(checker.scene.following))
-    whole = cut_in_time(checker.robot, ready, curve)
-    near = measured(ready.unruled if len(ready.ruled) < len(ready.pairs) else ready, whole)
-    allowed = {}
+    whole, allowed = cut_in_time(checker.robot, ready, curve), dict[Pair, ClosestApproach]()
+    if len(ready.ruled) < len(ready.pairs):
+        near = measured(ready.unruled, whole)
+    else:
+        far, no_names = np.full(len(whole.courses), np.inf), np.full((len(whole.courses), 2), "")
+        near = ClosestApproach(whole.times, far, far, whole.times[:-1], no_names)
     for pair in ready.ruled.tolist():
         a, b = (ready.names[k] for k in ready.pairs[pair])
-        allowed[a, b] = measured(ready.only(np.array([pair])), whole)
+        own = allowed[a, b] = measured(ready.only(np.array([pair])), whole)
+        apart = own.distance > ready.margins[pair]
+        apart[unproven] = True
+        nearer = apart & (own.distance < near.distance)
+        near = ClosestApproach(
+            near.times, np.where(apart, np.minimum(own.lower, near.lower), near.lower),
+            np.where(nearer, own.distance, near.distance), np.where(nearer, own.time, near.time),
+            np.where(nearer[:, None], own.names, near.names),
+        )  # fmt: skip
+    if not np.isfinite(near.distance).any():  # all is contact that is allowed
+        near = measured(ready, whole)
     return Measured(near, allowed, contacts(ready, whole, unproven, near))
+
+
+def worst(checker: Any, given: Any) -> ClosestApproach:
+    """Measure a curve in any form, where pairs that may touch keep their margins or are not proven."""
+    curve, found = proven(checker, given, 0.0)
+    return along(checker, curve, np.flatnonzero(found.segments.verdict != codes.FREE)).near
 
 
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:

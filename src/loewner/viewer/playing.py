@@ -14,7 +14,7 @@ from loewner.errors import InputError
 from loewner.planners import Trajectory
 from loewner.pose_paths import PosePath
 from loewner.queries import Verdict
-from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot, curves
+from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot, approaches, curves
 from loewner.robots.checker import prepared_of
 from loewner.robots.courses import configurations
 from loewner.robots.edges import checked_path
@@ -121,12 +121,14 @@ class Executed:
 
     Attributes
     ----------
+    given
+        As given.
     duration, start_time : float
         Seconds, as for `Path`; the start time includes the first time of the curve.
     """
 
     def __init__(self, robot: Robot, given: Any) -> None:
-        self._robot, self._given = robot, given
+        self._robot, self.given = robot, given
         self._curve = curves.started(robot, given, "trajectory")
         self.start_time = float(self._curve.times[0])
         self.duration = float(self._curve.times[-1]) - self.start_time
@@ -141,7 +143,7 @@ class Executed:
 
     def certify(self, checker: CollisionChecker) -> CertifiedTrajectory:
         """Prove the curve free."""
-        found: CertifiedTrajectory = checker.certify_trajectory(self._given)
+        found: CertifiedTrajectory = checker.certify_trajectory(self.given)
         return found
 
 
@@ -227,7 +229,13 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
 
 
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
-    """Return the seconds since the start at which the nearest pair is nearest, of samples and where proofs ended."""
+    """Return the seconds since the start at which the nearest pair is nearest.
+
+    On a path without times of its own, samples and the places where proofs ended are compared.
+    """
+    if isinstance(way, (Trajectory, Executed)):
+        near = approaches.worst(checker, way.given if isinstance(way, Executed) else way)
+        return min(max(float(near.time[near.nearest]) - way.start_time, 0.0), way.duration)
     ended = (proof.times[:-1] + proof.fractions * np.diff(proof.times))[proof.verdicts != Verdict.FREE]
     times = np.append(np.linspace(0.0, way.duration, curves.MEASURED), ended.clip(0.0, way.duration))
     found = checker.distance(way.positions(times), way.start_time + times, exact=True)
