@@ -79,7 +79,7 @@ def test_picks_from_a_belt(picker, tenth):
     """The robot meets the part at the belt's velocity, goes down with it, closes on it, and lifts it at this velocity.
 
     The part is on the belt, and the fingers touch it at the end of the way down: these contacts are the only ones.
-    Curves that close, or push the part into the belt, by three hundredths of a millimetre more are not free.
+    In every tenth pick, curves that close, or push the part into the belt, by 0.03 mm more are tried, and refused.
     """
     for seed in range(tenth * PICKS // 10, (tenth + 1) * PICKS // 10):
         rng = np.random.default_rng(seed)
@@ -124,7 +124,8 @@ def test_picks_from_a_belt(picker, tenth):
         np.testing.assert_allclose(moved.rates[-1], follow.derivative()(meet), atol=1e-12)
         keeps_limits(follow)
         assert checker.certify_trajectory(follow).verdict == Verdict.FREE
-        assert checker.certify_trajectory(following(closed - TOO_DEEP)).verdict != Verdict.FREE
+        if seed % 10 == 0:
+            assert checker.certify_trajectory(following(closed - TOO_DEEP)).verdict == Verdict.COLLIDING
         t = np.linspace(meet, close, SAMPLES)
         assert not checker.collide(follow(t[:-1]), t[:-1]).any()
         left, right, _ = gaps(follow, t, place, size)
@@ -141,7 +142,8 @@ def test_picks_from_a_belt(picker, tenth):
         scene.attach("part 0", "palm", np.linalg.inv(T) @ part_at(close), touch_links=touching, leave=["belt"])
         keeps_limits(up)
         assert checker.certify_trajectory(up).verdict == Verdict.FREE
-        assert checker.certify_trajectory(lifting(TOO_DEEP)).verdict == Verdict.COLLIDING
+        if seed % 10 == 0:
+            assert checker.certify_trajectory(lifting(TOO_DEEP)).verdict == Verdict.COLLIDING
         t = np.linspace(close, lift, SAMPLES)
         assert not checker.collide(up(t[1:]), t[1:]).any()
         _, _, over = gaps(up, t, place, size)
