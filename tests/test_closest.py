@@ -125,6 +125,10 @@ def test_bodies_that_move_are_met_where_they_are_then():
     assert abs(found.time[k] - 1.0) <= 0.051  # one face of the box is beside the ball for a tenth of a second
     late = checker.closest(PPoly(np.zeros((1, 1, 1)), [0.0, 2.0]), t0=1.5)
     assert late.distance[late.nearest] > 0.5
+    points = planners.ControllerPoints([0.0, 2.0], [[0.0], [0.0]])
+    curve, verdict = curves.proven(checker, points, 0.0)
+    near = approaches.along(checker, curve, np.flatnonzero(verdict.segments.verdict)).near
+    assert near.distance.min() == pytest.approx(0.05, abs=1e-6)
 
 
 def test_depths_of_surfaces_have_no_upper_bound(tmp_path):

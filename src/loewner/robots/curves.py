@@ -220,7 +220,8 @@ def proven(
     """
     if not isinstance(given, np.ndarray):
         curve = cut_in_time(checker.robot, checker._ready(timed=True), started(checker.robot, given, name))
-        own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., : checker.robot.dof]))
+        dof = checker.robot.dof
+        own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., :dof]), off=curve.off[:, :dof])
         return own, checker.certify_trajectory(given, joint_error=joint_error, proof=proof)
     rows = checked_path(checker.robot, given)
     a, b = rows[:-1], rows[1:]
