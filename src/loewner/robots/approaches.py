@@ -394,7 +394,7 @@ def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats
         for at in quaternions:  # turn at a constant rate: farthest at the ends, in no single column
             changes[:, at] = lengths(changes[:, at])[:, None] / 2
         return np.asarray(changes)
-    points = center = parts(robot, courses, low, high)
+    points = center = parts(courses, low, high)
     while center.shape[1] > 1:
         center = (center[:, :-1] + center[:, 1:]) / 2
     changes = np.abs(points - center).max(axis=1)

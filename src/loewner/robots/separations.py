@@ -21,7 +21,7 @@ from loewner._rotations import rotations_of
 from loewner._validate import Floats, Ints
 from loewner.errors import ConvergenceError
 from loewner.robots import contacts
-from loewner.robots.courses import configurations, parts
+from loewner.robots.courses import between, configurations
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import AT_END, AT_START, HULL, SLIDES, Model
 
@@ -317,7 +317,7 @@ class _Search(NamedTuple):
         self, low: float, high: float, least: float | None = None, normals: Floats | None = None
     ) -> bytes | Failed:  # fmt: skip
         """Make the tree of a part of the motion, with the margin of the pair or with another distance."""
-        width, (course,) = high - low, parts(self.ready.robot, self.course[None], np.array([low]), np.array([high]))
+        width, (course,) = high - low, between(self.ready.robot, self.course[None], np.array([low]), np.array([high]))
         memory, margins = self.memory, None
         memory.state[self.pair, NAMED] = 0.0
         if least is not None and normals is not None:
