@@ -421,7 +421,7 @@ class _Checker:
 
     def read_contacts(self) -> None:
         """Read where pairs may be in contact, and check that the rules allow it and that joined motions agree."""
-        before, anchors, whole = (-1, 0, 0, 0), list[tuple[int, Pair, int]](), 1 << DEEPEST
+        before, listed, whole = (-1, 0, 0, 0), dict[tuple[int, Pair, int, int, float], None](), 1 << DEEPEST
         for _ in range(self.reader.count(22, "contacts")):
             (number, i, j, end, k), (least,) = self.reader.take("3I2B"), self.reader.doubles(1)
             key, pair = (number, i, j, end), (i, j)
@@ -431,17 +431,17 @@ class _Checker:
                 raise Refused(f"{_shown(*self.named(pair))}: a contact has the end {end}, 2^-{k} and {least!r} m.")
             found, before = self.contacts.setdefault((number, pair), []), key
             found.append((whole - (whole >> k), whole, least) if end else (0, whole >> k, least))
-            anchors.append((number, pair, end))
+            listed[number, pair, end, k, least] = None
             if len(found) == 2 and found[0][1] > found[1][0]:
                 raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
             low, high = (Fraction(t, whole) for t in found[-1][:2])
             self.told.append((*self.named(pair), number, low, high, least))
-        for number, pair, end in anchors:  # where another motion joins, it has to be in contact there
-            other, there = (number + 1, 0) if end else (number - 1, whole)
+        for number, pair, end, _, least in listed:  # where another motion joins, the contact goes on all along it
+            other = number + 1 if end else number - 1
             first, last = sorted((number, other))
             joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
-            if joined and not any(there in x[:2] for x in self.contacts.get((other, pair), ())):
-                raise Refused(f"{_shown(*self.named(pair))}: contact in only one of motions {first} and {last}.")
+            if joined and (other, pair, end, 0, least) not in listed:
+                raise Refused(f"{_shown(*self.named(pair))}: contact does not go on in motion {other}.")
 
     def named(self, pair: Pair) -> Names:
         return self.bodies[pair[0]].name, self.bodies[pair[1]].name

@@ -243,6 +243,12 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
     return None
 
 
+def farthest(ready: Problem, pair: int, run: Run) -> tuple[int, float]:
+    """Find a course, and a fraction of it, at which a pair is apart by the largest of the distances measured."""
+    at, distances, _ = _samples(ready, pair, run)
+    return _on_course(at[distances.argmax()])
+
+
 class _Left(NamedTuple):
     """How a pair leaves the contact at the start of a run.
 
@@ -282,9 +288,7 @@ def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: fl
     if not ready.leaving[pair]:
         return [(whole.backwards(), False, tolerance)]
     # Between the two contacts, the pair is apart; any place gives a sound proof.
-    at, distances, _ = _samples(ready, pair, whole)
-    middle = _on_course(at[distances.argmax()])
-    before, after = whole.cut(ready.robot, middle)
+    before, after = whole.cut(ready.robot, farthest(ready, pair, whole))
     runs = [(before, True, np.inf), (after.backwards(), False, tolerance)]
     return [run for run in runs if len(run[0].number)]  # the distance may be largest at an end
 
