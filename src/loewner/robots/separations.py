@@ -139,7 +139,7 @@ def _expect_tree(
     if tree.many:
         why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
     elif touches:
-        why = "the planes of their contact do not suffice"
+        why = "the planes of their contact, which may get deeper by the tolerance once, do not suffice"
     elif off:
         why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
     raise ConvergenceError(
