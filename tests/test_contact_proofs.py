@@ -207,7 +207,7 @@ def test_contact_does_not_begin_where_motions_join(hand):
     assert first[3] < last[2]
     assert [row[-1] for row in report.contacts] == pytest.approx([-TOLERANCE] * len(report.contacts))
     # Only the contacts at the end of one motion and at the start of the next one.
-    short = [contact(proof, motion=k, end=1 - k % 2, k=6) for k in (1, 2)]
+    short = [contact(proof, motion=k, end=k % 2, k=6) for k in (1, 2)]
     with pytest.raises(Refused, match="contact does not go on in motion 2"):
         verify(changed(proof, [short[0]]))
     with pytest.raises(Refused, match="contact does not go on in motion"):

@@ -95,7 +95,7 @@ class Report:
         found, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
             k = last.get((a, b, least), -1)
-            if k >= 0 and since == 0 and found[k][3] == (number - 1, 1):
+            if k >= 0 and since == 0 and found[k][3] == (number - 1, Fraction(1)):
                 found[k] = a, b, found[k][2], (number, until), least
             else:
                 last[a, b, least] = len(found)
