@@ -12,7 +12,6 @@ from families import translation
 from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene, Verdict, planners, queries
 from loewner.cli.main import main
 from loewner.robots import contacts
-from loewner.robots.curves import curves_of
 from test_contacts import HAND, START, TOLERANCE, can_on_table, height
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
@@ -256,23 +255,6 @@ def test_first_contact_is_the_first_that_is_not_allowed():
     found = checker.first_contact(planners.ControllerPoints(np.arange(5.0), rows), tolerance=1e-4)
     assert (found.verdict, found.names) == (COLLIDING, ("can", "table"))
     assert 1.0 <= found.free_until < 1.01 <= found.touching_at < 1.0101
-
-
-def test_a_stretch_is_recorded_with_its_end_and_depth():
-    """The contact of the record ends where the can has left the table, and may be as deep as at the start."""
-    checker = can_on_table(0.0, 0.002, leave=["table"])
-    curve = PchipInterpolator([0, 1, 2, 3, 4], [[0, 0, 0], [0.1, 0, 0], [0.1, 0.001, 0], [0.1, 0.2, 0], [0.2, 0.3, 0]])
-    ready = checker._ready()
-    given = curves_of(checker.robot, checker.scene, curve)[0]
-    settled = contacts.settle(ready, int(ready.ruled[0]), given.courses, given.off, TOLERANCE)
-    (stretch,) = settled.stretches
-    assert stretch.leaving
-    assert stretch.depth == pytest.approx(0.002 + TOLERANCE, abs=1e-9)
-    segment, fraction = stretch.until
-    assert segment == 2
-    assert float(fraction * 2**30).is_integer()
-    at = segment + fraction
-    assert (height(curve(np.linspace(at, 4, 1000)), 0.002) > 0).all()
 
 
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 20))])
