@@ -459,14 +459,10 @@ static int by_place(const void *a, const void *b) { /* by motion, then by pair *
     if (x->motion != y->motion) return x->motion > y->motion ? 1 : -1;
     return (x->key > y->key) - (x->key < y->key);
 }
-static int touches(size_t m, uint64_t key, unsigned end) { /* Is the pair in contact at this end of the motion? */
-    Contact wanted = {m, key, 0, 0, 0};
-    const Contact *c = bsearch(&wanted, contacts, contact_count, sizeof *contacts, by_place);
-    if (!c) return 0;
-    if (c > contacts && by_place(c - 1, c) == 0) c--;
-    for (int turn = 0; turn < 2 && c < contacts + contact_count && by_place(c, &wanted) == 0; turn++, c++)
-        if (c->end == end || c->k == 0) return 1;
-    return 0;
+static int goes_on(const Contact *c, size_t m) { /* Does motion m have this contact all along? Then it has no other one. */
+    Contact wanted = {m, c->key, 0, 0, 0};
+    const Contact *other = bsearch(&wanted, contacts, contact_count, sizeof *contacts, by_place);
+    return other && other->k == 0 && other->end == c->end && other->least == c->least;
 }
 static int joined(size_t m) { /* Does this motion start where the one before ends? */
     EACH(v, value_count) {
@@ -492,8 +488,8 @@ static void read_contacts(Block *b, size_t count) {
     EACH(k, contact_count) {
         const Contact *c = contacts + k;
         const size_t m = c->motion;
-        if (c->end == 0 && m > 0 && joined(m) && !touches(m - 1, c->key, 1)) refuse("a contact begins late");
-        if (c->end == 1 && m + 1 < count && joined(m + 1) && !touches(m + 1, c->key, 0)) refuse("a contact ends early");
+        if (c->end == 0 && m > 0 && joined(m) && !goes_on(c, m - 1)) refuse("a contact begins late");
+        if (c->end == 1 && m + 1 < count && joined(m + 1) && !goes_on(c, m + 1)) refuse("a contact ends early");
     }
 }
 static void tell_contacts(void) {

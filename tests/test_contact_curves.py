@@ -1,5 +1,6 @@
 """`Scene.leave` and `Scene.reach` on curves: contact at the beginning and the end of a whole trajectory."""
 
+from math import comb
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,9 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 import loewner
 from families import translation
-from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, planners, queries
+from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene, Verdict, planners, queries
 from loewner.cli.main import main
 from loewner.robots import contacts
-from loewner.robots.curves import curves_of
 from test_contacts import HAND, START, TOLERANCE, can_on_table, height
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
@@ -94,6 +94,73 @@ def test_a_carry_is_free_and_keeps_the_rule_at_5_khz(form, margin):
     assert (without.verdict, without.first) == (COLLIDING, 0.0)
 
 
+SHORT = FORMS | {"one thousand points a second": lambda t, q: points_of(PchipInterpolator(t, q), 50.0)}
+
+
+def keeps_what_is_told(report, margin, sunk=0.0):
+    """Whether the motions of a proof keep its distances in dense samples, by plane geometry."""
+    for number, points in enumerate(report.points):
+        rows, shares = np.array(points), np.unique([*np.linspace(0, 1, 21), 2.0**-12, 1 - 2.0**-12])
+        t, degree = shares[:, None], len(points) - 1
+        Q = sum(comb(degree, k) * t**k * (1 - t) ** (degree - k) * rows[k] for k in range(degree + 1))
+        own = [(since, until, least) for _, _, which, since, until, least in report.contacts if which == number]
+        for share, distance in zip(shares.tolist(), height(Q, sunk).tolist(), strict=True):
+            if distance <= min((least for low, high, least in own if low <= share <= high), default=margin) - 1e-12:
+                return False
+    return True
+
+
+@pytest.mark.parametrize("form", SHORT)
+@pytest.mark.parametrize("margin", [0.0, 0.004])
+def test_the_proof_of_a_carry_has_two_stretches(form, margin):
+    """Its contacts last from its start and to its end, over many segments, and get deeper by the tolerance once."""
+    checker = can_on_table(margin, **BOTH)
+    curve = SHORT[form](0.5 * np.arange(len(CARRY)), CARRY)
+    proof = checker.certify_trajectory(curve, proof=True).proof
+    report = proof.verify()
+    assert proof.model_hash == checker.model_hash
+    (*pair, start, until, least), (*same, since, end, other) = report.stretches
+    assert sorted(pair) == sorted(same) == ["can", "table"]
+    assert (start, end) == ((0, 0), (len(report.motions) - 1, 1))
+    assert 0 < until[0] < since[0]
+    assert least == other == pytest.approx(-TOLERANCE, abs=1e-12)
+    assert all(joined for _, joined, *_ in report.motions)
+    assert f"from t = 0 in motion 0 until t = {until[1]} in motion {until[0]}\n" in str(report)
+    assert keeps_what_is_told(report, margin)
+    assert can_on_table(margin).certify_trajectory(curve, proof=True).proof is None
+
+
+def test_the_tolerance_counts_once_along_a_curve():
+    """Points that sink a little each time keep the depth of the first one, and have no proof beyond it."""
+    checker = can_on_table(0.0, 0.002, **BOTH)
+    rows = np.zeros((60, 3))
+    rows[:, 0] = np.linspace(0.0, 0.1, 60)
+    for depth, verdict in ((0.5, FREE), (1.5, COLLIDING)):
+        rows[:40, 1] = -depth * TOLERANCE * np.linspace(0.0, 1.0, 40)
+        rows[40:, 1] = np.linspace(0.0, 0.1, 20)
+        found = checker.certify_trajectory(planners.ControllerPoints(0.01 * np.arange(60), rows), proof=True)
+        assert found.verdict == verdict
+        if verdict == FREE:
+            report = found.proof.verify()
+            (stretch,) = report.stretches
+            assert stretch[-1] == pytest.approx(-0.002 - TOLERANCE, abs=1e-9)
+            assert stretch[3][0] == 40
+            assert len(report.contacts) == 41
+            assert keeps_what_is_told(report, 0.0, 0.002)
+        else:
+            assert found.proof is None
+
+
+def test_with_joint_errors_curves_have_no_contacts_in_proofs():
+    """Bounds of the format may be coarser than the proof; then no contact takes the place of the margin."""
+    checker = can_on_table(0.0, -1e-3, **BOTH)
+    curve = timed("linear", np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], dtype=float))
+    options = {"tolerance": 2e-3, "joint_error": [2e-3, 0.0, 0.0]}
+    assert checker.certify_trajectory(curve, **options).verdict == FREE
+    with pytest.raises(ConvergenceError, match="can and table .* bound on joint errors"):
+        checker.certify_trajectory(curve, **options, proof=True)
+
+
 CHANGES = {
     "deeper by a millimetre before the lift": lambda rows: rows[1].__setitem__(1, -1e-3),
     "deeper by a millimetre where it is put down": lambda rows: rows[5].__setitem__(1, -1e-3),
@@ -111,7 +178,9 @@ def test_a_changed_carry_is_not_free(form, change):
     rows = CARRY.copy()
     CHANGES[change](rows)
     checker, curve = can_on_table(**BOTH), timed(form, rows)
-    assert checker.certify_trajectory(curve).verdict != FREE
+    found = checker.certify_trajectory(curve, proof=True)
+    assert found.verdict != FREE
+    assert found.proof is None
     assert checker.first_contact(curve).verdict != FREE
 
 
@@ -186,23 +255,6 @@ def test_first_contact_is_the_first_that_is_not_allowed():
     found = checker.first_contact(planners.ControllerPoints(np.arange(5.0), rows), tolerance=1e-4)
     assert (found.verdict, found.names) == (COLLIDING, ("can", "table"))
     assert 1.0 <= found.free_until < 1.01 <= found.touching_at < 1.0101
-
-
-def test_a_stretch_is_recorded_with_its_end_and_depth():
-    """The contact of the record ends where the can has left the table, and may be as deep as at the start."""
-    checker = can_on_table(0.0, 0.002, leave=["table"])
-    curve = PchipInterpolator([0, 1, 2, 3, 4], [[0, 0, 0], [0.1, 0, 0], [0.1, 0.001, 0], [0.1, 0.2, 0], [0.2, 0.3, 0]])
-    ready = checker._ready()
-    given = curves_of(checker.robot, checker.scene, curve)[0]
-    settled = contacts.settle(ready, int(ready.ruled[0]), given.courses, given.off, TOLERANCE)
-    (stretch,) = settled.stretches
-    assert stretch.leaving
-    assert stretch.depth == pytest.approx(0.002 + TOLERANCE, abs=1e-9)
-    segment, fraction = stretch.until
-    assert segment == 2
-    assert float(fraction * 2**30).is_integer()
-    at = segment + fraction
-    assert (height(curve(np.linspace(at, 4, 1000)), 0.002) > 0).all()
 
 
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 20))])
@@ -290,6 +342,8 @@ def test_a_hand_meets_a_box_on_a_belt():
         assert len(found.times) == 4
         assert checker.first_contact(curve).verdict == verdict
         assert plain.certify_trajectory(curve).verdict == COLLIDING
+        with pytest.raises(InputError, match=r"proof: .*Scene\.follow"):
+            checker.certify_trajectory(curve, proof=True)
     parts = planners.ControllerPoints([0.5, 1.5, 2.0, 2.5], [above, there, [0.0, 0.01, 0.0], along])
     assert checker.certify_trajectory(parts).verdict == COLLIDING
     late = planners.ControllerPoints([0.6, 1.6, 2.6], [above, there, [0.25, 0.2, 0.0]])
@@ -332,15 +386,22 @@ def test_the_audit_of_a_carry_is_free(tmp_path: Path, capsys):
     path = planners.plan(checker, START, [0.5, 0.0, 0.0])
     carry = planners.trajectory(checker.robot, path, acceleration=1.0, jerk=10.0, checker=checker)
     assert carry.certify(checker).verdict == FREE
-    with pytest.raises(InputError, match="proof"):
-        carry.certify(checker, proof=True)
+    told = carry.certify(checker, proof=True).proof.verify()
     carry.save(tmp_path / "carry.yaml")
     (tmp_path / "hand.urdf").write_text(HAND)
     loewner.save_scene(checker.scene, tmp_path / "scene.yaml")
     arguments = ["audit", str(tmp_path / "hand.urdf"), str(tmp_path / "carry.yaml"), "--scene"]
-    assert main([*arguments, str(tmp_path / "scene.yaml")]) == 0
+    proof = tmp_path / "carry.proof"
+    assert main([*arguments, str(tmp_path / "scene.yaml"), "--proof", str(proof)]) == 0
     assert "FREE" in capsys.readouterr().out
+    read = loewner.Proof.load(proof).verify()
+    assert [row[:2] + row[-1:] for row in read.stretches] == [row[:2] + row[-1:] for row in told.stretches]
+    model = ["--robot", str(tmp_path / "hand.urdf"), "--scene"]
+    assert main(["verify", str(proof), *model, str(tmp_path / "scene.yaml")]) == 0
+    assert "except in 2 contacts" in capsys.readouterr().out
+    proof.unlink()
     checker.scene.attach("can", "hand", translation(z=0.1), leave=["table"])
     loewner.save_scene(checker.scene, tmp_path / "other.yaml")
-    assert main([*arguments, str(tmp_path / "other.yaml")]) == 1
+    assert main([*arguments, str(tmp_path / "other.yaml"), "--proof", str(proof)]) == 1
     assert "can" in capsys.readouterr().out
+    assert not proof.exists()

@@ -167,7 +167,9 @@ def test_changed_contacts(hand):
     k = contact(proof, 1)[13]
     for contacts, words in (
         ([], "fails by"),
-        ([two], "in only one of motions 0 and 1"),
+        ([two], "contact does not go on in motion 0"),
+        ([contact(proof, least=-1.1e-5), two], "contact does not go on in motion 0"),
+        ([contact(proof, k=1), two], "contact does not go on in motion 0"),
         ([one], "motion 1, .* fails by"),
         ([one, contact(proof, 1, k=k + 1)], "fails by"),
         ([one, contact(proof, 1, least=1e-12)], "has the end 0, .* 1e-12 m"),
@@ -178,8 +180,8 @@ def test_changed_contacts(hand):
     ):
         with pytest.raises(Refused, match=words):
             verify(changed(proof, contacts))
-    told = verify(changed(proof, [contact(proof, least=-0.5), contact(proof, 1, k=0)]))
-    assert "may overlap by 500 mm all along motion 0\n" in str(told)
+    told = verify(changed(proof, [contact(proof, least=-0.5), contact(proof, 1, k=0, least=-0.5)]))
+    assert "may overlap by 500 mm from t = 0 in motion 0 until t = 1 in motion 1\n" in str(told)
     assert told.contacts[1][3:5] == (0, 1)
     # A rule that the scene has not, so that the hash of the model is another.
     both = struct.pack("<I", 1) + one[4:12] + b"\3"
@@ -193,6 +195,23 @@ def test_changed_contacts(hand):
     assert other.differences(carrying(hand)) == [
         "ends of motions at which contact is allowed for can and table: only in the proof"
     ]
+
+
+def test_contact_does_not_begin_where_motions_join(hand):
+    """A can that is put down and lifted again where motions join is told to be in contact all along until then."""
+    checker = carrying(hand, leave=["table"], reach=["table"])
+    path = np.array([[0.1 * k, 0.1 * (k % 2), 0.0, 0.0] for k in range(5)])
+    proof, report = proven(checker, path[:-1], path[1:])
+    first, last = report.stretches
+    assert (first[2], last[3]) == ((0, 0), (3, 1))
+    assert first[3] < last[2]
+    assert [row[-1] for row in report.contacts] == pytest.approx([-TOLERANCE] * len(report.contacts))
+    # Only the contacts at the end of one motion and at the start of the next one.
+    short = [contact(proof, motion=k, end=k % 2, k=6) for k in (1, 2)]
+    with pytest.raises(Refused, match="contact does not go on in motion 2"):
+        verify(changed(proof, [short[0]]))
+    with pytest.raises(Refused, match="contact does not go on in motion"):
+        verify(changed(proof, short))
 
 
 def test_depths_that_geometry_exceeds(hand):

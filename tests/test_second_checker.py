@@ -117,7 +117,7 @@ def test_they_agree_about_contacts(agrees, rng):
         rows = {
             (int(rng.integers(len(motions))), 0, 1, int(rng.integers(2)), int(rng.choice([0, 1, 5]))) for _ in range(3)
         }
-        rows = sorted((*row, -1.0) for row in rows)
+        rows = sorted((*row, -float(rng.choice([1.0, 1.0, 2.0]))) for row in rows)
         if rng.integers(6) == 0:
             rows.reverse()
         tree = b"".join(ALONG_Y if rng.integers(2) else (INTO_CONTACT, FROM_CONTACT)[x is LIFTED] for x in motions)

@@ -215,8 +215,13 @@ def test_odd_contacts_are_refused():
         ([(0, 0, 1, 1, 0, -1.0), (1, 0, 1, 1, 5, -1.0)], ((0, 1, 2),), (LIFTED, back)),
         ([(1, 0, 1, 0, 0, -1.0)], ((0, 1, 3),), (LIFTED, back)),
         ([(0, 0, 1, 1, 5, -1.0)], ((0, 1, 3),), (back, LIFTED)),
+        # Neither do two contacts that meet in the middle, and all of a stretch has one least distance.
+        ([(0, 0, 1, 1, 5, -1.0), (1, 0, 1, 0, 5, -1.0)], ((0, 1, 3),), (back, LIFTED)),
+        ([(0, 0, 1, 1, 0, -1.0), (1, 0, 1, 0, 5, -1.0)], ((0, 1, 3),), (back, LIFTED)),
+        ([(0, 0, 1, 0, 0, -1.0), (1, 0, 1, 0, 5, -1.1)], ((0, 1, 1),), (LIFTED, back)),
+        ([(0, 0, 1, 1, 5, -1.0), (1, 0, 1, 1, 0, -0.9)], ((0, 1, 2),), (LIFTED, back)),
     ):
-        with pytest.raises(Refused, match="can and table: contact in only one of motions 0 and 1"):
+        with pytest.raises(Refused, match="can and table: contact does not go on in motion [01]"):
             verify(leaving(contacts, rules, motions))
     verify(leaving([whole, (1, 0, 1, 0, 0, -1.0)], motions=(LIFTED, back), tree=ALONG_Y + b"\3"))
     # A contact may end, or begin, where motions join.

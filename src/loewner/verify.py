@@ -43,6 +43,7 @@ Pair = tuple[int, int]
 Names = tuple[str, str]
 Tightest = tuple[str, str, int, Fraction, Fraction, float, Fraction]
 Contact = tuple[str, str, int, Fraction, Fraction, float]
+Stretch = tuple[str, str, tuple[int, Fraction], tuple[int, Fraction], float]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
 EVERY = [(i, k) for i in range(3) for k in range(3)]
@@ -88,6 +89,19 @@ class Report:
     rules: tuple[tuple[str, str, int], ...] = ()
     contacts: tuple[Contact, ...] = ()
 
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """Contacts, joined where they go on in the next motion: two bodies, a motion and t for both ends, distance."""
+        found, last = list[Stretch](), dict[tuple[str, str, float], int]()
+        for a, b, number, since, until, least in self.contacts:
+            k = last.get((a, b, least), -1)
+            if k >= 0 and since == 0 and found[k][3] == (number - 1, Fraction(1)):
+                found[k] = a, b, found[k][2], (number, until), least
+            else:
+                last[a, b, least] = len(found)
+                found.append((a, b, (number, since), (number, until), least))
+        return tuple(found)
+
     def __str__(self) -> str:
         lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
         for number, (degree, joined, inside, places) in enumerate(self.motions if self.deviations else ()):
@@ -111,10 +125,12 @@ class Report:
         for a, b, which in self.rules:
             when = ("at the start", "at the end", "at the start and at the end")[which - 1]
             lines.append(("rule", f"{_shown(a, b)} may be in contact {when} of motions"))
-        for a, b, number, since, until, room in self.contacts:
+        for a, b, (number, since), (last, until), room in self.stretches:
             near = f"overlap by {-1000 * room:.12g} mm" if room < 0 else f"come as near as {1000 * room:.12g} mm"
             when = f"until t = {until}" if since == 0 else f"from t = {since} on"
             when = f"all along motion {number}" if until - since == 1 else f"in motion {number} {when}"
+            if last > number:
+                when = f"from t = {since} in motion {number} until t = {until} in motion {last}"
             lines.append(("contact", f"{_shown(a, b)} may {near} {when}"))
         free = "FREE, except for the contacts above" if self.contacts else "FREE"
         lines.append(("claim", f"COLLIDING: {_shown(*self.common)} have a common point" if self.common else free))
@@ -421,7 +437,7 @@ class _Checker:
 
     def read_contacts(self) -> None:
         """Read where pairs may be in contact, and check that the rules allow it and that joined motions agree."""
-        before, anchors, whole = (-1, 0, 0, 0), list[tuple[int, Pair, int]](), 1 << DEEPEST
+        before, listed, whole = (-1, 0, 0, 0), dict[tuple[int, Pair, int, int, float], None](), 1 << DEEPEST
         for _ in range(self.reader.count(22, "contacts")):
             (number, i, j, end, k), (least,) = self.reader.take("3I2B"), self.reader.doubles(1)
             key, pair = (number, i, j, end), (i, j)
@@ -431,17 +447,17 @@ class _Checker:
                 raise Refused(f"{_shown(*self.named(pair))}: a contact has the end {end}, 2^-{k} and {least!r} m.")
             found, before = self.contacts.setdefault((number, pair), []), key
             found.append((whole - (whole >> k), whole, least) if end else (0, whole >> k, least))
-            anchors.append((number, pair, end))
+            listed[number, pair, end, k, least] = None
             if len(found) == 2 and found[0][1] > found[1][0]:
                 raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
             low, high = (Fraction(t, whole) for t in found[-1][:2])
             self.told.append((*self.named(pair), number, low, high, least))
-        for number, pair, end in anchors:  # where another motion joins, it has to be in contact there
-            other, there = (number + 1, 0) if end else (number - 1, whole)
+        for number, pair, end, _, least in listed:  # where another motion joins, the contact goes on all along it
+            other = number + 1 if end else number - 1
             first, last = sorted((number, other))
             joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
-            if joined and not any(there in x[:2] for x in self.contacts.get((other, pair), ())):
-                raise Refused(f"{_shown(*self.named(pair))}: contact in only one of motions {first} and {last}.")
+            if joined and (other, pair, end, 0, least) not in listed:
+                raise Refused(f"{_shown(*self.named(pair))}: contact does not go on in motion {other}.")
 
     def named(self, pair: Pair) -> Names:
         return self.bodies[pair[0]].name, self.bodies[pair[1]].name

@@ -97,7 +97,7 @@ def _run(options: argparse.Namespace) -> int:
 def _claim(report: verify.Report) -> str:
     if report.common:
         return f"COLLIDING, {' and '.join(report.common)} have a common point"
-    contacts = f" except in {len(report.contacts)} contacts, which are listed above" if report.contacts else ""
+    contacts = f" except in {len(report.stretches)} contacts, which are listed above" if report.contacts else ""
     return f"FREE, all pairs are farther apart than their margins, at every time{contacts}"
 
 

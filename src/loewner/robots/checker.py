@@ -398,6 +398,7 @@ class CollisionChecker:
             Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
             proof exists for joints that turn or slide, and for bodies that follow no motions. It states where bodies
             are in contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deep they may overlap there.
+            Motions that start exactly where the one before ends count as one curve, with one depth.
 
         Returns
         -------

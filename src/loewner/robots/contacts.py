@@ -53,29 +53,8 @@ PARTED = 1e-4
 SAMPLES, MOST_SAMPLES = 8, 2**17
 
 
-class Stretch(NamedTuple):
-    """The part of a curve on which a pair may be in contact; on the rest of the curve it keeps its margin.
-
-    Attributes
-    ----------
-    pair : int
-        Index of the pair.
-    leaving : bool
-        Whether the stretch begins where the curve begins; else it ends where the curve ends.
-    until : tuple of (int, float)
-        The segment of the curve, and the fraction of it, at which the stretch ends or, if not `leaving`, begins.
-    depth : float
-        Metres by which pieces of the two bodies may overlap on the stretch.
-    """
-
-    pair: int
-    leaving: bool
-    until: tuple[int, float]
-    depth: float
-
-
 class Settled(NamedTuple):
-    """Verdicts of one pair on the n segments of a curve, and its stretches of contact if all segments are free.
+    """Verdicts of one pair on the n segments of a curve.
 
     Attributes
     ----------
@@ -84,12 +63,10 @@ class Settled(NamedTuple):
         AMBIGUOUS.
     fractions : ndarray, shape (n,)
         Fractions of the segments; NaN if FREE.
-    stretches : tuple of Stretch
     """
 
     verdicts: NDArray[np.int8]
     fractions: Floats
-    stretches: tuple[Stretch, ...]
 
 
 class Run(NamedTuple):
@@ -186,11 +163,8 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
         Distance in metres by which the contact may get deeper.
     """
     verdicts, fractions = np.full(len(courses), codes.FREE, dtype=np.int8), np.full(len(courses), np.nan)
-    stretches = []
-    for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
+    for run, _, deepest in _runs(ready, pair, courses, off, tolerance):
         left = _leave(ready, pair, run, tolerance, deepest)
-        if left.beside is not None:
-            stretches.append(Stretch(pair, leaving, run.place(*left.until), max(0.0, tolerance - left.at_start)))
         if not left.doubts:
             continue
         numbers, places = (
@@ -204,7 +178,7 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
             if verdicts[k] != codes.COLLIDING:
                 verdicts[k] = codes.COLLIDING if hit[worst] else codes.AMBIGUOUS
                 fractions[k] = places[worst]
-    return Settled(verdicts, fractions, tuple(stretches) if (verdicts == codes.FREE).all() else ())
+    return Settled(verdicts, fractions)
 
 
 def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[Stage]:
@@ -243,6 +217,12 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
     return None
 
 
+def farthest(ready: Problem, pair: int, run: Run) -> tuple[int, float]:
+    """Find a course, and a fraction of it, at which a pair is apart by the largest of the distances measured."""
+    at, distances, _ = _samples(ready, pair, run)
+    return _on_course(at[distances.argmax()])
+
+
 class _Left(NamedTuple):
     """How a pair leaves the contact at the start of a run.
 
@@ -251,8 +231,6 @@ class _Left(NamedTuple):
     doubts : list of (int, float, float)
         Courses and fractions at which the run may not be free, each with a critical distance. If the signed distance
         there is no larger, the pair collides.
-    at_start : float
-        The signed distance at the start.
     until : tuple of (int, float)
         The course and the fraction at which the stretch of contact ends.
     beside : Problem or None
@@ -264,7 +242,6 @@ class _Left(NamedTuple):
     """
 
     doubts: list[tuple[int, float, float]]
-    at_start: float
     until: tuple[int, float] = (0, 0.0)
     beside: Problem | None = None
     for_proof: float = 0.0
@@ -282,9 +259,7 @@ def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: fl
     if not ready.leaving[pair]:
         return [(whole.backwards(), False, tolerance)]
     # Between the two contacts, the pair is apart; any place gives a sound proof.
-    at, distances, _ = _samples(ready, pair, whole)
-    middle = _on_course(at[distances.argmax()])
-    before, after = whole.cut(ready.robot, middle)
+    before, after = whole.cut(ready.robot, farthest(ready, pair, whole))
     runs = [(before, True, np.inf), (after.backwards(), False, tolerance)]
     return [run for run in runs if len(run[0].number)]  # the distance may be largest at an end
 
@@ -297,9 +272,9 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
     unproven = np.flatnonzero(found.verdicts != codes.FREE).tolist()
     apart = [(k, float(found.fractions[k]), margin) for k in unproven]
     if not unproven or at_start > margin + tolerance:  # no contact to end
-        return _Left(apart, at_start)
+        return _Left(apart)
     if at_start < -deepest:
-        return _Left([(0, 0.0, -deepest)], at_start)
+        return _Left([(0, 0.0, -deepest)])
     reach = _reach(ready, pair, run)
     least = at_start - tolerance if at_start <= margin + TOUCHING * reach else margin
     end, most = _end_of_contact(ready, pair, run.rows(0, unproven[-1] + 1), margin + tolerance, PARTED * reach)
@@ -314,13 +289,13 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
             break
         within.append((end, share * float(proven.fractions[0]), least))
     else:
-        return _Left([*doubts, *within, *after], at_start, (end, most), beside, for_proof, least)
+        return _Left([*doubts, *within, *after], (end, most), beside, for_proof, least)
     if len(rest.number):
         proven = motions.settle(alone, rest.courses, FOR_PROOF * tolerance, rest.off)
     if proven.verdicts[0] == codes.FREE:
-        return _Left([*doubts, *after], at_start, (end, share), beside, for_proof, least)
+        return _Left([*doubts, *after], (end, share), beside, for_proof, least)
     within.append((end, share + (1.0 - share) * float(proven.fractions[0]), least if most == 1.0 else margin))
-    return _Left([*doubts, *within, *after], at_start, (end, most), beside, for_proof, least)
+    return _Left([*doubts, *within, *after], (end, most), beside, for_proof, least)
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:

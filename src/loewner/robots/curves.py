@@ -155,7 +155,8 @@ def certified(
             part: Any = (array[first:last] for array in proven)
             one = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             if model is not None and one.verdict == Verdict.FREE:
-                one = replace(one, proof=proof_of(model, ready, *_joined(curves[k]), tolerance))
+                deeper = None if joint_error.any() else tolerance
+                one = replace(one, proof=proof_of(model, ready, *_joined(curves[k]), deeper))
             found[k] = one
     return [one for one in found if one is not None]
 

@@ -7,7 +7,6 @@ import numpy as np
 from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.robots import contacts, motions, verdicts
-from loewner.robots.contacts import Stretch
 from loewner.robots.courses import configurations, straight
 from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
@@ -50,9 +49,7 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint
     return found
 
 
-def apply_rules(
-    ready: Problem, courses: Floats, off: Floats, first: Ints, tolerance: float, found: Found
-) -> dict[int, tuple[Stretch, ...]]:
+def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, tolerance: float, found: Found) -> None:
     """Prove curves that are not proven free, with contact at their ends as `Scene.leave` and `Scene.reach` allow.
 
     Parameters
@@ -68,16 +65,10 @@ def apply_rules(
         In metres.
     found : Found
         The results of `prove`, which are changed.
-
-    Returns
-    -------
-    dict
-        The stretches of contact on each curve that is free by the rules.
     """
-    stretches: dict[int, tuple[Stretch, ...]] = {}
     at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
     if len(at) == 0:
-        return stretches
+        return
     rest = prove(ready.unruled, courses[at], tolerance, off[at] if off.any() else None)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
@@ -85,17 +76,12 @@ def apply_rules(
     for curve in np.unique(np.searchsorted(first, at[rest.verdicts == codes.FREE], side="right") - 1).tolist():
         own = slice(first[curve], first[curve + 1])
         verdicts, fractions, pairs = (array[own] for array in (found.verdicts, found.fractions, found.pairs))
-        kept: tuple[Stretch, ...] = ()
         for pair in ready.ruled.tolist():
             settled = contacts.settle(ready, pair, courses[own], off[own], tolerance)
-            kept += settled.stretches
             worse = (settled.verdicts != codes.FREE) & np.isin(verdicts, (codes.FREE, codes.AMBIGUOUS))
             verdicts[worse], fractions[worse], pairs[worse] = settled.verdicts[worse], settled.fractions[worse], pair
             if (verdicts == codes.COLLIDING).any():
                 break
-        if (verdicts == codes.FREE).all():
-            stretches[curve] = kept
-    return stretches
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:

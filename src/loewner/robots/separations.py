@@ -7,7 +7,7 @@ the pieces of all bodies, which trees may divide, and the joints between the bod
 from __future__ import annotations
 
 import struct
-from itertools import pairwise, product
+from itertools import chain, pairwise
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -21,7 +21,7 @@ from loewner._rotations import rotations_of
 from loewner._validate import Floats, Ints
 from loewner.errors import ConvergenceError
 from loewner.robots import contacts
-from loewner.robots.courses import configurations, parts
+from loewner.robots.courses import between, configurations
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import AT_END, AT_START, HULL, SLIDES, Model
 
@@ -91,10 +91,8 @@ def trees(
 
     Parameters
     ----------
-    ready, model, courses, deviations
+    ready, model, courses, deviations, tolerance
         See `written_proofs.proof_of`.
-    tolerance : float or None
-        Distance in metres by which contacts may get deeper than at the ends of motions; None if none are allowed.
 
     Raises
     ------
@@ -107,44 +105,47 @@ def trees(
         placed_by = np.where(links < 0, len(ready.robot.link_names), links)
         prepared = _known[ready] = _Prepared(model, ready.robot.tree, placed_by)
     speeds, memory = prepared.speeds(courses, deviations), _Memory.of(model)
-    ruled, touching, found = np.flatnonzero(model.rules), list[Contact](), list[bytes]()
-    runs = list(pairwise(sorted({0, len(model.pairs), *ruled.tolist(), *(ruled + 1).tolist()})))
-    for k, (first, last) in product(range(len(courses)), runs):
-        tree = prepared.trees(courses[k], speeds[k], ROOM, memory, slice(first, last))
-        if isinstance(tree, Failed) and first in ruled and tolerance is not None:
-            search = _Search(prepared, ready, model, k, courses[k], speeds[k], first, memory, tolerance)
-            tree = search.with_contacts(touching)
-        if isinstance(tree, Failed):
-            a, b = (ready.names[n] for n in model.pairs[tree.pair])
-            why = "they come nearer than the room for rounding that proofs leave"
-            touched = first in ruled and tolerance is not None
-            if touched:
-                why = "the planes of their contact do not suffice"
-            if tree.many:
-                why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
-            elif deviations.any() and not touched:
-                why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
-            raise ConvergenceError(
-                f"proof: expected planes between {a} and {b} all along motion {k}, found none from the fraction "
-                f"{tree.low:.6g} to {tree.high:.6g} that a proof can hold, although the motion is free: {why}"
-            )
-        found.append(tree)
-    _expect_joined(ready, courses, touching)
-    return touching, b"".join(found)
+    # Motions that are joined are one curve.
+    first = np.flatnonzero(np.append(True, (courses[1:, 0] != courses[:-1, -1]).any(axis=1)))
+    ruled, touching, found = np.flatnonzero(model.rules), list[Contact](), list[list[bytes]]()
+    for low, high in pairwise(sorted({0, len(model.pairs), *ruled.tolist(), *(ruled + 1).tolist()})):
+        deeper, made = tolerance if low in ruled else None, list[bytes | Failed]()
+        for course, speed in zip(courses, speeds, strict=True):
+            tree = prepared.trees(course, speed, ROOM, memory, slice(low, high))
+            made.append(tree)
+            if isinstance(tree, Failed):
+                if deeper is None:
+                    break
+                memory.state[low, NAMED] = 0.0  # the planes of this tree are not in the file
+        for begin, end in pairwise([*first.tolist(), len(courses)]):
+            own = slice(begin, end)
+            if deeper is not None and any(isinstance(tree, Failed) for tree in made[own]):
+                search = _Search(prepared, ready, model, begin, courses[own], speeds[own], low, memory, deeper)
+                made[own] = search.with_contacts(made[own], touching)
+        touches, off = deeper is not None, bool(deviations.any())
+        found.append([_expect_tree(ready, model, k, tree, touches, off) for k, tree in enumerate(made)])
+    touching.sort()
+    return touching, b"".join(chain.from_iterable(zip(*found, strict=True)))
 
 
-def _expect_joined(ready: Problem, courses: Floats, touching: list[Contact]) -> None:
-    """Refuse a contact at an end of a motion where another motion joins it that is not in contact there."""
-    ends = {(c.motion, c.pair, end) for c in touching for end in (0, 1) if end == c.end or c.k == 0}
-    joined = (courses[1:, 0] == courses[:-1, -1]).all(axis=1)
-    for motion, pair, end, *_ in touching:
-        first, other = (motion, motion + 1) if end else (motion - 1, motion - 1)
-        if 0 <= first < len(joined) and joined[first] and (other, pair, 1 - end) not in ends:
-            a, b = (ready.names[n] for n in ready.pairs[pair])
-            raise ConvergenceError(
-                f"proof: expected a contact of {a} and {b} to go on from motion {first} to motion {first + 1}, which "
-                "starts there, found it in only one of them; prove the two motions one at a time"
-            )
+def _expect_tree(
+    ready: Problem, model: Model, motion: int, tree: bytes | Failed, touches: bool, off: bool
+) -> bytes:  # fmt: skip
+    """Refuse a pair for which no planes were found."""
+    if not isinstance(tree, Failed):
+        return tree
+    a, b = (ready.names[n] for n in model.pairs[tree.pair])
+    why = "they come nearer than the room for rounding that proofs leave"
+    if tree.many:
+        why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
+    elif touches:
+        why = "the planes of their contact, which may get deeper by the tolerance once, do not suffice"
+    elif off:
+        why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
+    raise ConvergenceError(
+        f"proof: expected planes between {a} and {b} all along motion {motion}, found none from the fraction "
+        f"{tree.low:.6g} to {tree.high:.6g} that a proof can hold, although the motion is free: {why}"
+    )
 
 
 def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
@@ -252,78 +253,105 @@ _known: WeakKeyDictionary[Problem, _Prepared] = WeakKeyDictionary()
 
 
 class _Search(NamedTuple):
-    """The search for the tree of a pair that may be in contact at an end of a motion."""
+    """The search for the trees of a pair that may be in contact at an end of a curve; `first` is its first motion."""
 
     prepared: _Prepared
     ready: Problem
     model: Model
-    motion: int
-    course: Floats
+    first: int
+    courses: Floats
     speeds: Floats
     pair: int
     memory: _Memory
     tolerance: float
 
-    def with_contacts(self, touching: list[Contact]) -> bytes | Failed:
-        """Make the tree, if contacts suffice, and append them; each is as short as possible."""
-        start, end = (0.0, 1.0, 0), (0.0, 1.0, 1)
-        ways = {AT_START: [[start]], AT_END: [[end]]}
-        # With both rules, each half may be in contact at its end of the motion, or else all of the motion at one end.
-        for way in ways.get(int(self.model.rules[self.pair]), [[(0.0, 0.5, 0), (0.5, 1.0, 1)], [start], [end]]):
-            made = list[Contact]()
-            found = [self._part(*part, made) for part in way]
-            done = [tree for tree in found if not isinstance(tree, Failed)]
-            if len(done) == len(found):
-                touching += made
-                self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
-                return b"\0" * (len(found) - 1) + b"".join(done)
-        return next(tree for tree in found if isinstance(tree, Failed))
+    def with_contacts(self, trees: list[bytes | Failed], touching: list[Contact]) -> list[bytes | Failed]:
+        """Make the trees that failed, if contacts suffice, and append these; each is as short as possible.
 
-    def _part(self, low: float, high: float, end: int, made: list[Contact]) -> bytes | Failed:
-        """Make the tree of a part of the motion, with a contact at one of its ends if it needs one."""
-        whole = self._tree(low, high)
-        if not isinstance(whole, Failed):
+        The contacts of a pair are one stretch from the start of the curve, or to its end.
+        """
+        failed = [k for k, tree in enumerate(trees) if isinstance(tree, Failed)]
+        rules, middle = int(self.model.rules[self.pair]), -1 if self.model.rules[self.pair] == AT_END else len(trees)
+        if rules == AT_START + AT_END:
+            whole = contacts.Run.whole(self.courses, np.zeros_like(self.courses[:, 0]))
+            middle, _ = contacts.farthest(self.ready, self.pair, whole)
+        touches = {
+            end: self._touch(end, count)
+            for end, count in enumerate((min(failed[-1], middle) + 1, len(trees) - max(failed[0], middle)))
+            if rules & (AT_START, AT_END)[end]
+        }
+        made, start, end = list[Contact](), [(0.0, 1.0, 0)], [(0.0, 1.0, 1)]
+        halves = [(0.0, 0.5, 0), (0.5, 1.0, 1)]
+        for k in failed:
+            # Between both contacts, each half of a motion may be in contact at its end, or else all of it at one end.
+            for way in [halves, start, end] if k == middle else [start] if k < middle else [end]:
+                new = list[Contact]()
+                found = [self._part(k, *part, touches[part[2]], new) for part in way]
+                done = [tree for tree in found if not isinstance(tree, Failed)]
+                if len(done) == len(found):
+                    made += new
+                    trees[k] = b"\0" * (len(found) - 1) + b"".join(done)
+                    break
+            else:
+                return trees
+        self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
+        # Contact lasts all along the motions between the start or the end of the curve and the last one in contact.
+        ends = {end: [contact for contact in made if contact.end == end] for end in (0, 1)}
+        for last in ends[0][-1:]:
+            touching += [last._replace(motion=k, k=0) for k in range(self.first, last.motion)] + [last]
+        for last in ends[1][:1]:
+            after = range(last.motion + 1, self.first + len(trees))
+            touching += [last] + [last._replace(motion=k, k=0) for k in after]
+        return trees
+
+    def _touch(self, end: int, count: int) -> tuple[float, Floats]:
+        """The least distance that a contact of `count` motions at an end has to keep, and normals for the kernel."""
+        places = np.append(0.0, count * contacts.STRETCHES[::-1])
+        places = len(self.courses) - places if end else places
+        k = np.minimum(places.astype(np.int64), len(self.courses) - 1)
+        Q = configurations(self.ready.robot, self.courses[k], places - k)
+        at_end = contacts.distance_at(self.ready, self.pair, Q[0])
+        normals = contacts.contact_normals(self.ready.in_parts, self.pair, Q, self.tolerance)
+        at = np.unique(normals.round(12), axis=0, return_index=True)[1]
+        least = min(at_end, float(self.model.margins[self.pair])) - self.tolerance
+        return least, np.column_stack([np.ones(len(at)), normals[at]])
+
+    def _part(
+        self, k: int, low: float, high: float, end: int, touch: tuple[float, Floats], made: list[Contact]
+    ) -> bytes | Failed:
+        """Make the tree of a part of a motion, with a contact at one of its ends if it needs one."""
+        whole = self._tree(k, low, high)
+        least, normals = touch
+        if not isinstance(whole, Failed) or len(normals) == 0:  # nothing touches
             return whole
         # Halves at the other end, as long as they keep the margin.
         rest, width = list[bytes](), high - low
         while len(rest) < MOST_HALVED:
             width /= 2.0
-            tree = self._tree(high - 2.0 * width, high - width) if end else self._tree(low + width, low + 2.0 * width)
+            half = (high - 2.0 * width, high - width) if end else (low + width, low + 2.0 * width)
+            tree = self._tree(k, *half)
             if isinstance(tree, Failed):
                 break
             rest.append(tree)
         width = (high - low) * 0.5 ** len(rest)
-        least, normals = self._contact(low, high, end)
-        if len(normals) == 0:  # nothing touches
-            return whole
-        tree = self._tree(*((high - width, high) if end else (low, low + width)), least, normals)
+        tree = self._tree(k, *((high - width, high) if end else (low, low + width)), least, normals)
         if isinstance(tree, Failed):
             return tree
-        made.append(Contact(self.motion, self.pair, end, round(-np.log2(width)), least))
+        made.append(Contact(self.first + k, self.pair, end, round(-np.log2(width)), least))
         return b"".join([b"\0" + half for half in rest] + [tree] if end else [b"\0" * len(rest), tree, *rest[::-1]])
 
-    def _contact(self, low: float, high: float, end: int) -> tuple[float, Floats]:
-        """The least distance that a contact at an end has to keep, and its normals as the kernel takes them."""
-        shares = np.append(0.0, contacts.STRETCHES[::-1])
-        fractions = high - (high - low) * shares if end else low + (high - low) * shares
-        Q = configurations(self.ready.robot, np.tile(self.course, (len(shares), 1, 1)), fractions)
-        at_end = contacts.distance_at(self.ready, self.pair, Q[0])
-        least = min(at_end, float(self.model.margins[self.pair])) - self.tolerance
-        normals = contacts.contact_normals(self.ready.in_parts, self.pair, Q, self.tolerance)
-        at = np.unique(normals.round(12), axis=0, return_index=True)[1]
-        return least, np.column_stack([np.ones(len(at)), normals[at]])
-
     def _tree(
-        self, low: float, high: float, least: float | None = None, normals: Floats | None = None
+        self, k: int, low: float, high: float, least: float | None = None, normals: Floats | None = None
     ) -> bytes | Failed:  # fmt: skip
-        """Make the tree of a part of the motion, with the margin of the pair or with another distance."""
-        width, (course,) = high - low, parts(self.course[None], np.array([low]), np.array([high]))
+        """Make the tree of a part of a motion, with the margin of the pair or with another distance."""
+        width, one = high - low, self.courses[k : k + 1]
+        (course,) = between(self.ready.robot, one, np.array([low]), np.array([high]))
         memory, margins = self.memory, None
         memory.state[self.pair, NAMED] = 0.0
         if least is not None and normals is not None:
             state = np.append(memory.state, np.tile(normals.ravel(), (len(memory.state), 1)), axis=1)
             memory, margins = memory._replace(state=state), np.array([least + DEPTH_ROOM * abs(least)])
-        speeds, alone = self.speeds * [width, width * width, 1.0, 1.0], slice(self.pair, self.pair + 1)
+        speeds, alone = self.speeds[k] * [width, width * width, 1.0, 1.0], slice(self.pair, self.pair + 1)
         tree = self.prepared.trees(course, speeds, ROOM, memory, alone, margins)
         if isinstance(tree, Failed):
             return tree._replace(low=low + width * tree.low, high=low + width * tree.high)

@@ -234,7 +234,7 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, 
     deviations : ndarray, shape (dof,)
         How far each value may deviate from the courses.
     tolerance : float or None
-        Distance in metres by which allowed contacts may get deeper than at the ends of the motions; None if rules of
+        Distance in metres by which allowed contacts may get deeper than at the ends of joined motions; None if rules of
         contact do not apply.
 
     Raises
