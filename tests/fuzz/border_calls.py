@@ -1270,7 +1270,45 @@ CALLS: dict[str, Call] = {
     "planners.Trajectory.accelerations": Call(on(moved, "accelerations"), {"t": TIMES}),
     "planners.Trajectory.sample": Call(on(moved, "sample"), {"rate": positive(), "full": flag()}),
     "planners.Trajectory.save": Call(
-        on(moved, "save"), {"path": arg("out.json"), "rate": positive(0.5, NONE), "message": flag()}
+        on(moved, "save"),
+        {
+            "path": arg("out.json"),
+            "rate": positive(0.5, NONE),
+            "message": flag(),
+            "joints": arg(["turn", "x"], NONE),
+            "names": arg({"x": "slide"}, NONE, "empty dict", "list of text"),
+            "controllers": arg(None, NONE),
+        },
+    ),
+    "planners.Trajectory.part": Call(
+        lambda name: planners.trajectory(two_robots().robot, np.zeros((2, 6)), velocity=1.0).part(name),
+        {"name": arg("a")},
+    ),
+    "planners.ControllerPoints.save": Call(
+        lambda **given: planners.ControllerPoints([0.0, 1.0], PATH[:2], names=("x", "y", "turn")).save(**given),
+        {
+            "path": arg("out.json"),
+            "joints": arg(["turn", "x"], NONE),
+            "names": arg({"x": "slide"}, NONE, "empty dict", "list of text"),
+            "controllers": arg(None, NONE),
+        },
+    ),
+    "planners.time_path": Call(
+        planners.time_path,
+        {
+            "checker": arg(checker_in_time),
+            "path": array(PATH, FINITE, "without the first row", "turned over"),
+            "start_time": arg(0.0, NUMBERS, NONE, NEGATIVE, ZERO),
+            "arrive_by": arg(900.0, NUMBERS, NONE),
+            "arrive_at": arg(None, NUMBERS, NONE, ZERO),
+            "end_velocity": arg(None, NONE, NUMBERS, ZERO),
+            "velocity": array([1.0, 0.5, 2.0], FINITE, NUMBERS, "a number alone"),
+            "acceleration": array([1.0, 0.5, 2.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "jerk": array([8.0, 5.0, 20.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "limits": arg(joint_limits, NONE),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, NONE, "a number alone"),
+            "blend": arg(0.25, ZERO, "5e-324"),
+        },
     ),
     "planners.JointLimits.load": Call(
         planners.JointLimits.load, {"path": arg("limits.yaml"), "robot": arg(robot, "Robot"), "scaled": flag()}

@@ -228,7 +228,7 @@ def time_path(
         smooth = fastest_along(robot, JerkLimited.of(rows, fastest, strongest, most), judge, share)
         fastest, strongest = fastest * (1 - TO_ROUNDING), strongest * (1 - TO_ROUNDING)
         moves = np.isfinite(strongest)
-        window = float((2 * strongest[moves] / (most[moves] * (1 - TO_ROUNDING))).max()) * (1 + LONGER)
+        window = 2 * float((strongest[moves] / (most[moves] * (1 - TO_ROUNDING))).max()) * (1 + LONGER)
     motions = Straights.of(rows, fastest, strongest)
     last_speed = 0.0 if end_velocity is None else _last_speed(motions, end_velocity, window)
     errors = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
