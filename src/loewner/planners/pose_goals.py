@@ -53,9 +53,9 @@ class PoseGoal:
     Notes
     -----
     Only configurations count from which both lines can be followed, as by `straight`, and are proven free. The path of
-    `plan` ends with the approach; with ``full=True``, `Plan.approach` is the row at which it begins, and `Plan.retreat`
-    is the path of the retreat. Lines are proven in the scene as it is for the plan: after a change of the scene, such
-    as `Scene.attach`, `retreat_path` proves the retreat again.
+    `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which it begins, and
+    ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene as it is for the plan: after a change of
+    the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
 
     Examples
     --------

@@ -394,7 +394,7 @@ class Trajectory(KeepsReadOnly):
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. Where velocities jump, the robot
-            moves straight between knots, and files contain positions alone. Rows nearer than `spacing` to others are
+            moves straight between knots, and files contain positions alone. Rows nearer than ``spacing`` to others are
             left out, since their rounding would break limits: with limited jerk near the knots, and at a higher rate
             all but every second or third row, and so on. `sample` returns all.
         message : bool
@@ -418,7 +418,7 @@ class Trajectory(KeepsReadOnly):
         -----
         UserWarning
             If a controller of the list has settings that are not known, or does not interpolate between points; if the
-            period of `rate` is shorter than `spacing`.
+            period of `rate` is shorter than ``spacing``.
 
         Examples
         --------

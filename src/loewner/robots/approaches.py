@@ -64,7 +64,7 @@ class ClosestApproach:
         Metres. No pair of bodies is nearer than this at any instant of the piece, with proof; a negative value bounds
         the depth of all overlaps. -inf where surfaces overlap, for which depths have no upper bound.
     distance : ndarray, shape (n,)
-        The least distance found: the exact distance at `time`, or minus the depth. It is at least `lower`, and larger
+        The least distance found: the exact distance at ``time``, or minus the depth. It is at least `lower`, and larger
         by at most a hundredth or 10 µm, unless a search ended early.
     time : ndarray, shape (n,)
         Seconds.
