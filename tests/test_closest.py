@@ -328,3 +328,15 @@ def test_the_audit_measures_a_pair_that_may_touch_where_it_keeps_its_margin(tmp_
     assert near.distance[0] == np.inf
     assert allowed["ball", "post"].distance[0] == pytest.approx(0.0, abs=1e-9)
     assert len(contacts) == 0
+
+
+@pytest.mark.parametrize(("deep", "status"), [(0.0, 0), (0.0005, 0), (0.03, 1)])
+def test_the_audit_refuses_contact_that_is_far_too_deep(capsys, tmp_path, deep, status):
+    """`leave` takes any depth at the start as a fact; one of 30 mm is a wrong pose, unless --overlap allows it."""
+    (tmp_path / "t.yaml").write_text(
+        f"leave: [[ball, wall]]\nbodies:\n  wall: {{box: [1, 1, 1], position: [{-0.6 + deep}, 0, 0]}}\n"
+    )
+    table = "time,x,x velocity\n0,0,0\n2,0.5,0\n"
+    found, answer = audited(capsys, tmp_path, table, "--scene", tmp_path / "t.yaml")
+    assert (found, answer["verdict"], len(answer["deep"])) == (status, "FREE", status)
+    assert audited(capsys, tmp_path, table, "--scene", tmp_path / "t.yaml", "--overlap", 0.05)[0] == 0

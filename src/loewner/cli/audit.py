@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, planners, plots
+from loewner import Verdict, _validate, planners, plots
 from loewner._nodes import some
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs, trajectories
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, remove_older_proof
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, OVERLAP, new_table, print_table, remove_older_proof
 from loewner.errors import FileError
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
@@ -66,8 +66,8 @@ nearest: the exact distance at the worst moment that was found, or the depth, an
 limits: the extreme positions, velocities, accelerations and jerk of the curve, at whichever time they are reached, are
   compared with the limits of the URDF or of --limits. Files without velocities have corners, which are named.
 
-exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous, 4 free,
-  but beyond a limit of the robot
+exit status: 0 proven free at every time, 1 collides (also on the way from --from), or a contact that rules allow is
+  deeper than --overlap, 2 error, 3 no collision was found, but it is ambiguous, 4 free, but beyond a limit of the robot
 """
 
 
@@ -86,6 +86,10 @@ def add(commands: Any) -> None:
     audit.add_argument(
         "--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)"
     )
+    audit.add_argument(
+        "--overlap", type=float, default=OVERLAP, metavar="M",
+        help="deepest overlap of contacts that leave: and reach: allow, in metres (default %(default)s)",
+    )  # fmt: skip
     audit.add_argument(
         "--from",
         dest="present",
@@ -109,6 +113,7 @@ def _run(options: argparse.Namespace) -> int:
     checker = loewner.CollisionChecker(robot, scene)
     inputs.refuse_no_pairs(checker, options.urdf)
     limits = None if options.limits is None else planners.JointLimits.load(options.limits, robot)
+    overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     present = None
     if options.present is not None:
         present = robot.checked_one(configurations.given(options.present, "--from", options, robot, None), "--from")
@@ -120,6 +125,8 @@ def _run(options: argparse.Namespace) -> int:
         remove_older_proof(proof)
         before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
         answers.append(_answer(checker, given, options, limits, proof) | {"before": before})
+        deep = [each for each in answers[-1]["allowed"] if each["nearest"] < -overlap]
+        answers[-1] |= {"overlap": overlap, "deep": deep}
         if picture is not None:
             plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), picture)
         trajectories.put_down(scene, robot, given, carrying[number])
@@ -136,6 +143,8 @@ def _run(options: argparse.Namespace) -> int:
     elif len(answers) > 1:
         free = sum(answer["verdict"] == "FREE" for answer in answers)
         print(f"\n{worst}  {free} of {len(answers)} parts proven free")
+    if worst == "FREE" and any(answer["deep"] for answer in answers):
+        return COLLIDING
     exceeded = any(answer["exceeded"] for answer in answers)
     return {"FREE": BEYOND if exceeded else FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
 
@@ -204,6 +213,7 @@ def _answer(
         for k in unproven.tolist()
     ]
     free = found.verdict == Verdict.FREE
+    unproven_pairs = [piece["pair"] for piece in pieces]
     uses = limit_use.used(robot, curve, limits, timed)
     return {
         "robot": robot.name,
@@ -219,7 +229,9 @@ def _answer(
         "unproven": pieces,
         "contacts": contacts.tolist(),
         **_nearest(near, near.nearest),
-        "allowed": [{"pair": list(pair)} | _nearest(of_pair, of_pair.nearest) for pair, of_pair in allowed.items()],
+        "allowed": [
+            _allowed(checker, pair, each) for pair, each in allowed.items() if list(pair) not in unproven_pairs
+        ],
         "picture": _picture(times, found.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
         "proof": str(written) if found.proof is not None else None,
@@ -231,6 +243,14 @@ def _answer(
         "doubts": limit_use.doubts(robot, curve, uses, getattr(given, "velocities", None) is not None),
         **_told_by_a_message(given),
     }
+
+
+def _allowed(checker: loewner.CollisionChecker, pair: tuple[str, str], near: ClosestApproach) -> dict[str, Any]:
+    """Return how near two bodies come that may be in contact at an end, and at which."""
+    both = tuple(sorted(pair))
+    ends = ("the beginning",) * (both in checker.scene.leaving) + ("the end",) * (both in checker.scene.reaching)
+    margin = checker.scene.margin_of(*pair)
+    return {"pair": list(pair), "at": " or ".join(ends), "margin": margin} | _nearest(near, near.nearest)
 
 
 def _for_json(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -292,6 +312,9 @@ def _picture(times: Floats, verdicts: Any) -> str:
 def _print_answer(answer: dict[str, Any]) -> None:
     unit, comma_unit = (" s", ", s") if answer["timed"] else ("", "")
     count = "1 piece" if answer["pieces"] == 1 else f"{answer['pieces']} pieces"
+    if answer["before"] and answer["before"]["verdict"] != "FREE":
+        pair = " and ".join(answer["before"]["pair"])
+        print(f"{answer['before']['verdict']}  before the first point: {pair}; the trajectory itself:")
     if answer["verdict"] == "FREE":
         print(f"FREE  {count}, proven free at every {'time' if answer['timed'] else 'configuration on the way'}")
     else:
@@ -309,9 +332,15 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"          and {len(answer['contacts']) - SHOWN} more times")
     _print_nearest(answer, unit)
     for one in answer["allowed"]:
+        if one["nearest"] <= one["margin"]:
+            print(
+                f"allowed   contact of {' and '.join(one['pair'])} at {one['at']}, down to "
+                f"{1e3 * one['nearest']:z.3f} mm at {one['nearest_time']:.6g}{unit}"
+            )
+    for one in answer["deep"]:
         print(
-            f"allowed   contact of {' and '.join(one['pair'])} at the beginning or the end, down to "
-            f"{1e3 * one['nearest']:z.3f} mm at {one['nearest_time']:.6g}{unit}"
+            f"deep      {' and '.join(one['pair'])} overlap by {-1e3 * one['nearest']:.3f} mm in this contact, and "
+            f"--overlap allows {1e3 * answer['overlap']:.6g} mm; are the poses right?"
         )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     if answer["timed"]:

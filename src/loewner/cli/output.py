@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 # Exit status: done or free; at least one collision; an error; undecided by the ellipsoids.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
+# Metres by which bodies may overlap in contacts that rules allow: well above tolerances and errors of poses.
+OVERLAP = 1e-3
+
 # Columns of standard output where it is not a terminal: more than any table has.
 UNBROKEN = 1_000_000
 

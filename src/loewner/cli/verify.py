@@ -15,7 +15,7 @@ import loewner
 from loewner import _validate, verify
 from loewner._files import read_regular
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE
+from loewner.cli.output import COLLIDING, FREE, OVERLAP
 from loewner.errors import InputError
 
 EXAMPLES = """examples:
@@ -33,9 +33,6 @@ overlap that it allows; an overlap deeper than --overlap is refused.
 exit status: 0 verified to be free, and the same model and path; 1 verified to collide (a proof by loewner.prove),
 refused, too deep a contact, or a different model or path; 2 error
 """
-
-# Metres by which bodies may overlap in contacts: well above tolerances and errors of poses.
-OVERLAP = 1e-3
 
 # Differences of two models that are printed.
 MOST_SHOWN = 10

@@ -22,6 +22,7 @@ from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
 from loewner.robots import motions
 from loewner.robots.courses import CURVE_ROUNDINGS, between, configurations
+from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 
@@ -268,7 +269,7 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
     """Prove that a pair that may be in contact at the start of a run leaves it."""
     alone = ready.only(np.array([pair]))
     margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, run.courses[0, 0])
-    found = motions.settle(alone, run.courses, FOR_PROOF * tolerance, run.off)
+    found = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off)
     unproven = np.flatnonzero(found.verdicts != codes.FREE).tolist()
     apart = [(k, float(found.fractions[k]), margin) for k in unproven]
     if not unproven or at_start > margin + tolerance:  # no contact to end
@@ -279,23 +280,29 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
     least = at_start - tolerance if at_start <= margin + TOUCHING * reach else margin
     end, most = _end_of_contact(ready, pair, run.rows(0, unproven[-1] + 1), margin + tolerance, PARTED * reach)
     beside, for_proof = _beside_planes(ready, pair, run, end + most, tolerance)
-    before = motions.settle(beside, run.courses[:end], for_proof, run.off[:end])
+    before = _settled(beside, run.courses[:end], for_proof, run.off[:end])
     doubts = [(k, float(before.fractions[k]), least) for k in np.flatnonzero(before.verdicts != codes.FREE).tolist()]
     after, last, within = [doubt for doubt in apart if doubt[0] > end], run.rows(end, end + 1), []
     for share in (most * STRETCHES).tolist():
         first, rest = last.cut(ready.robot, (0, share))
-        proven = motions.settle(beside, first.courses, for_proof, first.off)
+        proven = _settled(beside, first.courses, for_proof, first.off)
         if proven.verdicts[0] == codes.FREE:
             break
         within.append((end, share * float(proven.fractions[0]), least))
     else:
         return _Left([*doubts, *within, *after], (end, most), beside, for_proof, least)
     if len(rest.number):
-        proven = motions.settle(alone, rest.courses, FOR_PROOF * tolerance, rest.off)
+        proven = _settled(alone, rest.courses, FOR_PROOF * tolerance, rest.off)
     if proven.verdicts[0] == codes.FREE:
         return _Left([*doubts, *after], (end, share), beside, for_proof, least)
     within.append((end, share + (1.0 - share) * float(proven.fractions[0]), least if most == 1.0 else margin))
     return _Left([*doubts, *within, *after], (end, most), beside, for_proof, least)
+
+
+def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats) -> Found:
+    """Let the kernel settle motions; a motion that is too long to be settled is doubtful from its start."""
+    found = motions.settle(problem, courses, tolerance, off)
+    return found._replace(fractions=np.nan_to_num(found.fractions))
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:

@@ -37,7 +37,6 @@ from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_leng
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
 from loewner.viewer.playing import (
     COLLIDING,
-    FREE,
     UNSETTLED,
     Proof,
     Standing,
@@ -172,6 +171,7 @@ class RobotViewer(Viewer):
     path_verdict : Verdict or None
         The verdict for the whole path or trajectory, which the page shows in its place: FREE only if it is proven at
         every moment, COLLIDING if a sample or the proof found a collision, AMBIGUOUS otherwise and until it is proven.
+        Contact that `Scene.leave` or `Scene.reach` allows is no collision.
         None without a path, or while the robot is not on it.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
@@ -714,9 +714,12 @@ class RobotViewer(Viewer):
             return None
         verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
         along = np.array([UNSETTLED]) if self._along is None else self._along
-        if (along == COLLIDING).any() or (verdicts == Verdict.COLLIDING).any():
-            return Verdict.COLLIDING
-        return Verdict.FREE if (along == FREE).all() and (verdicts == Verdict.FREE).all() else Verdict.AMBIGUOUS
+        if (verdicts == Verdict.FREE).all():
+            return Verdict.FREE
+        scene = self.checker.scene
+        # Samples may be in contact that is allowed at the beginning or the end; the proof decides.
+        sampled = (along == COLLIDING).any() and not (scene.leaving or scene.reaching)
+        return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 
     def _show_near(self) -> None:
         a, b = self.bounds.witness_a, self.bounds.witness_b
