@@ -334,6 +334,10 @@ class Judged(NamedTuple):
     status: int
     worst: Found
 
+    def __str__(self):
+        refuted = f" (refuted by {self.worst.excess:.1e} m)" * self.refuted
+        return f"{self.name} {self.verdict}{refuted}{' WRONG' * self.wrong}"
+
     @property
     def refuted(self):
         return self.worst.excess > MEASURED
@@ -406,8 +410,8 @@ def report(tasks):
         found = sum(file.verdict == "COLLIDING" for file in refuted)
         yield f"{len(files)} files {what}: {dict(verdicts)}; samples refute {len(refuted)}, {found} of them COLLIDING"
         yield f"    {sum(file.wrong for _, file in files)} wrong"
-        yield from (f"    wrong: {name}, {file}" for name, file in files if file.wrong)
-        yield from (f"    not proven: {name}, {file}" for name, file in files if what == "handed_on" and file.status)
+        yield from (f"    wrong: {name}, {file!r}" for name, file in files if file.wrong)
+        yield from (f"    not proven: {name}, {file!r}" for name, file in files if what == "handed_on" and file.status)
 
 
 def main():
@@ -420,7 +424,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         for task in campaign(options.tasks, Path(folder), first=options.first):
             tasks.append(task)
-            found = task.refused or ", ".join(f"{file.name} {file.verdict}" for file in task.handed_on + task.changed)
+            found = task.refused or ", ".join(map(str, task.handed_on + task.changed))
             print(f"{task.name}: {found}", flush=True)
     print("\n".join(report(tasks)))
     print(f"{(time.perf_counter() - began) / 60:.1f} minutes")
