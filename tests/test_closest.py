@@ -242,7 +242,8 @@ def test_usual_trajectories_are_not_doubted(capsys, tmp_path):
     times = np.linspace(0, 4, 21)
     x, v = np.sin(times), np.cos(times)
     smooth = "".join(f"{a},{b},{c}\n" for a, b, c in zip(times, x, v, strict=True))
-    for rows in ("0,0,0\n1,0.5,0\n", "0,0,0\n1,0.5,0.6\n2,0.6,-0.2\n3,0.2,0\n", smooth):
+    turned = "0,0,0.6728\n1,0.0638,-0.5452\n"  # a parabola
+    for rows in (turned, "0,0,0\n1,0.5,0\n", "0,0,0\n1,0.5,0.6\n2,0.6,-0.2\n3,0.2,0\n", smooth):
         assert audited(capsys, tmp_path, f"time,x,x velocity\n{rows}")[1]["doubts"] == []
 
 
@@ -340,3 +341,28 @@ def test_the_audit_refuses_contact_that_is_far_too_deep(capsys, tmp_path, deep, 
     found, answer = audited(capsys, tmp_path, table, "--scene", tmp_path / "t.yaml")
     assert (found, answer["verdict"], len(answer["deep"])) == (status, "FREE", status)
     assert audited(capsys, tmp_path, table, "--scene", tmp_path / "t.yaml", "--overlap", 0.05)[0] == 0
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+def test_extremes_are_found_where_the_leading_coefficients_are_rounding(degree):
+    """Parabolas as cubics or quintics, as a controller has them for constant accelerations: the peak is known."""
+    from loewner.planners import limit_use
+
+    rng = np.random.default_rng(degree)
+    for _ in range(500):
+        x0, v0, a = rng.uniform(-1, 1), rng.uniform(0.1, 2), -rng.uniform(0.5, 4)
+        T = rng.uniform(1.01, 3) * -v0 / a
+        c = [x0, v0, a / 2, *[0.0] * (degree - 2)]
+        points = BPoly.from_power_basis(PPoly(np.array(c[::-1])[:, None], [0.0, T])).c.T
+        (_, _), (high, when) = limit_use.extremes(points, np.array([0.0, T]))
+        assert high == pytest.approx(x0 - v0 * v0 / (2 * a), abs=1e-9)
+        assert when == pytest.approx(-v0 / a, abs=1e-4)
+
+
+def test_the_way_to_the_first_point_meets_what_is_carried_later(capsys, tmp_path):
+    """A body that the robot takes at its first point still stands there on the way."""
+    bodies = "  can: {box: [0.1, 0.1, 0.1], position: [-1, 0, 0]}\n  wall: {box: [1, 1, 1], position: [0, 9, 0]}\n"
+    (tmp_path / "t.yaml").write_text(f"bodies:\n{bodies}")
+    arguments = ("--scene", tmp_path / "t.yaml", "--from", "-3", "--attach", "can=ball")
+    status, answer = audited(capsys, tmp_path, "time,x\n9,0\n12,0.5\n", *arguments)
+    assert (status, answer["verdict"], answer["before"]["verdict"]) == (1, "FREE", "COLLIDING")

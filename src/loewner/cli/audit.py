@@ -120,10 +120,11 @@ def _run(options: argparse.Namespace) -> int:
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
     for number, given in enumerate(parts):
+        # The bodies that a part carries still stand during the way to its first point.
+        before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
         trajectories.carry(scene, robot, given, carrying[number])
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
         remove_older_proof(proof)
-        before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
         answers.append(_answer(checker, given, options, limits, proof) | {"before": before})
         deep = [each for each in answers[-1]["allowed"] if each["nearest"] < -overlap]
         answers[-1] |= {"overlap": overlap, "deep": deep}
@@ -145,7 +146,7 @@ def _run(options: argparse.Namespace) -> int:
         print(f"\n{worst}  {free} of {len(answers)} parts proven free")
     if worst == "FREE" and any(answer["deep"] for answer in answers):
         return COLLIDING
-    exceeded = any(answer["exceeded"] for answer in answers)
+    exceeded = any(a["exceeded"] or (a["before"] and a["before"]["too_fast"]) for a in answers)
     return {"FREE": BEYOND if exceeded else FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
 
 
@@ -159,7 +160,7 @@ def _way_to(
     t0, t1 = (begin, begin + due) if checker.scene.following else (None, None)
     found = checker.certify_edges(present, first, joint_error=joint_error, t0=t0, t1=t1)
     off = np.abs(first - present)
-    most = int(off.argmax())
+    most, fast = int(off.argmax()), False
     text = f"the straight way from --from to the first point is {found.verdict.name}"
     if found.verdict != Verdict.FREE:
         text += f": {' and '.join(found.names)} at the fraction {found.fraction:.4g}"
@@ -174,8 +175,9 @@ def _way_to(
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = off / due / np.where(np.isnan(robot.velocity), np.inf, robot.velocity)
         k = int(np.nan_to_num(shares).argmax())
+        fast = bool(shares[k] > 1 + limit_use.ROUNDED)
         text += f"; in {due:.6g} s it takes {shares[k]:.3g} of the velocity limit of {robot.configuration_names[k]}"
-    numbers = {"fraction": float(found.fraction), "off": float(off[most])}
+    numbers = {"fraction": float(found.fraction), "off": float(off[most]), "too_fast": fast}
     return _for_json({"verdict": found.verdict.name, "pair": list(found.names), **numbers, "text": text})
 
 

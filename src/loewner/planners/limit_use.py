@@ -144,6 +144,8 @@ def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> lis
         share = np.divide(rate, way, out=np.zeros_like(way), where=way != 0)
         odd |= (share < -ROUNDED) | (share > STEEPEST * (1 + 1e-3))
     ways = np.abs(way)
+    # A parabola may turn within a piece; its mean velocity is the mean of both velocities.
+    odd &= np.abs((rates[0] + rates[1]) / 2 - way) > DOUBTED * ways
     astray = (ways * odd).sum(axis=0) > DOUBTED * ways.sum(axis=0)
     astray &= ways.sum(axis=0) > ROUNDED
     for k in np.flatnonzero(astray)[:1].tolist():
@@ -207,8 +209,9 @@ def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
         if degree < 2 or bounds[n] <= best + ROUNDED * abs(best):
             break
         slopes = _powers(degree * np.diff(points[n]))
-        roots = Polynomial(slopes).roots()
-        shares = np.real(roots[(np.abs(np.imag(roots)) < 1e-6) & (np.real(roots) > 0) & (np.real(roots) < 1)])
+        # Leading coefficients that are rounding would hide the other roots, and change no value by more than this.
+        shares = np.real(Polynomial(slopes).trim(ROUNDED * np.abs(slopes).max()).roots())
+        shares = shares[(shares > 0) & (shares < 1)]
         if len(shares):
             tried = _at(points[n : n + 1], shares)[0]
             if tried.max() > best:
