@@ -120,7 +120,7 @@ def _run(options: argparse.Namespace) -> int:
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
     for number, given in enumerate(parts):
-        # The bodies that a part carries still stand during the way to its first point.
+        # The bodies that a part carries are still in their places during the way to its first point.
         before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
         trajectories.carry(scene, robot, given, carrying[number])
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
