@@ -366,3 +366,25 @@ def test_the_way_to_the_first_point_meets_what_is_carried_later(capsys, tmp_path
     arguments = ("--scene", tmp_path / "t.yaml", "--from", "-3", "--attach", "can=ball")
     status, answer = audited(capsys, tmp_path, "time,x\n9,0\n12,0.5\n", *arguments)
     assert (status, answer["verdict"], answer["before"]["verdict"]) == (1, "FREE", "COLLIDING")
+
+
+def test_a_file_of_limits_keeps_accelerations_that_only_the_robot_has(capsys, tmp_path):
+    """A file with a velocity alone does not remove the URDF's limits of acceleration and jerk."""
+    urdf = SLIDE.replace('velocity="1"', 'velocity="1" acceleration="1" jerk="1"').replace(
+        "<robot", '<robot version="1.2"'
+    )
+    (tmp_path / "l.yaml").write_text("joint_limits: {x: {max_velocity: 5}}")
+    table = "time,x,x velocity\n0,0,0\n2,1.2,0\n"
+    found = [audited(capsys, tmp_path, table, *more, urdf=urdf) for more in ((), ("--limits", tmp_path / "l.yaml"))]
+    for status, answer in found:
+        ratios = {use["quantity"]: use["ratio"] for use in answer["exceeded"]}
+        assert status == 4
+        assert ratios == {"acceleration": pytest.approx(1.8), "jerk": pytest.approx(1.8)}
+
+
+def test_rates_that_overflow_are_beyond_every_limit(capsys, tmp_path):
+    """Of a piece of hardly any time, the acceleration is no number; that is no use of 0."""
+    urdf = SLIDE.replace('velocity="1"', 'velocity="1" acceleration="1"').replace("<robot", '<robot version="1.2"')
+    status, answer = audited(capsys, tmp_path, "time,x,x velocity\n0,0,0\n1e-200,1,0\n", urdf=urdf)
+    assert status == 4
+    assert {use["quantity"] for use in answer["exceeded"]} == {"velocity", "acceleration"}

@@ -110,10 +110,11 @@ def jumps(robot: Robot, curve: Curve) -> list[Jump]:
         points = _rates(curve, order)
         if len(points) < 2 or points.shape[1] == 0:
             continue
-        sizes = np.abs(points[1:, 0] - points[:-1, -1])
-        # Rounding of positions is divided by times.
-        noise = 64 * np.abs(curve.courses).max(axis=(0, 1)) * np.finfo(float).eps / np.diff(curve.times).min() ** order
-        jumping = sizes > ROUNDED * np.abs(points).max(axis=(0, 1)) + noise
+        size = 64 * np.abs(curve.courses).max(axis=(0, 1)) * np.finfo(float).eps
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            sizes = np.abs(points[1:, 0] - points[:-1, -1])
+            # Rounding of positions is divided by times.
+            jumping = sizes > ROUNDED * np.abs(points).max(axis=(0, 1)) + size / np.diff(curve.times).min() ** order
         if jumping.any():
             k, joint = (int(n) for n in np.unravel_index(np.where(jumping, sizes, 0.0).argmax(), sizes.shape))
             count = int(jumping.any(axis=1).sum())
@@ -163,15 +164,16 @@ def _rates(curve: Curve, order: int) -> Floats:
     """Return the control points of a derivative in time, shape (n, points, dof)."""
     points, T = curve.courses, np.diff(curve.times)[:, None, None]
     for _ in range(order):
-        points = (points.shape[1] - 1) * np.diff(points, axis=1) / T
+        with np.errstate(over="ignore", invalid="ignore"):  # on pieces of hardly any time
+            points = (points.shape[1] - 1) * np.diff(points, axis=1) / T
     return np.asarray(points)
 
 
 def _both_signs(robot: Robot, limits: JointLimits | None, quantity: str, k: int) -> tuple[float, float]:
-    given: Any = robot if limits is None else limits
-    most = float(getattr(given, quantity)[k])
-    if np.isnan(most):
-        most = np.inf
+    """Return the limits of a rate; accelerations and jerk that a file does not limit keep the robot's limits."""
+    known: Any = (robot,) if limits is None else (limits,) if quantity == "velocity" else (limits, robot)
+    of_joint = [float(getattr(each, quantity)[k]) for each in known]
+    most = next((one for one in of_joint if np.isfinite(one)), np.inf)
     return -most, most
 
 
@@ -182,7 +184,7 @@ def _worst(quantity: str, joint: str, ends: Ends, low: float, high: float) -> Us
         middle, half = (low + high) / 2, (high - low) / 2
         below, above = (_share(middle - least, half), _share(greatest - middle, half))
     else:  # with one limit, a value is within it or not
-        below, above = (np.inf if beyond > 0 else 0.0 for beyond in (low - least, greatest - high))
+        below, above = (np.inf if beyond > ROUNDED else 0.0 for beyond in (low - least, greatest - high))
     if below > above or (below == above == 0.0 and np.isfinite(low)):
         return Use(quantity, joint, least, low, below, when_least)
     return Use(quantity, joint, greatest, high, above, when_greatest)
@@ -190,6 +192,8 @@ def _worst(quantity: str, joint: str, ends: Ends, low: float, high: float) -> Us
 
 def _share(way: float, half: float) -> float:
     """Return a way from the middle of a range as a share of half the range, which may be 0."""
+    if not way < np.inf:  # an overflow is beyond every limit
+        return np.inf
     return way / half if half > 0 else (np.inf if way > ROUNDED else 1.0)
 
 
@@ -201,12 +205,13 @@ def extremes(points: Floats, times: Floats) -> Ends:
 
 def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
     degree = points.shape[1] - 1
-    values = _at(points, TRIED)
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is found to be no number
+        values = _at(points, TRIED)
     n, at = np.unravel_index(values.argmax(), values.shape)
     best, piece, share = float(values[n, at]), int(n), float(TRIED[at])
     bounds = points.max(axis=1)
     for n in np.argsort(-bounds, kind="stable").tolist():
-        if degree < 2 or bounds[n] <= best + ROUNDED * abs(best):
+        if degree < 2 or not np.isfinite(best) or bounds[n] <= best + ROUNDED * abs(best):
             break
         slopes = _powers(degree * np.diff(points[n]))
         # Leading coefficients that are rounding would hide the other roots, and change no value by more than this.

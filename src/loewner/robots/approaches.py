@@ -434,6 +434,7 @@ def _by_parts(search: Search, bounds: _Motion, piece: int) -> float:
         distance = search.look(np.full(count, piece), low + width / 2)
         change = _changes(search.ready.robot, np.repeat(course[None], count, axis=0), low, low + width) + off
         least = distance - bounds.approach(change) - bounds.slack
+        least[np.isnan(least)] = -np.inf  # an overflow bounds nothing
         spent += count
         wanted = search.distance[piece] - _allowed(search.distance[piece : piece + 1])[0]
         left = least < wanted
