@@ -36,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit status: 0 for free or done, 1 for colliding or no path, 2 for an error, 3 for ambiguous.
+        The exit status: 0 for free or done, 1 for colliding or no path, 2 for an error, 3 for ambiguous, 4 for free,
+        but beyond a limit of the robot (``audit``).
 
     Examples
     --------
