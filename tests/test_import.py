@@ -171,3 +171,13 @@ def test_public_names_exist_and_are_listed_once():
     """Every name in __all__ is there, sorted, once."""
     assert sorted(set(loewner.__all__)) == sorted(loewner.__all__)
     assert all(hasattr(loewner, name) for name in loewner.__all__)
+
+
+@pytest.mark.parametrize("program", ["build.py", "emit.py"])
+def test_the_build_begins_before_other_packages_are_there(program):
+    """In a fresh clone it runs while pip still installs SciPy; with an import of it, users would have no library."""
+    path = Path(__file__).resolve().parents[1] / "native" / program
+    blocked = ["scipy", "yaml", "rich", "matplotlib"]
+    run = f"runpy.run_path({str(path)!r}, run_name='imported')"
+    code = f"import runpy, sys; sys.modules.update(dict.fromkeys({blocked})); {run}"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
@@ -251,7 +250,7 @@ def _what_is_between(growth: Growth) -> str:
         return ""
     spread = [np.unique(np.linspace(0, count - 1, BETWEEN, dtype=np.int64)) for count in counts]
     first, last = (growth.trees.nodes[tree][:, numbers].T for tree, numbers in enumerate(spread))
-    nearest = cdist(first, last).argmin(axis=1)
+    nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
     found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []
     close = f"come within {TOLERANCE:g} m of their margin"
