@@ -12,7 +12,7 @@ import pytest
 from numba import types
 from numba.core.registry import cpu_target
 
-from loewner._kernels import _jit, _store, linalg3
+from loewner._kernels import _jit, _parts, _store, linalg3
 from loewner._kernels.robots import planning
 from loewner._kernels.simd.vectors import vector
 
@@ -135,9 +135,21 @@ def test_keys_differ_by_all_that_code_is_made_of(monkeypatch: pytest.MonkeyPatch
     assert key(of(1.0), types.float64) not in made
 
 
-def test_a_call_of_a_kernel_that_is_not_imported_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+@pytest.mark.parametrize("restored", [False, True])
+def test_a_call_of_a_kernel_that_is_not_imported_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, restored: bool
+):
     """Its edits would go unnoticed: the kernel is refused when it is compiled, not when it is stale."""
     monkeypatch.setattr(_store, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit._Cache, "_made", {})
+    monkeypatch.setattr(_parts, "_read", {})
+    monkeypatch.setattr(linalg3.dot, "overloads", {})
+    if restored:
+        _jit.njit()(linalg3.dot.py_func).compile((three, three))
+        _jit._Cache._made.clear()
+        _parts._read.clear()
+        linalg3.dot.compile((three, three))
+        assert linalg3.dot.stats.cache_hits
 
     def caller(x, y):
         return linalg3.dot(x, y)

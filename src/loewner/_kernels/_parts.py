@@ -85,7 +85,7 @@ class PartLibrary(_FusedLibrary):
         super().__init__(codegen, name)
         self.called: list[JITCodeLibrary] = []
         self.key = ""  # in the store; empty for a part that is only in memory
-        self.home = ""  # its module, if it was compiled in this process
+        self.home = ""  # the kernel module that it comes from
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Run Numba's passes over the functions of a module; Numba also prepares them for each declaration."""
@@ -126,16 +126,16 @@ class PartLibrary(_FusedLibrary):
         return module
 
     def serialize_using_object_code(self) -> Any:
-        """Return the content for the store: intermediate code, and the keys of the parts that it calls."""
+        """Return the content for the store: intermediate code, the keys of the parts that it calls, and its module."""
         self._ensure_finalized()
         keys = [library.key if isinstance(library, PartLibrary) else RUNTIME for library in self.called]
-        return self.name, "part", (self._final_module.as_bitcode(), keys)
+        return self.name, "part", (self._final_module.as_bitcode(), keys, self.home)
 
     @classmethod
-    def restored(cls, codegen: Any, name: str, kept: tuple[bytes, list[str]], key: str) -> "PartLibrary":
+    def restored(cls, codegen: Any, name: str, kept: tuple[bytes, list[str], str], key: str) -> "PartLibrary":
         """Return the part that was kept under a key, and read the parts that it calls."""
         part = cls(codegen, name)
-        bitcode, keys = kept
+        bitcode, keys, part.home = kept
         part._final_module = parse_bitcode(bitcode)
         part.called = [rtsys.library if one == RUNTIME else library_of(codegen, one) for one in keys]
         part.key = key
