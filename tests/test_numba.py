@@ -16,7 +16,7 @@ from loewner._kernels import _numba, _parts
 pytestmark = pytest.mark.light
 
 SOURCES = Path(loewner.__file__).parent
-EMIT = SOURCES.parents[1] / "native" / "emit.py"
+EMIT = Path(__file__).parents[1] / "native" / "emit.py"
 
 codegen = type(_numba.cpu_target.target_context.codegen())
 context = type(_numba.cpu_target.target_context)
