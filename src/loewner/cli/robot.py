@@ -17,11 +17,15 @@ from loewner import _validate
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, model_text, new_table, print_table, progress_bar
+from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
 # Configurations per step of the progress bar, and the largest number of pairs that a table lists.
 AT_ONCE = 50_000
 LISTED = 20
+
+# Boxes of configurations to examine for the exempt pairs: some seconds.
+BOXES = 200_000
 
 # Rates are not computed from shorter times [s]: the first large batch takes about 10 ms more to start.
 LEAST_TIMED = 0.1
@@ -88,6 +92,11 @@ def _info(options: argparse.Namespace) -> int:
     print(f"pairs     {count * (count - 1) // 2} of links with bodies, {checked} checked")
     disabled = f"{len(robot.disabled_pairs)} disabled by the SRDF" if options.srdf is not None else "no SRDF"
     print(f"          {disabled}, {len(robot.adjacent_pairs)} adjacent")
+    exempt = robot.disabled_pairs or robot.adjacent_pairs
+    if count and exempt:
+        print("exempt pairs, over the whole ranges of the joints between them:")
+        known = [pair for pair in exempt if all(link in robot.bodies for link in pair)]
+        print_pairs(robot.prove_pairs(known, boxes=BOXES), robot)
     if options.srdf is not None:
         print(f"groups    {', '.join(f'{name} ({len(joints)})' for name, joints in robot.groups.items()) or '-'}")
         print(f"states    {', '.join(robot.states) or '-'}")

@@ -5,6 +5,7 @@
 finds pairs that need no check, and `written_proofs` writes proofs that other programs verify.
 """
 
+from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401 - it answers methods of Robot
 from loewner.robots.approaches import ClosestApproach
 from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker

@@ -31,6 +31,7 @@ from loewner.robots import (
     distances,
     edges,
     in_time,
+    pair_cache,
     proofs,
     tracking,
     verdicts,
@@ -130,11 +131,12 @@ class CollisionChecker:
             )
         self._robot = robot
         self._scene = Scene() if scene is None else scene
-        skipped = set(robot.disabled_pairs)
         skip_adjacent = None if skip_adjacent is None else _validate.flag(skip_adjacent, "skip_adjacent")
-        if skip_adjacent or (skip_adjacent is None and not robot._lists_pairs):
+        skipped = robot._usually_skipped if skip_adjacent is None else robot.disabled_pairs
+        if skip_adjacent:
             skipped |= robot.adjacent_pairs
-        self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
+        self._skipped = skipped | robot.link_pairs(allowed, "allowed")
+        _warn_of_refuted(robot)
         self._prepared = UNPREPARED
         self._still: tuple[int, CollisionChecker] | None = None  # see `without_motions`, for a version of the scene
         self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
@@ -873,6 +875,18 @@ class CollisionChecker:
             self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
         self._keep(ready)
         return ready
+
+
+def _warn_of_refuted(robot: Robot) -> None:
+    """Warn if pairs that are exempt from checking were found to collide (`Robot.prove_pairs`)."""
+    wrong = pair_cache.refuted(robot)
+    if wrong:
+        worst = min(wrong, key=lambda row: row.distance)
+        others = "" if len(wrong) == 1 else f", and {len(wrong) - 1} other such pairs"
+        warn(
+            f"{robot.name}: {worst.names[0]} and {worst.names[1]} are exempt from checking, but can collide, "
+            f"{1e3 * max(-worst.distance, 0.0):.3g} mm deep{others}; see Robot.prove_pairs"
+        )
 
 
 def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:

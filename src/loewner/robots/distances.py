@@ -126,8 +126,11 @@ def expect_pairs(ready: Problem, query: str) -> None:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
 
-def nearest_columns(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
-    """Compute the columns of `nearest` without the gradient, with indices of bodies instead of names."""
+def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True) -> list[Any]:
+    """Compute the columns of `nearest` without the gradient, with indices of bodies instead of names.
+
+    Without `care`, distances that the fast searches cannot compute are NaN.
+    """
     n, m, pack = len(Q), len(Q) * exact, ready.packed
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))
     pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
@@ -145,6 +148,9 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
     # The bounds are proven and the value is computed, so clamp the value to the bounds.
     np.maximum(lower, np.minimum(distance, upper, out=distance), out=distance)
     bodies = np.searchsorted(pack.piece_start, pieces, side="right") - 1
+    if not care:
+        distance[status != 0] = np.nan
+        return [lower, upper, distance, bodies, *vectors]
     for k in np.flatnonzero(status):
         distance[k], bodies[k], *found = _nearest_with_care(ready, Q[k])
         for column, vector in zip(vectors, found, strict=True):

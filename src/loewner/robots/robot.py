@@ -6,8 +6,9 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,11 +33,13 @@ from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
+from loewner.robots.pair_verdicts import ProvenPairs
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, Joint, doubt_limits, read_urdf
 from loewner.robots.watch import LARGEST_VALUE, Watch
 from loewner.robots.xacro_files import SUFFIX, expanded, refuse_unused
+from loewner.scenes import Scene
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
@@ -49,6 +52,10 @@ MANY_LINKS = 30
 
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
+
+# How `Robot.prove_pairs` and `free_range` are answered: `pair_ranges`, which is above this module, puts its functions
+# here.
+answers: dict[str, Callable[..., object]] = {}
 
 
 def _text_of(
@@ -201,6 +208,7 @@ class Robot(KeepsReadOnly):
         package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
         meshes: Literal["hull", "pieces", "surface"] = "hull",
         decompose: bool = False,
+        pairs: Literal["adjacent", "proven"] | None = None,
         tol: float = 1e-4,
         cache: bool = True,
         progress: Progress | None = None,
@@ -230,10 +238,14 @@ class Robot(KeepsReadOnly):
             (`Body.from_surface`), including the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
+        pairs : {"adjacent", "proven"}, optional
+            Which pairs need no check if there is no SRDF. "adjacent", the default: links that a joint connects.
+            "proven": also the pairs that are proven to collide never, or at all configurations (`prove_pairs`).
         tol : float
             Certified log-volume gap of all fits.
         cache : bool
-            Keep the bodies of meshes on disk, keyed by content, so that later calls only read them.
+            Keep the bodies of meshes and the proofs of pairs on disk, keyed by content, so that later calls only read
+            them.
         progress : callable, optional
             Called as ``progress(done, total)`` after each collision shape.
 
@@ -270,6 +282,10 @@ class Robot(KeepsReadOnly):
         Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
         tol, cache, model = checked_tolerance(tol), _validate.flag(cache, "cache"), _model(meshes, decompose)
+        if pairs is not None:
+            _validate.choice(pairs, "pairs", ("adjacent", "proven"))
+            if srdf is not None:
+                raise InputError("pairs: expected none with an SRDF, which lists the pairs that need no check")
         _validate.callback(progress, "progress")
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
@@ -283,7 +299,11 @@ class Robot(KeepsReadOnly):
         robot = read_urdf("URDF text" if path is None else path, text)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
-        return cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
+        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
+        if pairs != "proven":
+            return made
+        others = [pair for pair in combinations(sorted(made.bodies), 2) if pair not in made.adjacent_pairs]
+        return made.disabling(made.adjacent_pairs | made.prove_pairs(others, cache=cache, progress=progress).exempt)
 
     @classmethod
     def _of(
@@ -444,6 +464,11 @@ class Robot(KeepsReadOnly):
         return self._ruled or bool(self.disabled_pairs)
 
     @property
+    def _usually_skipped(self) -> frozenset[Pair]:
+        """The pairs of links that a checker does not check by default."""
+        return self.disabled_pairs if self._lists_pairs else self.disabled_pairs | self.adjacent_pairs
+
+    @property
     def dof(self) -> int:
         """Number of entries of a configuration."""
         return len(self.configuration_names)
@@ -563,6 +588,137 @@ class Robot(KeepsReadOnly):
         [('forearm', 'rail')]
         """
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
+
+    def prove_pairs(
+        self,
+        pairs: Iterable[Pair] | None = None,
+        *,
+        margin: float = 0.0,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        scene: Scene | None = None,
+        boxes: int = 1_000_000,
+        cache: bool = True,
+        progress: Progress | None = None,
+    ) -> ProvenPairs:
+        """Prove which pairs of bodies can ever collide, over the whole ranges of the joints between them.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str, optional
+            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`; one
+            of each pair moves. Default: the pairs that the SRDF or the MJCF exempts from checking, or all pairs of
+            links with bodies if neither has rules on pairs.
+        margin : float
+            A distance in metres that counts as contact; larger margins of the scene are kept.
+        limits : mapping from str to (float, float), optional
+            Ranges of values by their names in `configuration_names`, in radians or metres. All others have the hard
+            limits of the file; a joint without limits makes a full turn, or as many as the joints that follow it need
+            to return.
+        scene : Scene, optional
+            Other bodies. Bodies that are attached there move with the robot's links.
+        boxes : int
+            At most this many boxes of configurations are examined for all pairs together.
+        cache : bool
+            Keep answers about the hard limits, without a margin or a scene, on disk, keyed by everything on which they
+            depend, so that later calls only read them.
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of pairs.
+
+        Returns
+        -------
+        ProvenPairs
+            A row for each pair, with a verdict: NEVER, ALWAYS, SOMETIMES, CAN or OPEN. See `ProvenPair`.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such link, body or value.
+        InputError
+            If an entry is not a pair of two different bodies, or none of the two moves; if a link has no body; if a
+            range has its lower end above its upper one; or if a body of the scene follows a motion.
+
+        See Also
+        --------
+        loewner.pairs_by_sampling : Guesses by samples.
+
+        Notes
+        -----
+        NEVER and ALWAYS are proofs, like FREE of `CollisionChecker.certify_edges`; docs/certified.md derives the
+        bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
+        OPEN. A pair with many joints between its bodies takes many boxes: six or more rarely settle.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> for row in Robot.from_urdf("arm.urdf").prove_pairs():
+        ...     print(*row.names, row.verdict)
+        cart forearm SOMETIMES
+        cart rail NEVER
+        forearm rail NEVER
+        """
+        return cast(
+            "ProvenPairs",
+            answers["prove_pairs"](
+                self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress
+            ),
+        )
+
+    def free_range(
+        self,
+        joints: str | Iterable[str],
+        about: ArrayLike | None = None,
+        *,
+        pairs: Iterable[Pair] | None = None,
+        margin: float = 0.0,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        scene: Scene | None = None,
+        boxes: int = 100_000,
+    ) -> dict[str, tuple[float, float]]:
+        """Find the largest range of joints about a configuration for which pairs are proven not to collide.
+
+        Parameters
+        ----------
+        joints : str or iterable of str
+            One value by its name in `configuration_names`, or several. The range of one value ends where contact
+            begins, up to 1e-9 rad or m, or at its limit. The range of several is a box: all ends are the same share of
+            the way to their limits.
+        about : array_like, shape (dof,), optional
+            The configuration; all other values stay as they are in it. Default: `configuration`.
+        pairs : iterable of pairs of str, optional
+            As for `prove_pairs`. Default: the pairs that a `CollisionChecker` of this robot checks.
+        margin, limits, scene
+            As for `prove_pairs`.
+        boxes : int
+            At most this many boxes are examined for each box of several values that is tried.
+
+        Returns
+        -------
+        dict
+            Maps each name to the lower and the upper end [rad or m].
+
+        Raises
+        ------
+        InputError
+            As for `prove_pairs`; also if the configuration is outside the limits, or pairs collide there.
+        UnknownNameError
+            If there is no such value, link or body.
+
+        Examples
+        --------
+        >>> from loewner import Body, Robot, Scene
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> lower, upper = robot.free_range("rail", [0.0, 1.57], scene=scene)["rail"]
+        >>> round(lower, 9), round(upper, 9)
+        (0.0, 0.7)
+        """
+        return cast(
+            "dict[str, tuple[float, float]]",
+            answers["free_range"](
+                self, joints, about, pairs=pairs, margin=margin, limits=limits, scene=scene, boxes=boxes
+            ),
+        )
 
     def link_pairs(self, pairs: Iterable[Pair], name: str = "pairs") -> frozenset[Pair]:
         """Check pairs of two different links of this robot, and sort each by name.

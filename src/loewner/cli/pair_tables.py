@@ -1,0 +1,36 @@
+"""Print which pairs of bodies can ever collide."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import loewner
+from loewner.cli.output import new_table, print_table
+from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+
+# Verdicts in the order in which they are printed.
+ORDER = (PairVerdict.SOMETIMES, PairVerdict.CAN, PairVerdict.OPEN, PairVerdict.ALWAYS, PairVerdict.NEVER)
+
+
+def print_pairs(found: ProvenPairs, robot: loewner.Robot) -> None:
+    """Print a line for each verdict and a table of the pairs, beginning with pairs that can collide."""
+    for verdict in ORDER:
+        rows = found.with_verdict(verdict)
+        if rows:
+            print(f"{verdict:<9}  {len(rows)} {'pair' if len(rows) == 1 else 'pairs'}")
+    table = new_table("body", "other body", "verdict", "least distance", "at", "over")
+    for row in sorted(found, key=lambda row: (ORDER.index(row.verdict), row.distance)):
+        nearest = "" if np.isnan(row.distance) else f"{1e3 * row.distance:.3f} mm"
+        over = ", ".join(row.columns) if row.complete else row.range_text
+        table.add_row(*row.names, str(row.verdict), nearest, _at(row, robot), row.reason or over)
+    print_table(table)
+    if found.rigid:
+        print(f"note: on one rigid part, and never checked: {'; '.join(' and '.join(pair) for pair in found.rigid)}")
+
+
+def _at(row: ProvenPair, robot: loewner.Robot) -> str:
+    """The values between the bodies at the least distance."""
+    if row.nearest is None:
+        return ""
+    values = dict(zip(robot.configuration_names, row.nearest.tolist(), strict=True))
+    return ", ".join(f"{name} {values[name]:.4f}" for name in row.columns)
