@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 import loewner
 from loewner import Verdict
 from loewner._native import entries, library, singles
-from loewner.robots import verdicts
+from loewner.robots import pair_cache, verdicts
 from loewner.robots.checker import UNPREPARED
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
@@ -44,6 +44,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Garbage is collected less often, and what thousands of collected tests are made of is not looked through every time: a
 # tenth of the time of all tests.
 gc.set_threshold(10_000, 10, 10)
+
+
+# Answers about pairs that one test keeps would be warnings in another one.
+pair_cache.FOLDER = Path(os.devnull) / "pairs"
 
 
 def pytest_collection_finish() -> None:

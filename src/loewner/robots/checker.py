@@ -882,9 +882,9 @@ def _warn_of_refuted(robot: Robot) -> None:
     wrong = pair_cache.refuted(robot)
     if wrong:
         worst = min(wrong, key=lambda row: row.distance)
-        others = "" if len(wrong) == 1 else f", and {len(wrong) - 1} other such pairs"
+        others = "" if len(wrong) == 1 else f", and {len(wrong) - 1} more"
         warn(
-            f"{robot.name}: {worst.names[0]} and {worst.names[1]} are exempt from checking, but can collide, "
+            f"pairs that are exempt from checking can collide: {worst.names[0]} and {worst.names[1]} of {robot.name}, "
             f"{1e3 * max(-worst.distance, 0.0):.3g} mm deep{others}; see Robot.prove_pairs"
         )
 
