@@ -965,6 +965,7 @@ CALLS: dict[str, Call] = {
             "package_dirs": arg(list, NOTHING, "folder"),
             "meshes": choice("hull"),
             "decompose": flag(False),
+            "pairs": arg(None, NONE, "list"),
             "tol": TOL,
             "cache": flag(False),
             "progress": callback(),
@@ -974,6 +975,30 @@ CALLS: dict[str, Call] = {
     "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
     "Robot.to_urdf": Call(
         on(robot, "to_urdf"), {"path": arg("out.urdf", NUMERAL), "mesh_prefix": arg("", TEXTS, "empty text")}
+    ),
+    "Robot.prove_pairs": Call(
+        on(robot, "prove_pairs"),
+        {
+            "pairs": arg(lambda: [("ball", "rod")], NOTHING, NONE),
+            "margin": margin(0.0),
+            "limits": arg(None, NONE, "empty dict"),
+            "scene": arg(None, NONE, "Scene"),
+            "boxes": count(10),
+            "cache": flag(False),
+            "progress": callback(),
+        },
+    ),
+    "Robot.free_range": Call(
+        on(robot, "free_range"),
+        {
+            "joints": arg(lambda: [robot().configuration_names[0]]),
+            "about": arg(None, NONE),
+            "pairs": arg(lambda: [("ball", "rod")], NOTHING, NONE),
+            "margin": margin(0.0),
+            "limits": arg(None, NONE, "empty dict"),
+            "scene": arg(None, NONE, "Scene"),
+            "boxes": count(10),
+        },
     ),
     "Robot.disabling": Call(on(robot, "disabling"), {"pairs": arg(lambda: [("ball", "rod")], NOTHING)}),
     "Robot.join": Call(

@@ -1,8 +1,8 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
 `robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read. Users call `checker`;
-`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `sampling`
-finds pairs that need no check, and `written_proofs` writes proofs that other programs verify.
+`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges`
+proves which pairs can ever collide, `sampling` guesses it. `written_proofs` writes proofs that other programs verify.
 """
 
 from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401 - it answers methods of Robot
@@ -14,6 +14,7 @@ from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.pair_proofs import prove
+from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 from loewner.robots.reaching import Reached
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
@@ -26,8 +27,11 @@ __all__ = [
     "ClosestApproach",
     "CollisionChecker",
     "PairDistances",
+    "PairVerdict",
     "Part",
     "Proof",
+    "ProvenPair",
+    "ProvenPairs",
     "Reached",
     "Robot",
     "Settled",
