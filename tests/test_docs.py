@@ -53,6 +53,7 @@ def folder_with_robot(folder_with_meshes):
     [
         "docs/meshes.md",
         "docs/scenes.md",
+        "docs/pairs.md",
         "docs/robots.md",
         "docs/motions.md",
         "docs/proofs.md",

@@ -11,7 +11,7 @@ import trimesh
 DOCS = Path(__file__).parent.parent / "docs"
 CODE = r"^```python\n(.*?)^```"
 # test_docs.py runs the code of these.
-GUIDES = {"meshes.md", "motions.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
+GUIDES = {"meshes.md", "motions.md", "pairs.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
 PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
@@ -34,11 +34,16 @@ def needs_what_is_missing(block):
     "page", [p for p in PAGES if str(p.relative_to(DOCS)) not in GUIDES], ids=lambda p: str(p.relative_to(DOCS))
 )
 def test_pages_print_what_they_say(page, folder_with_mesh):
-    """All Python blocks of a page run, in order, as one program, and `print(...)  # -> text` prints that text."""
+    """All Python blocks of a page run, in order, as one program, and `print(...)  # -> text` prints that text.
+
+    A robot in XML is a file of its name.
+    """
 
     def said(expected, *values):
         assert " ".join(map(str, values)) == expected, page
 
+    for robot in re.findall(r"^```xml\n(<robot .*?)^```", page.read_text(), flags=re.M | re.S):
+        Path(re.search(r'name="(.+?)"', robot)[1] + ".urdf").write_text(robot)
     blocks = re.findall(CODE, page.read_text(), flags=re.M | re.S)
     program = "\n".join(block for block in blocks if not needs_what_is_missing(block))
     program = re.sub(r"^(\s*)print\((.+)\)  # -> (.+)$", r"\1said(r'''\3''', \2)", program, flags=re.M)

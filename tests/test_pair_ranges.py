@@ -620,12 +620,14 @@ def test_two_bodies_at_rest_are_refused():
         ("hinge", {"about": [4.0]}, "between -3.1 and 3.1"),
         ("hinge", {"about": [3.1]}, "contact of frame and crank"),
         ("hinge", {"boxes": 0}, "boxes"),
+        ("hinge", {"pairs": []}, "at least one"),
+        ("hinge", {"pairs": None}, "at least one"),
     ],
 )
 def test_bad_questions_about_a_free_range(joints, options, words):
     """Names, places outside the limits, and a place with contact."""
     with pytest.raises((InputError, UnknownNameError), match=words):
-        mechanisms.hinge().free_range(joints, pairs=[("frame", "crank")], **options)
+        mechanisms.hinge().free_range(joints, **{"pairs": [("frame", "crank")]} | options)
 
 
 # -- command line -------------------------------------------------------------------------------

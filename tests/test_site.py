@@ -255,6 +255,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot",
         " robot info",
         " robot check",
+        " clash",
         " plan",
         " verify",
         " audit",

@@ -465,6 +465,8 @@ def free_range(
     q = self.configuration() if about is None else self.checked_one(about, "about")
     every = prepared(self, scene, self._usually_skipped if pairs is None else (), scene.version, None)
     asked = [(int(a), int(b)) for a, b in every.pairs] if pairs is None else _asked(self, every, pairs)
+    if not asked:
+        raise InputError("pairs: expected at least one, found none: any range would count as free")
     kept = np.array([max(margin, scene.margin_of(every.names[a], every.names[b])) for a, b in asked])
     ready = _with_pairs(every, asked, kept)
     columns = [_column(self, name, q, given) for name in names]

@@ -699,7 +699,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            As for `prove_pairs`; also if the configuration is outside the limits, or pairs collide there.
+            As for `prove_pairs`; also if there are no pairs, the configuration is outside the limits, or pairs collide
+            there.
         UnknownNameError
             If there is no such value, link or body.
 
