@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,20 +73,23 @@ class _Question:
 
     Attributes
     ----------
-    names, columns : names of the bodies, and numbers of the values between them
+    names, pair : names of the bodies, and their numbers in `every`, which has all bodies of the robot and the scene
+    columns : numbers of the values between them
     ready : the two bodies on a robot that has only the joints between them
-    whole : the pair on the robot itself
     base : a configuration of the robot
-    lower, upper : the range; the pair is OPEN if it is not finite
+    lower, upper, complete : the range, and whether it has all of the hard limits
+    reason : why boxes cannot be halved further; usually empty
     levers : how far a point moves at most, for each value [m per rad or m]
-    slides : the joints between the bodies that slide
-    waiting : boxes that are neither proven nor examined, shape (n, 2, columns)
+    waiting : boxes that are neither proven nor examined, in arrays of shape (n, 2, columns)
+    always : whether contact everywhere is to be proven, and not its absence
+    colliding, free, nearest, distance, boxes, share : see `ProvenPair`
     """
 
     names: Pair
+    pair: tuple[int, int]
+    every: Problem
     columns: Ints
     ready: Problem
-    whole: Problem
     base: Floats
     lower: Floats
     upper: Floats
@@ -103,9 +107,14 @@ class _Question:
     def __post_init__(self) -> None:
         self.measured = self.ready.without_margins
         self.margin = float(self.ready.margins[0])
-        self.levers = _levers(self.ready, self.lower, self.upper)
+        self.levers = _levers(self.ready, 0, self.lower, self.upper)
 
     # -- single configurations -------------------------------------------------------------------
+
+    @cached_property
+    def whole(self) -> Problem:
+        """The pair on the robot itself."""
+        return _with_pairs(self.every, [self.pair], np.array([self.margin]))
 
     def configuration(self, q: Floats) -> Floats:
         """The configuration of the robot with these values between the bodies."""
@@ -268,7 +277,7 @@ class _Question:
         reason = ""
         if verdict in UNDECIDED:
             reason = self.reason or f"{len(self.columns)} values between the bodies take more boxes"
-        names = self.whole.robot.configuration_names
+        names = self.every.robot.configuration_names
         return ProvenPair(
             self.names, verdict, tuple(names[k] for k in self.columns), self.lower, self.upper, self.margin,
             self.distance, self.nearest, self.colliding, self.free, self.boxes, min(self.share, 1.0), self.complete,
@@ -346,9 +355,9 @@ def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> 
     return chain, np.array([number[link] for link in links if link >= 0], dtype=np.int64)
 
 
-def _levers(ready: Problem, lower: Floats, upper: Floats) -> Floats:
-    """How far any point of the first body, seen from the second one, moves at most for each value [m per rad or m]."""
-    tree, reach = ready.robot.tree, ready.standing.reach[0]
+def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> Floats:
+    """How far any point of a body, seen from the other one, moves at most for each value [m per rad or m]."""
+    tree, reach = ready.robot.tree, ready.standing.reach[body]
     slides, turns = [], []  # link, column, and multiplier
     for k in np.flatnonzero(tree.kind != kernel_columns.FIXED).tolist():
         at, by = int(tree.column[k]), abs(float(tree.multiplier[k]))
@@ -632,14 +641,14 @@ def _question(
     chain, numbers = _chain(whole, links, joints, columns)
     packs: list[Packed] = [every.packs[a], every.packs[b]]
     standing = every.standing.poses.reshape(-1, 16)[b - moving :][:1] if b >= moving else np.empty((0, 16))
-    if b < moving and _widest(chain, packs, numbers, lower, upper) > _widest(
-        chain, packs[::-1], numbers[::-1], lower, upper
-    ):
-        packs, numbers = packs[::-1], numbers[::-1]
     ready = _pair_problem(chain, packs, numbers, margin, standing)
+    if b < moving:
+        # The one that moves less, seen from the other one, is the one that moves in proofs.
+        first, second = (((upper - lower) * _levers(ready, body, lower, upper)).sum() for body in (0, 1))
+        if second < first:
+            ready = _pair_problem(chain, packs[::-1], numbers[::-1], margin, standing)
     base = np.clip(whole.configuration(), whole.hard_lower, whole.hard_upper)
-    own = _with_pairs(every, [pair], np.array([margin]))
-    return _Question(names, columns, ready, own, base, lower, upper, complete)
+    return _Question(names, pair, every, columns, ready, base, lower, upper, complete)
 
 
 def _with_pairs(every: Problem, pairs: list[tuple[int, int]], margins: Floats) -> Problem:
@@ -657,12 +666,6 @@ def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: floa
         chain, (0, 0), ("one", "other"), packs, np.ascontiguousarray(numbers), np.array([[0, 1]]), np.array([margin]),
         np.zeros(1, dtype=bool), np.zeros(1, dtype=bool),
     ).with_poses(standing, 0)  # fmt: skip
-
-
-def _widest(chain: Robot, packs: list[Packed], numbers: Ints, lower: Floats, upper: Floats) -> float:
-    """How far the first of two bodies moves at most, seen from the second one."""
-    levers = _levers(_pair_problem(chain, packs, numbers, 0.0, np.empty((0, 16))), lower, upper)
-    return float(((upper - lower) * levers).sum())
 
 
 def _settle(questions: list[_Question], boxes: int, progress: Progress | None, *, search: bool = True) -> None:
