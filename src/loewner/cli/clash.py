@@ -175,7 +175,7 @@ def _draw(found: ProvenPairs, robot: loewner.Robot, scene: loewner.Scene | None,
     """Draw the two bodies with the least distance, where they have it."""
     row = min(found, key=lambda row: np.nan_to_num(row.distance, nan=np.inf))
     if row.nearest is None:
-        print(f"note: {path} is not written, since no distance was needed")
+        print(f"note: {path} is not written, since no distance is known")
         return
     poses = dict(zip(robot.link_names, robot.forward_kinematics(row.nearest), strict=True))
     placed = []

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,6 @@ from loewner.bodies.layout import arrays_of
 from loewner.robots.pair_verdicts import PairVerdict, ProvenPair
 
 FOLDER = _sources.cache_folder() / "pairs"
-
-# Changes whenever answers are found or written in another way.
-VERSION = 1
 
 _ARRAYS = ("lower", "upper", "nearest", "colliding", "free")
 
@@ -60,11 +58,20 @@ def _start(robot: Any) -> str:
     return hashlib.sha256("\0".join(names).encode()).hexdigest()[:16]
 
 
+@cache
+def _code() -> str:
+    """Hash of the code that finds the answers."""
+    digest = hashlib.sha256((_sources.source_hash() or "").encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 def _path(robot: Any) -> Path:
     arrays: dict[str, Any] = {**robot.tree._asdict(), "hard_lower": robot.hard_lower, "hard_upper": robot.hard_upper}
     for name, body in robot.bodies.items():
         arrays |= {f"{name}/{key}": array for key, array in arrays_of(packed_of(body)).items()}
-    digest = _archives.digest(arrays | {"version": VERSION, "kernels": np.bytes_(_sources.source_hash() or "")})
+    digest = _archives.digest(arrays | {"code": np.bytes_(_code())})
     return FOLDER / f"{_start(robot)}-{digest[:32]}.pairs"
 
 

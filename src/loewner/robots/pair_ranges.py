@@ -64,7 +64,7 @@ OF_DEPTH, OF_SIZE = 1e-6, 1e-12
 UNDECIDED = (PairVerdict.CAN, PairVerdict.OPEN)
 
 # Starts of a search for the least distance, and its steps.
-STARTS, STEPS = 4, 60
+STARTS, STEPS = 4, 50
 
 
 @dataclass(eq=False)
@@ -151,8 +151,9 @@ class _Question:
     def descend(self) -> None:
         """Search for the least distance, from the nearest of the configurations that are tried first."""
         Q = self.lower + _low_discrepancy.points(TRIED, len(self.columns)) * (self.upper - self.lower)
-        known = [q[self.columns] for q in (self.colliding, self.nearest) if q is not None]
-        Q = np.minimum(np.maximum(np.concatenate([Q, *(q[None] for q in known)]), self.lower), self.upper)
+        if self.colliding is not None:
+            Q = np.concatenate([Q, self.colliding[None, self.columns]])
+        Q = np.clip(Q, self.lower, self.upper)
         values = self.signed(Q)
         best = np.argsort(values, kind="stable")[:STARTS]
         Q, values = Q[best], values[best]
@@ -169,14 +170,9 @@ class _Question:
         if np.isnan(values).all():
             return
         lowest = int(np.nanargmin(values))
-        self.note(Q[lowest], float(values[lowest]))
-        if self.colliding is None and self.distance <= self.margin:
+        self.distance, self.nearest = float(values[lowest]), self.configuration(Q[lowest])
+        if self.distance <= self.margin:
             self.look_at(Q[lowest : lowest + 1])
-
-    def note(self, q: Floats, distance: float) -> None:
-        """Keep a configuration if it is the nearest so far."""
-        if not self.distance <= distance:
-            self.distance, self.nearest = distance, self.configuration(q)
 
     def signed(self, Q: Floats) -> Floats:
         """Signed distances of the bodies; NaN where fast searches find none."""
@@ -686,8 +682,8 @@ def _settle(questions: list[_Question], boxes: int, progress: Progress | None, *
         before = question.boxes
         question.proceed(min(max(FIRST_BOXES, math.ceil(min(2 * question.to_go, boxes))), boxes))
         boxes -= question.boxes - before
-    for question in order:
-        if search and not question.proven_free:
-            question.descend()
+    if search:
+        for question in order:
+            question.descend()  # also for pairs that are proven: contact would be a contradiction
     if progress is not None:
         progress(len(order), len(order))

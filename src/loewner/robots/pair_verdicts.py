@@ -51,7 +51,7 @@ class ProvenPair:
     margin : float
         Distance in metres that counts as contact.
     distance : float
-        The least signed distance that was found [m]; a negative value is a depth. NaN if none was computed.
+        The least signed distance that was found [m]; a negative value is a depth. NaN if none could be computed.
     nearest : ndarray, shape (dof,), or None
         A configuration with this distance; values on which the pair does not depend are as in
         `Robot.configuration`.
