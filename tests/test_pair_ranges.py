@@ -285,6 +285,7 @@ def test_no_sample_refutes_a_proof_of_a_robot(name):
 
 
 @pytest.mark.verify
+@pytest.mark.filterwarnings("ignore:.*states that place the base:UserWarning")
 def test_pairs_of_talos():
     """At most one pair in twenty is open, of those with up to five values between its bodies."""
     few = [row for row in example_robot("talos").prove_pairs(cache=False) if len(row.columns) <= 5]
