@@ -218,14 +218,13 @@ class _Question:
 
     def free_in(self, boxes: Floats) -> Any:
         """Which boxes are proven free; a contact that is found is noted."""
-        low, high = boxes[:, 0], boxes[:, 1]
-        center = low + (high - low) / 2
-        half = np.nextafter(np.maximum(high - center, center - low), np.inf)
+        center, half = _center_and_half(boxes)
+        moved = self.moved(half)
         row, long = np.arange(len(boxes)), (half * self.levers).argmax(axis=1)
         a, b = center.copy(), center.copy()
-        a[row, long], b[row, long] = low[row, long], high[row, long]
+        a[row, long], b[row, long] = boxes[row, 0, long], boxes[row, 1, long]
         half[row, long] = 0.0
-        courses, moved = straight(self.ready.robot, a, b), self.moved(boxes)
+        courses = straight(self.ready.robot, a, b)
         proven = np.zeros(len(boxes), dtype=bool)
         for like in _of_like_size(moved):
             # At this tolerance, motions of such lengths are not halved, and their deviations do not count as rounding.
@@ -239,25 +238,24 @@ class _Question:
         if self.non_convex:
             open_ones = np.flatnonzero(~proven)
             near = self.signed(center[open_ones])
-            proven[open_ones] = near - _rounding(near, self.ready) > self.margin + self.moved(boxes[open_ones])
+            proven[open_ones] = near - _rounding(near, self.ready) > self.margin + moved[open_ones]
         return proven
 
     def collide_in(self, boxes: Floats) -> Any:
         """Which boxes are proven to be in contact everywhere; configurations without contact are noted."""
-        center = boxes[:, 0] + (boxes[:, 1] - boxes[:, 0]) / 2
+        center, half = _center_and_half(boxes)
         near = self.signed(center)
         if (near > self.margin).any():
             self.look_at(center[near > self.margin])
-        return near + _rounding(near, self.ready) < self.margin - self.moved(boxes)
+        return near + _rounding(near, self.ready) < self.margin - self.moved(half)
 
     @property
     def non_convex(self) -> bool:
         """Whether a body has triangles, for which proofs of motions may take a box."""
         return bool((self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any())
 
-    def moved(self, boxes: Floats) -> Floats:
+    def moved(self, half: Floats) -> Floats:
         """How far any point of one body, seen from the other one, is at most from its place in the middle of boxes."""
-        half = (boxes[:, 1] - boxes[:, 0]) / 2
         return np.asarray((half * self.levers).sum(axis=1) * UP)
 
     def answer(self) -> ProvenPair:
@@ -285,6 +283,13 @@ def _rounding(near: Floats, ready: Problem) -> Floats:
     """Error of computed distances and depths, rounded up."""
     size = ready.chain[1] + float(ready.packed.kernel.table[:, kernel_columns.REACH].max())
     return np.asarray(OF_DEPTH * np.abs(near) + OF_SIZE * size)
+
+
+def _center_and_half(boxes: Floats) -> tuple[Floats, Floats]:
+    """Return the middles of boxes, and how far their ends are from them at most."""
+    low, high = boxes[:, 0], boxes[:, 1]
+    center = low + (high - low) / 2
+    return center, np.nextafter(np.maximum(high - center, center - low), np.inf)
 
 
 def _of_like_size(sizes: Floats) -> Iterator[Ints]:
