@@ -14,7 +14,7 @@ import loewner
 import mechanisms
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, UnknownNameError, cli
 from loewner.errors import FileError
-from loewner.robots import pair_cache, pair_ranges
+from loewner.robots import distances, pair_cache, pair_ranges
 from loewner.robots.pair_verdicts import PairVerdict
 from mechanisms import ARM, BALL, HINGE_TOUCHES, ball, box, joint, link
 from robot_oracle import robots_folder
@@ -233,6 +233,24 @@ def test_neighbours_that_always_overlap():
     assert only(slides, "frame", "slide", limits={"slide": (0.0, 0.4 - 1e-9)}).verdict == "ALWAYS"
 
 
+def test_depths_of_round_pieces_are_within_their_allowance():
+    """Where two cylinders have a common axis, the search may stop beside the best direction; closed forms."""
+    rng, worst = np.random.default_rng(5), 0.0
+    for _ in range(60):
+        (r, s), (h, k) = rng.uniform(0.05, 0.5, 2).tolist(), rng.uniform(0.1, 0.6, 2).tolist()
+        robot = mechanisms.robot(
+            link("frame", (f'<cylinder radius="{r!r}" length="{h!r}"/>', (0.0, 0.0, 0.0))),
+            link("slide", (f'<cylinder radius="{s!r}" length="{k!r}"/>', (0.0, 0.0, 0.0))),
+            joint("slide", "prismatic", "frame", "slide", limits=(-1.0, 1.0)),
+        )  # fmt: skip
+        way = rng.uniform(-0.4, 0.4, (50, 1)) * (h + k)
+        ready = CollisionChecker(robot, skip_adjacent=False)._ready()
+        found = distances.nearest_columns(ready, way, True, care=False)[2]
+        depth = np.minimum(r + s, (h + k) / 2 - np.abs(way[:, 0]))
+        worst = max(worst, float(np.abs(found + depth).max()) / max(np.hypot(r, h / 2), np.hypot(s, k / 2)))
+    assert worst < pair_ranges.OF_CURVED / 5
+
+
 @pytest.mark.parametrize("model", ["hull", "surface"])
 def test_models_of_meshes(model):
     """Hulls and surfaces are proven, with links that move."""
@@ -429,6 +447,14 @@ def test_proven_pairs_in_an_srdf(tmp_path):
     path.write_text(mine)
     assert found.to_srdf(path) == ()
     assert path.read_text() == mine
+    mine = '\ufeff<?xml version="1.0"?>\r\n<robot name="mechanism">\r\n</robot >\r\n<!-- </robot> -->\r\n'
+    path.write_bytes(mine.encode())
+    assert found.to_srdf(path) == (("first", "second"),)
+    text = path.read_bytes().decode()
+    assert text.startswith(mine[:50])
+    assert text.endswith("</robot >\r\n<!-- </robot> -->\r\n")
+    assert "\n" not in text.replace("\r\n", "")
+    assert found.to_srdf(path) == ()
 
 
 @pytest.mark.parametrize(
@@ -502,6 +528,7 @@ def test_open_pairs_are_tried_again_with_more_boxes(cache):
     robot = mechanisms.hinge("continuous", None, 2 * BALL + 1e-6)
     assert robot.prove_pairs(boxes=1)[0].verdict == "OPEN"
     assert robot.prove_pairs(boxes=1)[0].boxes == 1
+    assert robot.prove_pairs([("frame", "crank"), ("crank", "frame")], boxes=1)[0].boxes == 1
     assert robot.prove_pairs(boxes=1000)[0].verdict == "NEVER"
     assert robot.prove_pairs(boxes=1)[0].verdict == "NEVER"
 
@@ -686,6 +713,7 @@ def test_clash_finds_the_largest_range(urdf, capsys):
         (["--limits", "hinge"], "JOINT=LOWER,UPPER"),
         (["--limits", "hinge=1"], "JOINT=LOWER,UPPER"),
         (["--limits", "hinge=1,0", "--all"], "1 above 0"),
+        (["--limits", "hinge=0,1", "--limits", "hinge=0,2", "--all"], "each joint once"),
         (["--between", "crank", "nobody"], "nobody"),
         (["--at", "0"], "--largest"),
         (["--largest", "hinge", "-o", "a.svg"], "--out"),

@@ -34,6 +34,8 @@ verdicts: NEVER and ALWAYS are proven for every configuration in the ranges of t
   SOMETIMES: one configuration with contact and one without are known. CAN: one with contact is known. OPEN: no contact
   was found, and not all is proven.
 
+--write-srdf adds what is proven, also if other pairs can collide.
+
 exit status: 0 all pairs are proven never to collide, 1 a pair can collide, 2 error, 3 no contact was found, but a pair
   is open; with --largest: 0 a range was found
 """
@@ -67,6 +69,9 @@ def add(commands: Any) -> None:
         "-o", "--out", type=Path, metavar="FILE", help="draw the deepest contact, or the nearest pair (.png or .svg)"
     )
     clash.add_argument("--write-srdf", type=Path, metavar="FILE", help="add the pairs that are proven to this SRDF")
+    clash.add_argument(
+        "--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits"
+    )
     clash.add_argument("--json", action="store_true", help="print JSON")
     clash.set_defaults(run=_run)
 
@@ -81,6 +86,8 @@ def _run(options: argparse.Namespace) -> int:
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     robot = inputs.robot(options)
     limits = dict(_limits(text) for text in options.limits)
+    if len(limits) < len(options.limits):
+        raise InputError("--limits: expected each joint once, found one again")
     pairs = _pairs(robot, scene, options)
     if options.largest:
         about = None
@@ -105,7 +112,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.out is not None:
         _draw(found, robot, scene, options.out)
     if options.write_srdf is not None:
-        written = found.to_srdf(options.write_srdf)
+        written = found.to_srdf(options.write_srdf, narrower=options.narrower)
         print(f"{options.write_srdf}: {len(written)} pairs added")
     verdicts = {row.verdict for row in found}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
@@ -168,7 +175,7 @@ def _print_ranges(ranges: dict[str, tuple[float, float]], as_json: bool) -> None
         print(json.dumps({name: list(ends) for name, ends in ranges.items()}, indent=2))
         return
     for name, (low, high) in ranges.items():
-        print(f"FREE       {name} from {low:.10g} to {high:.10g}")
+        print(f"FREE       {name} from {low:.13g} to {high:.13g}")
 
 
 def _draw(found: ProvenPairs, robot: loewner.Robot, scene: loewner.Scene | None, path: Path) -> None:

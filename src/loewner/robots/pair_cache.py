@@ -25,7 +25,7 @@ _ARRAYS = ("lower", "upper", "nearest", "colliding", "free")
 
 
 def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
-    """Return the answers that are kept for a robot, each with the number of boxes that were allowed for all pairs."""
+    """Return the answers that are kept for a robot, each with the number of boxes that were allowed for it."""
     known, start = {}, _start(robot)
     with suppress(OSError, _sealed.DamagedFileError, ValueError, KeyError, TypeError):
         if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # a digest takes milliseconds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -204,9 +205,13 @@ class ProvenPairs:
             f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {_comment(row.range_text)} -->\n'
             for row in new
         )
-        at = before.rindex("</robot")
+        # Not in a comment.
+        at = re.sub(r"<!--.*?-->", lambda comment: " " * len(comment[0]), before, flags=re.DOTALL).rindex("</robot")
+        after = before[:at] + lines.replace("\n", "\r\n" if "\r\n" in before else "\n") + before[at:]
+        if not {frozenset(row.names) for row in new} <= _listed(target, after):
+            raise FileError(f"{target}: expected an SRDF that ends in </robot>, found another end")
         with replacing(target) as temporary:
-            temporary.write_text(before[:at] + lines + before[at:], encoding="utf-8")
+            temporary.write_bytes(after.encode())
         return tuple(row.names for row in new)
 
 
@@ -227,5 +232,10 @@ def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:
         raise FileError(f"{path}: expected an SRDF in UTF-8, found another encoding ({error})") from None
     if name != robot or "</robot" not in text:
         raise FileError(f"{path}: expected an SRDF of the robot {robot!r} that ends in </robot>, found one of {name!r}")
-    pairs = [element.attributes for element in root.children if element.tag == "disable_collisions"]
-    return text, {frozenset((pair.get("link1", ""), pair.get("link2", ""))) for pair in pairs}
+    return text, _listed(path, text)
+
+
+def _listed(path: Path, text: str) -> set[frozenset[str]]:
+    """Return the pairs that the text of an SRDF lists."""
+    elements = read_xml(path, "an SRDF", text.removeprefix("\ufeff")).all("disable_collisions")
+    return {frozenset((one.attributes.get("link1", ""), one.attributes.get("link2", ""))) for one in elements}
