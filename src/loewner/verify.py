@@ -26,7 +26,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations, groupby, pairwise, product
-from math import isqrt, lcm
+from math import isqrt
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +129,8 @@ class Report:
         for a, b, margin, extents in self.ranges:
             lines.append(("pair", f"{_shown(a, b)} are farther apart than {1000 * margin:.12g} mm"))
             for name, low, high, whole in extents:
-                lines.append(("", f"for {_shown(name)} from {low!r} to {high!r}, {'' if whole else 'NOT '}all of its range"))
+                extent = f"{'' if whole else 'NOT '}all of its range"
+                lines.append(("", f"for {_shown(name)} from {low!r} to {high!r}, {extent}"))
         if not self.ranges:
             lines.append(("margin", f"{1000 * self.margins[0]:.12g} mm; {self.margins[1]} pairs have another one"))
             off = [(f"{_shown(name)}: ", x) for name, x in self.deviations if x] or [("", 0)]
@@ -421,8 +422,10 @@ class _Box(_Motion):
         self, number: int, margin: float, paths: Sequence[list[int]], ends: dict[int, list[float]],
         links: list[_Link], count: int,
     ) -> None:  # fmt: skip
-        rows = [[ends.get(value, (0.0, 0.0))[k] for value in range(count)] for k in (0, 1)]
-        super().__init__(number, rows, links, [0.0] * count)
+        rows: list[list[float]] = [[0] * count for _ in range(3)]
+        for value, (low, high) in ends.items():
+            rows[0][value], rows[1][value] = low, high
+        super().__init__(number, rows[:2], links, rows[2])
         self.margin, self.paths, self.links, self.local = margin, paths, links, dict[Pair, Pose]()
         self.sides = [(k, Fraction(low), Fraction(high) - Fraction(low)) for k, (low, high) in ends.items()]
         self.bends = dict[Pair, list[int]]()  # the bounds B_c
@@ -435,8 +438,8 @@ class _Box(_Motion):
                 link = self.links[k]
                 t = share.get(link.value, 0)
                 if (k, t) not in self.local:
-                    value = next((low + width * t / (1 << DEEPEST) for v, low, width in self.sides if v == link.value), 0)
-                    self.local[k, t] = link.pose(Fraction(value))
+                    ends = (low + width * t / (1 << DEEPEST) for v, low, width in self.sides if v == link.value)
+                    self.local[k, t] = link.pose(next(ends, Fraction(0)))
                 turn, shift = self.local[k, t]
                 if k != path[-1]:
                     base, place = found[link.above]
@@ -563,18 +566,18 @@ class _Checker:
             if not before < pair or not pair[0] < pair[1] < len(self.bodies):
                 raise Refused(f"The pair {pair[0]}, {pair[1]} of bodies is out of order, or does not exist.")
             self.spend(2000 + 100 * len(self.links))
-            paths = self.paths(*(self.bodies[k].link for k in pair))
+            paths, names = self.paths(*(self.bodies[k].link for k in pair)), _shown(*self.named(pair))
             between = [self.links[k] for path in paths for k in path if self.links[k].kind and self.links[k].by]
             ends = {value: self.reader.doubles(2) for value in sorted({link.value for link in between})}
             if any(low > high for low, high in ends.values()) or sum(a < b for a, b in ends.values()) > MOST_SIDES:
-                raise Refused(f"{_shown(*self.named(pair))}: a range is upside down, or there are more than {MOST_SIDES}.")
+                raise Refused(f"{names}: a range is upside down, or more than {MOST_SIDES} ranges have a width.")
             self.tree(_Box(number, margin, paths, ends, self.links, len(self.values)), pair)
             before, found = pair, list[Range]()
             for value, (low, high) in ends.items():
                 name, least, most = self.values[value]
                 joints = [link for link in between if link.value == value]
-                turn = lcm(*(link.by.denominator for link in joints)) * 4 * (HALF_PI + 1)  # not less than a full turn
-                whole = all(link.kind == 1 for link in joints) and (Fraction(high) - Fraction(low)) * (ONE << 24) >= turn
+                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # the others divide the largest
+                whole = all(link.kind == 1 for link in joints) and _down(Fraction(high) - Fraction(low), GUARD) >= turn
                 found.append((name, low, high, whole or (low <= least and most <= high)))
             self.ranges.append((*self.named(pair), margin, tuple(found)))
         self.sizes |= {"pairs": len(self.ranges), "boxes": self.sizes.pop("intervals")}

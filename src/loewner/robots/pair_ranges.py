@@ -509,7 +509,7 @@ robot.answers |= {"prove_pairs": prove_pairs, "free_range": free_range}
 def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[Claim]:
     """The rows as a proof states them; all have to be NEVER."""
     if not rows:
-        raise InputError("proof: expected pairs with joints between their bodies, found none; there is nothing to prove")
+        raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
     place, found = {name: k for k, name in enumerate(every.names)}, list[Claim]()
     for row in rows:
         if row.verdict is not PairVerdict.NEVER:

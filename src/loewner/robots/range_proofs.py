@@ -1,8 +1,8 @@
 """Write proofs that pairs are never nearer than a margin over ranges of values, see docs/proof-format.md.
 
-The box of all values between two bodies is halved until a plane separates the bodies in each part. The plane is that of
-the nearest points in the middle of the box, and its condition is about the corners. Boxes are examined in batches, with
-floating point and with room for the checkers' rounding.
+The box of all values between two bodies is halved until a plane separates the bodies in each part. The plane is
+perpendicular to the shortest way between the bodies in the middle of the box, and its condition is about the corners.
+Boxes are examined in batches, with floating point and with room for the checkers' rounding.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from loewner.robots.written_proofs import FARTHEST_TURN, RANGES, VERSION, Proof,
 # Files are not larger [bytes], and take checkers fewer products of a point and a normal.
 MOST_BYTES, MOST_WORK = 5_000_000, 2**29
 
-# Nodes of the trees of all pairs together, and levels of a tree.
-MOST_NODES, DEEPEST = 2**19, 64
+# Nodes of the trees of all pairs together, levels of a tree, and halvings of a side, whose ends are exact doubles.
+MOST_NODES, DEEPEST, MOST_HALVED = 2**19, 64, 48
 
 # Corners that are examined at a time, and sides of a box: planes are checked at all corners.
 AT_ONCE, MOST_SIDES = 4096, 8
 
 # Room for checkers that compute with enclosures: shares of the terms of the condition, and of the model's size.
-OF_TERMS, OF_SIZE = 1e-8, 2e-11
+OF_TERMS, OF_SIZE = 2e-9, 2e-11
 
 # A plane is written in 16 bits a coordinate if the gap exceeds the margin by this share of the size of the bodies.
 COARSE, LONGEST = 3e-4, 32767
@@ -69,18 +69,18 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
     Raises
     ------
     InputError
-        If a pair has a surface, or a planar joint between its bodies, if a joint turns too far, or if the file would
-        be larger than `MOST_BYTES`.
+        If a body of a pair has a surface, if a joint turns too far, if too many values are between two bodies, or if
+        the file would be larger than `MOST_BYTES`.
     ConvergenceError
         If the bounds of the format do not suffice: a pair comes too near to its margin.
     """
-    blocks, nodes = [struct.pack("<I", len(claims))], 0
+    blocks, nodes, work = [struct.pack("<I", len(claims))], 0, 0
     for claim in sorted(claims, key=lambda claim: claim.pair):
         names = " and ".join(ready.names[k] for k in claim.pair)
         _refuse(model, ready, claim, names)
-        search = _Search(model, ready, claim, names, MOST_NODES - nodes)
+        search = _Search(model, ready, claim, names, MOST_NODES - nodes, MOST_WORK - work)
         tree = search.tree()
-        nodes += search.nodes
+        nodes, work = nodes + search.nodes, work + search.work
         ends = np.column_stack([search.lower, search.upper])
         blocks += [struct.pack("<IId", *claim.pair, claim.margin), ends.astype("<f8").tobytes(), tree]
     block = b"".join(blocks)
@@ -96,10 +96,6 @@ def _refuse(model: Model, ready: Problem, claim: Claim, names: str) -> None:
     """Refuse pairs that cannot be written."""
     if any((ready.packs[k].layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any() for k in claim.pair):
         raise InputError(f"proof: expected bodies of convex pieces, found a surface in {names}")
-    links = model.links
-    for k in itertools.chain(*_path(links, *(int(model.link[k]) for k in claim.pair))):
-        if links.moves[k] != STAYS and links.of_robot[k] < 0:
-            raise InputError(f"proof: expected joints that turn or slide between {names}, found a planar joint")
     if not (np.abs([claim.lower, claim.upper]) < LARGEST).all():
         raise InputError(f"proof: expected ranges below {LARGEST:g}, found others for {names}")
 
@@ -218,9 +214,7 @@ class _Shape:
         self.points = [
             (points if kind == HULL else points[:1]) @ M.T + s for kind, points in zip(self.kind, own, strict=True)
         ]
-        self.factor = [
-            None if kind == HULL else M @ points[1:] for kind, points in zip(self.kind, own, strict=True)
-        ]
+        self.factor = [None if kind == HULL else M @ points[1:] for kind, points in zip(self.kind, own, strict=True)]
         wide = {HULL: 0.0, BALL: 1.0, CYLINDER: np.sqrt(2.0), CONE: np.sqrt(2.0)}
         radii = np.concatenate([
             np.full(len(points), r + (0.0 if G is None else wide[int(kind)] * np.linalg.norm(G)))
@@ -295,8 +289,9 @@ Level = dict[Parts, list[_Boxes]]
 class _Search:
     """The search for the tree of a pair."""
 
-    def __init__(self, model: Model, ready: Problem, claim: Claim, names: str, most: int) -> None:
-        self.joints, self.claim, self.names, self.most = _Joints(model, claim), claim, names, most
+    def __init__(self, model: Model, ready: Problem, claim: Claim, names: str, most: int, most_work: int) -> None:
+        self.joints, self.claim, self.names = _Joints(model, claim), claim, names
+        self.most, self.most_work = most, most_work
         self.lower, self.upper = self.joints.lower, self.joints.upper
         self.width = self.upper - self.lower
         self.shapes = [_Shape(model, ready, k) for k in claim.pair]
@@ -309,7 +304,7 @@ class _Search:
                 f"proof: expected at most {MOST_SIDES} values with a range between two bodies, found {len(self.sides)} "
                 f"between {names}"
             )
-        # Of each node: its token, the value across which it is halved, its plane, and the first of its two parts.
+        # For each node: its token, the value across which it is halved, its plane, and the first of its two parts.
         self.kind, self.value, self.plane, self.part = ([0] for _ in range(4))
         self.planes: list[tuple[int, Floats, bool]] = []  # the lower body, the normal, and whether it has doubles
         self.work = 0
@@ -350,7 +345,7 @@ class _Search:
         share = boxes.at + np.ldexp(0.5, -boxes.halvings)
         turn, shift = self.joints.seen(self.lower + share * self.width)
         gap, normal = self._nearest(parts, turn, shift)
-        if len(gap) and not gap.min() > self.claim.margin + self.room:
+        if not gap.min() > (1.0 + OF_TERMS) * self.claim.margin + self.room:
             raise self._too_near("they come nearer than the room for rounding that proofs leave")
         size = max(shape.size for shape in self.shapes)
         fine = gap - self.claim.margin < COARSE * size
@@ -408,7 +403,7 @@ class _Search:
         return np.asarray(found.distance), np.asarray(found.normal)
 
     def _conditions(self, boxes: _Boxes, parts: Parts, low: int, given: Floats) -> tuple[Bools, Floats, Floats]:
-        """Whether the conditions of planes hold, the room in the middle of boxes, and how much each side takes of it."""
+        """Whether the conditions of planes hold, the room in the middle of boxes, and the share of each side in it."""
         lower, count = self.shapes[low], len(given)
         n = given @ lower.turn.T
         norm = np.linalg.norm(n, axis=1)
@@ -444,7 +439,7 @@ class _Search:
         """Divide boxes: across a value, or their pieces."""
         if len(boxes.node) == 0:
             return
-        if self.nodes + 2 * len(boxes.node) > self.most or self.work > MOST_WORK:
+        if self.nodes + 2 * len(boxes.node) > self.most or self.work > self.most_work:
             raise InputError(
                 f"proof: expected a file of at most {MOST_BYTES} bytes, found that {self.names} take more over these "
                 "ranges; prove a smaller margin, fewer pairs or narrower ranges"
@@ -476,6 +471,8 @@ class _Search:
         for k, value in zip(halved.tolist(), side.tolist(), strict=True):
             self.value[boxes.node[k]] = value
         one, row = boxes.some(halved), np.arange(len(halved))
+        if one.halvings.max() >= MOST_HALVED:
+            raise self._too_near("its tree would be too deep")
         halvings, other = one.halvings.copy(), one.at.copy()
         halvings[row, side] += 1
         other[row, side] += np.ldexp(1.0, -halvings[row, side])
