@@ -436,9 +436,11 @@ def prove_pairs(
     _validate.callback(progress, "progress")
     scene = _standing(scene)
     given = _checked_limits(self, limits)
-    ready = prepared(self, scene, self._usually_skipped, scene.version, None)
-    model = model_of(ready) if _validate.flag(proof, "proof") else None
-    every = prepared(self, scene, (), scene.version, ready)
+    stated = None
+    if _validate.flag(proof, "proof"):
+        ready = prepared(self, scene, self._usually_skipped, scene.version, None)
+        stated = model_of(ready), ready  # refused at once where there is none
+    every = prepared(self, scene, (), scene.version, None)
     asked = _asked(self, every, pairs)
     kept = cache and not given and margin == 0.0 and not scene.names and not scene.margins
     known = known_pairs(self) if kept else {}
@@ -457,7 +459,7 @@ def prove_pairs(
         keep(self, (found[names] for names in questions), boxes)
     rigid = tuple(names for names, one in found.items() if one is None)
     rows = tuple(one for one in found.values() if one is not None)
-    made = None if model is None else proof_of_ranges(model, ready, _claims(self, every, rows))
+    made = None if stated is None else proof_of_ranges(*stated, _claims(self, every, rows))
     return ProvenPairs(self.name, rows, rigid, made)
 
 
