@@ -256,7 +256,7 @@ def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F
             continue
         pair = tuple(sorted(ready.names.index(name) for name in row.names))
         columns = np.array([robot.configuration_names.index(name) for name in row.columns])
-        for _ in range(6):  # a range about the nearest place
+        for _ in range(4):  # a range about the nearest place
             low, high = row.nearest[columns] + rng.uniform(0.1, 0.6, (2, len(columns))) * [[-1.0], [1.0]]
             claim = range_proofs.Claim(pair, row.distance + 1e-9, columns, low, high)
             try:
@@ -266,6 +266,24 @@ def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F
             written += 1
             assert not agrees(made.data)
     assert written
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_both_checkers_have_the_same_bounds(seed, agrees):  # noqa: F811
+    """They verify proofs up to the same margin: up to rounding, where the plane with the least to spare fails."""
+    robot, tried = mechanisms.random_tree(seed), 0
+    rows = robot.prove_pairs(itertools.combinations(robot.bodies, 2), boxes=500, cache=False).with_verdict("NEVER")
+    for row in rows[:6]:
+        try:
+            data = proven(robot, row.names, boxes=500).proof.data
+        except ConvergenceError:  # too near to contact
+            continue
+        at, spare = len(data) - 32 - Proof(data).size + 12, float(verify(data).tightest[-1])
+        for more, holds in ((-1e-9, True), (1e-9, False)):
+            if spare + more >= 0:
+                assert agrees(resealed(data[:at] + doubles(spare + more) + data[at + 8 :])) == holds
+                tried += 1
+    assert tried or not rows
 
 
 # -- files made by hand -------------------------------------------------------------------------
