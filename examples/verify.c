@@ -1,7 +1,9 @@
-/* Checks a proof that motions of a robot are free of collisions, or that two bodies have a common point.
+/* Checks a proof that motions of a robot are free of collisions, that pairs of bodies are so over ranges of the joints
+ * between them, or that two bodies have a common point.
  * Build:  gcc -std=c11 -O2 verify.c -o verify -lm        Use:  ./verify file.proof
  * It prints "verified: FREE, ..." (exit 0), "verified: COLLIDING, ..." or "refused: why" (exit 1); exit 2: no such file.
  * If pairs may be in contact at ends of motions, it prints "verified: FREE, except for ..." and a line for each contact.
+ * If the proof is about ranges, it prints "verified: FREE, ... in ranges", and lines for each pair.
  *
  * The page proof-format.md defines the format and what is checked. All real numbers are enclosed: next to each computed
  * double there is a bound of its distance to the true number, which grows with each rounding by more than the rounding's
@@ -24,7 +26,7 @@
 #endif
 #define FOR(i, n) for (int i = 0; i < (n); i++)
 #define EACH(i, n) for (size_t i = 0; i < (n); i++)
-enum { MAX_DEPTH = 64, MAX_BODIES = 65536, MAX_LINKS = 1000, MAX_DEGREE = 31, MAX_FILE = 1 << 24 };
+enum { MAX_DEPTH = 64, MAX_BODIES = 65536, MAX_LINKS = 1000, MAX_DEGREE = 31, MAX_FILE = 1 << 24, MAX_SIDES = 8 };
 _Noreturn static void refuse(const char *why) { printf("refused: %s\n", why), exit(1); }
 static void *allocate(size_t count, size_t size) { /* room for one more, and zeros */
     void *p = calloc(count + 1, size);
@@ -199,6 +201,7 @@ static Body *bodies;
 static Piece *pieces;
 static Pair *pairs, *pair; /* all to check; the one at hand */
 static size_t link_count, value_count, body_count, pair_count, hollow_count;
+static double *limits; /* two of each value */
 static Pose world;
 static void scale(Num *x, int n) { /* by a power of 2, so that squares are harmless */
     double largest = 0;
@@ -317,16 +320,17 @@ static void read_rules(Block *b) {
         p->rule = ends;
     }
 }
-static void read_model(Block b, size_t pair_limit, int with_rules) {
+static void read_model(Block b, size_t claim, size_t pair_limit, int with_rules) {
     FOR(i, 9) world.r[i] = num(i % 4 == 0);
     link_count = counted(&b, 107);
     if (link_count > MAX_LINKS) refuse("too many links");
     links = allocate(link_count, sizeof *links);
     EACH(i, link_count) read_link(&b, (long)i, links + i);
     value_count = counted(&b, 18);
+    limits = allocate(2 * value_count, sizeof *limits);
     EACH(i, value_count) {
         name(&b);
-        FOR(k, 2) if (isnan(plain(bytes(&b, 8)))) refuse("a limit is not a number");
+        FOR(k, 2) if (isnan(limits[2 * i + (size_t)k] = plain(bytes(&b, 8)))) refuse("a limit is not a number");
     }
     EACH(i, link_count) if (links[i].value >= (long)value_count) refuse("a link follows a value that does not exist");
     body_count = counted(&b, 144);
@@ -336,8 +340,8 @@ static void read_model(Block b, size_t pair_limit, int with_rules) {
     pieces = allocate(b.left / 37, sizeof *pieces);
     for (size_t i = 0, first = 0; i < body_count; first += bodies[i++].count) read_body(&b, bodies + i, first, &x);
     read_pairs(&b, pair_limit);
-    if (pair_count > pair_limit) refuse("the proof is too short for all pairs");
-    if (with_rules) read_rules(&b);
+    if (pair_count > pair_limit) refuse("the proof is too short for all pairs, or these are too many");
+    if (with_rules && (claim != 3 || b.left)) read_rules(&b);
     if (b.left) refuse("the model has more bytes than it uses");
 }
 
@@ -404,6 +408,7 @@ static void local_pose(const Link *l, Num t, Pose *out) { /* from the link to th
         out->et = errors(out->t, 3);
     }
 }
+static Num share(uint64_t k, int h) { return (Num){ldexp((double)k, -h), k >> 53 ? ldexp((double)k, -h) * 0x1p-52 : 0}; }
 static const Pose *poses(uint64_t k, int h) { /* of all links in the world, at t = k / 2^h */
     while (h > 0 && k % 2 == 0) k /= 2, h--;
     uint64_t mixed = (k * 64 + (uint64_t)h + (uint64_t)(motion - motions) * 0x1000003) * 0x9e3779b97f4a7c15;
@@ -412,7 +417,7 @@ static const Pose *poses(uint64_t k, int h) { /* of all links in the world, at t
     Time *at = cached + slot;
     if (at->motion == motion && at->k == k && at->h == h) return out;
     *at = (Time){k, motion, h};
-    Num t = {ldexp((double)k, -h), k >> 53 ? ldexp((double)k, -h) * 0x1p-52 : 0};
+    Num t = share(k, h);
     EACH(i, link_count)
         local_pose(links + i, t, &local), compose(links[i].up < 0 ? &world : out + links[i].up, &local, out + i);
     return out;
@@ -502,6 +507,68 @@ static void tell_contacts(void) {
     }
 }
 
+/* --------------------------------------------------------------------------------------------------------- Ranges
+ * A pair over ranges is checked like a straight motion from the lower ends to the upper ones, at which each value has its
+ * own t. Side v of the box reaches from k / 2^h to (k + 1) / 2^h of the range. B: for each body as the lower one, the
+ * bounds of the second derivatives, which are A if only this value moves, at the speed 1; negative if not known yet. */
+typedef struct { size_t value; double low, high, B[2]; uint64_t k; int h, whole; } Side;
+typedef struct { uint64_t key; double margin; size_t first, count; } Told;
+static Side *sides, *side; /* of all pairs; the first one of the pair at hand */
+static size_t side_count; /* of the pair at hand */
+static int in_ranges;
+static Told *tells; /* all pairs, to be printed at the end */
+static size_t tell_count;
+static Pose *placed; /* poses of the links between the two bodies, as seen from the common one */
+static long path[MAX_LINKS];
+static size_t path_count;
+static void find_path(long a, long b) { /* the links between two links, each after the one above it, and the common one */
+    path_count = 0;
+    for (; a != b; path_count++) path[path_count] = a > b ? a : b, *(a > b ? &a : &b) = links[a > b ? a : b].up;
+    if (a >= 0) placed[a] = world;
+    for (size_t i = 0; i < path_count / 2; i++) {
+        const long last = path[path_count - 1 - i];
+        path[path_count - 1 - i] = path[i], path[i] = last;
+    }
+}
+static void place_corner(int corner) { /* bit v of the corner counts the v-th side that has a width */
+    Pose local;
+    EACH(i, path_count) {
+        const Link *l = links + path[i];
+        Num t = num(0);
+        for (int v = 0, bit = 0; v < (int)side_count; v++) {
+            const Side *s = side + v;
+            const int end = s->low < s->high ? corner >> bit++ & 1 : 0;
+            if (l->kind && (long)s->value == l->value && s->low < s->high)
+                t = end && s->k + 1 == (s->h == 64 ? 0 : (uint64_t)1 << s->h) ? num(1) : share(s->k + (uint64_t)end, s->h);
+        }
+        local_pose(l, t, &local), compose(l->up < 0 ? &world : placed + l->up, &local, placed + path[i]);
+    }
+}
+static double bent(int low, const Body *lower, const Body *upper) { /* the sum of B (2 h)^2 / 8 */
+    double sum = 0;
+    for (Side *s = side; s < side + side_count; s++) if (s->low < s->high) {
+        steps[s->value] = 1;
+        if (s->B[low] < 0) s->B[low] = carried(lower, upper).A;
+        steps[s->value] = 0;
+        const double w = ldexp(more(s->high - s->low), -s->h);
+        sum = more(sum + s->B[low] * w * w / 8);
+    }
+    return sum;
+}
+static int whole_range(const Side *s) { /* Does it hold the limits, or a full turn of all joints that follow it? */
+    Num width = sub(num(s->high), num(s->low));
+    int turns = 1, halvings = 0;
+    EACH(i, path_count) {
+        const Link *l = links + path[i];
+        if (l->kind == 0 || l->value != (long)s->value || l->m.v == 0) continue;
+        if (l->kind != 1) turns = 0;
+        while (halvings < 20 && ldexp(l->m.v, halvings) != rint(ldexp(l->m.v, halvings))) halvings++;
+        if (ldexp(l->m.v, halvings) != rint(ldexp(l->m.v, halvings))) turns = 0;
+    }
+    if (turns && width.v - width.e >= ldexp(6.283185307179587, halvings)) return 1; /* this is above 2 pi */
+    return s->low <= limits[2 * s->value] && s->high >= limits[2 * s->value + 1];
+}
+
 /* ---------------------------------------------------------------------------------------------------------- Trees */
 typedef struct { uint64_t k; int h; size_t first[2], count[2]; } Part; /* t from k / 2^h to (k + 1) / 2^h; pieces of i, j */
 static Ball bounds[2]; /* with A and V, for each body as the lower one; the radius is negative if not known yet */
@@ -522,18 +589,24 @@ static void check_plane(const Part *p) {
     scale(N, 3), apply(lower->M, N, 0, n), scale(n, 3);
     FOR(a, 3) n[a].e = 0; /* any normal will do, so we take a multiple of the rounded one */
     double len = length(n, 3), s = support(lower, p->first[low], p->count[low], n);
-    double need = above(required(p), more(ldexp(bounds[low].A, -2 * p->h) / 8 + bounds[low].V));
+    double rest = in_ranges ? bent(low, lower, upper) : more(ldexp(bounds[low].A, -2 * p->h) / 8 + bounds[low].V);
+    double need = above(in_ranges ? pair->margin : required(p), rest);
     double right = need < 0 ? len * (1 - 0x1p-40) * need * (1 - 0x1p-40) : more(len * need); /* len is too long by less */
-    FOR(end, 2) {
+    int places = 2;
+    if (in_ranges) places = 1;
+    if (in_ranges) EACH(v, side_count) if (side[v].low < side[v].high) places *= 2;
+    FOR(end, places) {
         uint64_t k = p->k + (uint64_t)end;
-        const Pose *all = end && k == 0 ? poses(1, 0) : poses(k, p->h); /* 2^64 / 2^64 does not fit */
+        if (in_ranges) place_corner(end);
+        const Pose *all = in_ranges ? placed : end && k == 0 ? poses(1, 0) : poses(k, p->h); /* 2^64 / 2^64 does not fit */
         const Pose *l = lower->link < 0 ? &world : all + lower->link, *u = upper->link < 0 ? &world : all + upper->link;
         apply(l->r, n, 0, x), apply(u->r, x, 1, m), combine(l->t, u->t, -1, d);
         FOR(a, 3) m[a] = neg(m[a]);
         double minus_g = above(top(dot(x, d)), support(upper, p->first[up], p->count[up], m)), left = -above(minus_g, s);
         if (!(left > right)) {
-            snprintf(text, sizeof text, "plane %zu (motion %zu, bodies %zu and %zu, t = %.6g): %.9g m, %.9g m are needed",
-                     plane_count, (size_t)(motion - motions), i, j, ldexp((double)p->k + end, -p->h), left / len, need);
+            snprintf(text, sizeof text, "plane %zu (%s %zu, bodies %zu and %zu, t = %.6g): %.9g m, %.9g m are needed",
+                     plane_count, in_ranges ? "corner" : "motion", in_ranges ? (size_t)end : (size_t)(motion - motions), i, j,
+                     in_ranges ? 0 : ldexp((double)p->k + end, -p->h), left / len, need);
             refuse(text);
         }
         tightest = fmin(tightest, (left - right) / len);
@@ -544,7 +617,13 @@ static void tree(Block *b, Part p, int depth) {
     Part q = p;
     unsigned token = u8(b), w = token == 2;
     if (depth > MAX_DEPTH || token > 19) refuse("a tree is too deep, or has an unknown token");
-    if (token == 0) {
+    if (token == 0 && in_ranges) {
+        const size_t v = u8(b);
+        if (v >= side_count) refuse("a box has no such value");
+        const Side before = side[v];
+        side[v].k *= 2, side[v].h++, tree(b, q, depth + 1), side[v].k++, tree(b, q, depth + 1);
+        side[v].k = before.k, side[v].h = before.h;
+    } else if (token == 0) {
         q.k *= 2, q.h++, tree(b, q, depth + 1), q.k++, tree(b, q, depth + 1);
     } else if (token <= 2) {
         q.count[w] /= 2;
@@ -591,6 +670,56 @@ static void check_motions(Block *b, int with_contacts) {
     printf("verified: FREE, ");
     if (contact_count) printf("except for %zu contacts, ", contact_count);
     printf("%zu motions, %zu pairs, %zu planes, tightest %.3g m", n, pair_count, plane_count, tightest);
+}
+
+static void check_ranges(Block *b) {
+    const size_t n = counted(b, 17);
+    Told *told = allocate(n, sizeof *told);
+    Pair own = {0, 0, {0, 0, 0}, 0, 0};
+    Motion ends = {NULL, 1};
+    uint8_t *numbers = allocate(2 * value_count, 8);
+    if (n == 0) refuse("a proof without pairs");
+    side = sides = allocate(b->left / 16, sizeof *sides), placed = allocate(link_count, sizeof *placed);
+    steps = allocate(3 * value_count, sizeof *steps), bends = steps + value_count, deviation = bends + value_count;
+    motions = motion = &ends, ends.points = numbers, pair = &own, in_ranges = 1;
+    for (Told *t = told; t < told + n; t++) {
+        const uint64_t i = u32(b), j = u32(b);
+        int open = 0;
+        own = (Pair){i << 32 | j, size(b), {0, 0, 0}, 0, 0};
+        if (i >= j || j >= body_count || (t > told && t[-1].key >= own.key)) refuse("a pair is out of order");
+        const Body *o = bodies + i, *q = bodies + j;
+        find_path(o->link, q->link), side_count = 0, memset(numbers, 0, 16 * value_count);
+        EACH(v, value_count) {
+            int between = 0;
+            EACH(k, path_count) {
+                const Link *l = links + path[k];
+                between |= l->kind && l->value == (long)v && l->m.v != 0;
+            }
+            if (!between) continue;
+            Side *s = side + side_count++;
+            memcpy(numbers + 8 * v, b->p, b->left < 16 ? 0 : 8);
+            memcpy(numbers + 8 * (value_count + v), b->p + 8, b->left < 16 ? 0 : 8);
+            *s = (Side){v, real(b, -INFINITY), 0, {-1, -1}, 0, 0, 0};
+            s->high = real(b, s->low), s->whole = whole_range(s), open += s->low < s->high;
+        }
+        if (open > MAX_SIDES) refuse("a box has more sides than this program takes");
+        bounds[0].r = bounds[1].r = -1;
+        tree(b, (Part){0, 0, {o->first, q->first}, {o->count, q->count}}, 0);
+        *t = (Told){own.key, own.margin, (size_t)(side - sides), side_count};
+        side += side_count;
+    }
+    if (b->left) refuse("the proof has more bytes than it uses");
+    printf("verified: FREE, %zu pairs in ranges, %zu planes, tightest %.3g m", n, plane_count, tightest);
+    tells = told, tell_count = n;
+}
+static void tell_ranges(void) {
+    for (const Told *t = tells; t < tells + tell_count; t++) {
+        printf("pair: bodies %zu and %zu are farther apart than %.17g m\n", (size_t)(t->key >> 32),
+               (size_t)(t->key & 0xffffffff), t->margin);
+        for (const Side *s = sides + t->first; s < sides + t->first + t->count; s++)
+            printf("    for value %zu from %.17g to %.17g, %sall of its range\n", s->value, s->low, s->high,
+                   s->whole ? "" : "NOT ");
+    }
 }
 
 /* -------------------------------------------------------------------------------------------------- Common points */
@@ -671,16 +800,17 @@ int main(int argc, char **argv) {
     Block all = {data, n};
     if (memcmp(bytes(&all, 8), "LOEWNERP", 8) != 0) refuse("not a proof");
     const size_t version = u32(&all), kind = u32(&all), model_size = u32(&all), proof_size = u32(&all);
-    if (version < 1 || version > 2 || kind < 1 || kind > 3 - version) refuse("the version or the claim is unknown");
+    const int known = (version == 1 && (kind == 1 || kind == 2)) || (version == 2 && (kind == 1 || kind == 3));
+    if (!known) refuse("the version or the claim is unknown");
     if ((uint64_t)model_size + proof_size + 32 != all.left) refuse("a length is wrong");
     sha256(data, n - 32, hash);
     if (memcmp(hash, data + n - 32, 32) != 0) refuse("the file's hash is wrong");
     Block model = {bytes(&all, model_size), model_size}, proof = {bytes(&all, proof_size), proof_size};
-    read_model(model, kind == 1 ? proof_size : SIZE_MAX, version == 2);
-    kind == 1 ? check_motions(&proof, version == 2) : check_point(&proof);
+    read_model(model, kind, kind == 1 ? proof_size : MAX_FILE, version == 2);
+    kind == 1 ? check_motions(&proof, version == 2) : kind == 2 ? check_point(&proof) : check_ranges(&proof);
     if (hollow_count) printf(", %zu bodies with interiors that are not covered", hollow_count);
     sha256(model.p, model_size, hash);
     FOR(i, 32) printf("%s%02x%s", i ? "" : ", model ", hash[i], i < 31 ? "" : "\n");
-    tell_contacts();
+    tell_contacts(), tell_ranges();
     return kind == 2;
 }

@@ -25,7 +25,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import combinations, groupby, pairwise
+from itertools import combinations, groupby, pairwise, product
 from math import isqrt
 from pathlib import Path
 from typing import Any
@@ -37,16 +37,20 @@ GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GU
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
 TURN, DEEPEST = 64, 64  # error of a rotation for each link of its chain (derived: 41); the deepest nesting of a tree
 MOST_LINKS, MOST_BYTES, MOST_DEGREE, MOST_STILL = 1000, 1 << 24, 31, 100  # the last: links with a common point
+MOST_SIDES = 8  # of a box of values; each plane is checked at all of its corners
 MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
 Names = tuple[str, str]
 Tightest = tuple[str, str, int, Fraction, Fraction, float, Fraction]
 Contact = tuple[str, str, int, Fraction, Fraction, float]
+Range = tuple[str, float, float, bool]
+Pose = tuple[Whole, Whole]
 Stretch = tuple[str, str, tuple[int, Fraction], tuple[int, Fraction], float]
 Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
 EVERY = [(i, k) for i in range(3) for k in range(3)]
+STILL: Pose = (ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0)
 
 
 class Refused(Exception):
@@ -74,6 +78,10 @@ class Report:
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
         Pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3); where they may be:
         two bodies, a motion, an interval, and their least distance in metres, negative for an overlap.
+    ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
+        Two bodies, their margin in metres, and for each value between them its name, the ends of the range over which
+        they are farther apart, and whether these are all that the value can be; for a file with this claim. The last
+        five entries of `tightest` are then the number of the pair, 0, 1, the margin, and how much is left.
     """
 
     model: str
@@ -88,6 +96,7 @@ class Report:
     common: Names | None
     rules: tuple[tuple[str, str, int], ...] = ()
     contacts: tuple[Contact, ...] = ()
+    ranges: tuple[tuple[str, str, float, tuple[Range, ...]], ...] = ()
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
@@ -115,14 +124,21 @@ class Report:
             *pair, number, since, until, margin, spare = self.tightest
             least = f"with the margin of {1000 * margin:.12g} mm, holds by {int(10**12 * spare) / 10**9:.6g} mm"
             where = f"motion {number}, t in [{since}, {until}]" if self.deviations else "which do not move"
-            lines.append(("tightest", f"plane: its condition, {least} ({_shown(*pair)}, {where})"))
-        lines.append(("margin", f"{1000 * self.margins[0]:.12g} mm; {self.margins[1]} pairs have another one"))
-        off = [(f"{_shown(name)}: ", x) for name, x in self.deviations if x] or [("", 0)]
-        lines += [("joint error", f"{name}{x!r}") for name, x in off]
-        for name, pairs in groupby(self.left_out, lambda pair: pair[0]):
+            where = "" if self.ranges else f", {where}"
+            lines.append(("tightest", f"plane: its condition, {least} ({_shown(*pair)}{where})"))
+        for a, b, margin, extents in self.ranges:
+            lines.append(("pair", f"{_shown(a, b)} are farther apart than {1000 * margin:.12g} mm"))
+            for name, low, high, whole in extents:
+                extent = f"{'' if whole else 'NOT '}all of its range"
+                lines.append(("", f"for {_shown(name)} from {low!r} to {high!r}, {extent}"))
+        if not self.ranges:
+            lines.append(("margin", f"{1000 * self.margins[0]:.12g} mm; {self.margins[1]} pairs have another one"))
+            off = [(f"{_shown(name)}: ", x) for name, x in self.deviations if x] or [("", 0)]
+            lines += [("joint error", f"{name}{x!r}") for name, x in off]
+        for name, pairs in groupby(() if self.ranges else self.left_out, lambda pair: pair[0]):
             lines.append(("left out", f"{_shown(name)} and {', '.join(_shown(other) for _, other in pairs)}"))
         lines += [("not covered", f"the interior of {_shown(name)}") for name in self.uncovered]
-        for a, b, which in self.rules:
+        for a, b, which in () if self.ranges else self.rules:
             when = ("at the start", "at the end", "at the start and at the end")[which - 1]
             lines.append(("rule", f"{_shown(a, b)} may be in contact {when} of motions"))
         for a, b, (number, since), (last, until), room in self.stretches:
@@ -133,6 +149,7 @@ class Report:
                 when = f"from t = {since} in motion {number} until t = {until} in motion {last}"
             lines.append(("contact", f"{_shown(a, b)} may {near} {when}"))
         free = "FREE, except for the contacts above" if self.contacts else "FREE"
+        free = "FREE, the pairs above in the ranges above" if self.ranges else free
         lines.append(("claim", f"COLLIDING: {_shown(*self.common)} have a common point" if self.common else free))
         return "\n".join(f"{what:12} {text}" for what, text in lines)
 
@@ -252,10 +269,10 @@ class _Link:
             self.unit = [isqrt(_down(n * n / square, 2 * BITS)) * (-1 if n < 0 else 1) for n in self.axis]
             self.outer: Whole = _vector(self.axis[i] * self.axis[k] / square for i, k in EVERY)
 
-    def pose(self, values: list[Fraction]) -> tuple[Whole, Whole]:  # in the frame of the link above
+    def pose(self, value: Fraction) -> Pose:  # in the frame of the link above
         if not self.kind:
             return self.turn, self.shift
-        v = self.by * values[self.value] + self.off
+        v = self.by * value + self.off
         if self.kind == 2:
             return self.turn, _sum(self.shift, _apply(self.turn, _vector(v * n for n in self.axis)))
         c, s = _cos_sin(_down(v, GUARD))
@@ -377,7 +394,7 @@ class _Motion:
     def __init__(self, number: int, points: list[list[float]], links: list[_Link], deviations: list[float]) -> None:
         self.number, self.points, self.rates, self.lengths = number, points, list[Whole](), list[int]()
         self.columns = [list(map(Fraction, column)) for column in zip(*points, strict=True)]
-        self.poses, self.bounds = dict[int, list[tuple[Whole, Whole]]](), dict[Pair, Pair]()
+        self.poses, self.bounds = dict[int, list[Pose]](), dict[Pair, Pair]()
         for link in links:
             rate = bend = stray = far = Fraction(0)
             if link.kind:
@@ -387,15 +404,52 @@ class _Motion:
                 bend = by * degree * (degree - 1) * max((abs(b - a) for a, b in pairwise(first)), default=0)
                 far = max(abs(link.by * x + link.off) for x in column)
             if link.kind == 1 and far > 10**6:
-                raise Refused(f"Motion {number} turns a joint beyond 1e6 rad.")
+                raise Refused(f"Motion or pair {number} turns a joint beyond 1e6 rad.")
             self.rates.append((_up(rate), _up(bend), _up(stray), _up(far + stray)))
             slide = -(-link.axis_norm * self.rates[-1][3] >> BITS) if link.kind == 2 else 0
             self.lengths.append((self.lengths[link.above] if link.above >= 0 else 0) + link.reach + slide)
         self.lengths.append(0)  # number -1 is the world
 
 
+class _Box(_Motion):
+    """A pair with a range for each value between its bodies, as a motion from the lower ends to the upper ones.
+
+    `paths` are the links from each body up to the common one, exclusive; `sides` are the values, and where the range of
+    each starts and how wide it is.
+    """
+
+    def __init__(
+        self, number: int, margin: float, paths: Sequence[list[int]], ends: dict[int, list[float]],
+        links: list[_Link], count: int,
+    ) -> None:  # fmt: skip
+        rows: list[list[float]] = [[0] * count for _ in range(3)]
+        for value, (low, high) in ends.items():
+            rows[0][value], rows[1][value] = low, high
+        super().__init__(number, rows[:2], links, rows[2])
+        self.margin, self.paths, self.links, self.local = margin, paths, links, dict[Pair, Pose]()
+        self.sides = [(k, Fraction(low), Fraction(high) - Fraction(low)) for k, (low, high) in ends.items()]
+        self.bends = dict[Pair, list[int]]()  # the bounds B_c
+
+    def at(self, shares: Sequence[int]) -> dict[int, Pose]:
+        """Poses of the links in the frame of the common one, -1 if this is the world, at shares of the ranges."""
+        share, found = {side[0]: t for side, t in zip(self.sides, shares, strict=True)}, dict[int, Pose]()
+        for path in self.paths:
+            for k in reversed(path):
+                link = self.links[k]
+                t = share.get(link.value, 0)
+                if (k, t) not in self.local:
+                    ends = (low + width * t / (1 << DEEPEST) for v, low, width in self.sides if v == link.value)
+                    self.local[k, t] = link.pose(next(ends, Fraction(0)))
+                turn, shift = self.local[k, t]
+                if k != path[-1]:
+                    base, place = found[link.above]
+                    turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
+                found[k] = turn, shift
+        return found
+
+
 class _Checker:
-    def __init__(self, model: bytes, proof: bytes, version: int = 1) -> None:
+    def __init__(self, model: bytes, proof: bytes, version: int = 1, claim: int = 1) -> None:
         reader, self.reader = _Reader(model, "model"), _Reader(proof, "proof")
         self.links, self.values = list[_Link](), list[tuple[str, float, float]]()
         for _ in range(reader.count(107, "links", most=MOST_LINKS)):
@@ -407,7 +461,8 @@ class _Checker:
         self.bodies = [_Body(reader, self.links) for _ in range(reader.count(132, "bodies"))]
         self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
         self.margins = self.read_pairs(reader, 16, "margins")
-        found = self.read_pairs(reader, 9, "rules") if version > 1 else {}
+        ruled = version > 1 and (claim != 3 or reader.at < len(model))
+        found = self.read_pairs(reader, 9, "rules") if ruled else {}
         self.version, self.rules = version, {pair: int(ends) for pair, ends in found.items()}
         for pair, ends in self.rules.items():
             if not 0 < ends < 4 or not self.checked(pair):
@@ -421,6 +476,7 @@ class _Checker:
         self.tightest: Tightest | None = None
         self.common: Names | None = None
         self.contacts, self.told = dict[tuple[int, Pair], list[tuple[int, int, float]]](), list[Contact]()
+        self.ranges = list[tuple[str, str, float, tuple[Range, ...]]]()
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
         """Read pairs of bodies, and the margin of each, or the ends at which a rule allows contact."""
@@ -503,17 +559,53 @@ class _Checker:
             inside = all(a <= x <= b for row in points for x, (_, a, b) in zip(row, self.values, strict=True))
             self.motions.append((len(points) - 1, joined, inside, len(motion.poses)))
 
+    def run_ranges(self) -> None:
+        before = (-1, -1)
+        for number in range(self.reader.count(17, "pairs", 1)):
+            pair, (margin,) = self.reader.take("2I"), self.reader.doubles(1, "margin")
+            if not before < pair or not pair[0] < pair[1] < len(self.bodies):
+                raise Refused(f"The pair {pair[0]}, {pair[1]} of bodies is out of order, or does not exist.")
+            self.spend(2000 + 100 * len(self.links))
+            paths, names = self.paths(*(self.bodies[k].link for k in pair)), _shown(*self.named(pair))
+            between = [self.links[k] for path in paths for k in path if self.links[k].kind and self.links[k].by]
+            ends = {value: self.reader.doubles(2) for value in sorted({link.value for link in between})}
+            if any(low > high for low, high in ends.values()) or sum(a < b for a, b in ends.values()) > MOST_SIDES:
+                raise Refused(f"{names}: a range is upside down, or more than {MOST_SIDES} ranges have a width.")
+            self.tree(_Box(number, margin, paths, ends, self.links, len(self.values)), pair)
+            before, found = pair, list[Range]()
+            for value, (low, high) in ends.items():
+                name, least, most = self.values[value]
+                joints = [link for link in between if link.value == value]
+                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # the others divide the largest
+                whole = all(link.kind == 1 for link in joints) and _down(Fraction(high) - Fraction(low), GUARD) >= turn
+                found.append((name, low, high, whole or (low <= least and most <= high)))
+            self.ranges.append((*self.named(pair), margin, tuple(found)))
+        self.sizes |= {"pairs": len(self.ranges), "boxes": self.sizes.pop("intervals")}
+
+    def paths(self, a: int, b: int) -> tuple[list[int], list[int]]:
+        """The links from each of two links up to the common one, which is left out."""
+        ups: tuple[list[int], list[int]] = ([], [])
+        while a != b:  # a link comes after the one above it, so the later of two is not the common one
+            ups[a < b].append(max(a, b))
+            a, b = (self.links[k].above if k == max(a, b) else k for k in (a, b))
+        return ups
+
     def tree(self, motion: _Motion, pair: Pair) -> None:
-        """Check that a tree proves two bodies apart. Its parts cover the interval and all pieces by construction."""
-        rest = [([(0, 1 << DEEPEST), *((0, len(self.bodies[k].pieces)) for k in pair)], 0)]
+        """Check that a tree proves two bodies apart. Its parts cover the interval, or the box, and all pieces."""
+        sides = len(motion.sides) if isinstance(motion, _Box) else 0
+        spans = [(0, 1 << DEEPEST), *((0, len(self.bodies[k].pieces)) for k in pair), *[(0, 1 << DEEPEST)] * sides]
+        rest = [(spans, 0)]
         while rest:
             (spans, depth), (token,) = rest.pop(), self.reader.take("B")
             if token < 3:
-                low, high = spans[token]
+                at = 3 + self.reader.take("B")[0] if token == 0 and isinstance(motion, _Box) else token
+                if at >= len(spans):
+                    raise Refused(f"{_shown(*self.named(pair))}: a box has no value {at - 3}.")
+                low, high = spans[at]
                 half = low + (high - low) // 2
                 if depth == DEEPEST or half == low:
                     raise Refused(f"{_shown(*self.named(pair))}: a tree divides one piece, or is nested too deep.")
-                rest += [([*spans[:token], x, *spans[token + 1 :]], depth + 1) for x in ((half, high), (low, half))]
+                rest += [([*spans[:at], x, *spans[at + 1 :]], depth + 1) for x in ((half, high), (low, half))]
                 continue
             if 3 < token < 20:
                 self.sizes["planes"] += 1
@@ -524,81 +616,124 @@ class _Checker:
             self.leaf(motion, pair, spans)
 
     def leaf(self, motion: _Motion, pair: Pair, spans: list[Pair]) -> None:
-        """Check that the last plane of a pair proves some pieces apart in an interval."""
+        """Check that the last plane of a pair proves some pieces apart in an interval, or in a box."""
         (first, normal), (start, end) = self.last[pair], spans[0]
-        (low, high), (some, others) = (pair, spans[1:]) if first else (pair[::-1], spans[:0:-1])
+        (low, high), (some, others) = (pair, spans[1:3]) if first else (pair[::-1], spans[2:0:-1])
         below, above = self.bodies[low], self.bodies[high]
         exact = [sum(a * b for a, b in zip(below.whole[k : k + 3], normal, strict=True)) for k in (0, 3, 6)]
         shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N has any scale, and may be rounded
         n = tuple(x << shift if shift > 0 else x >> -shift for x in exact)
-        self.spend(100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others))))
+        count = 100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others)))
+        self.spend(count)
+        places: Iterable[tuple[Pose, Pose]]
+        if isinstance(motion, _Box):
+            places = self.corners(motion, spans[3:], below.link, above.link, count)
+        else:
+            places = [(self.poses(motion, t)[below.link], self.poses(motion, t)[above.link]) for t in (start, end)]
         gaps, norm = list[int](), _norm_up(n)
-        for t in (start, end):
-            (turn, place), (other, there) = (self.poses(motion, t)[k] for k in (below.link, above.link))
+        for (turn, place), (other, there) in places:
             a, b, c = n if below.link < 0 else _apply(turn, n)
             away = (-a, -b, -c) if above.link < 0 else _apply(_transposed(other), (-a, -b, -c))
             x, y, z = _sum(there, place, -1)
             gaps.append(a * x + b * y + c * z - above.support(others, away, norm))
-        bend, stray = self.bound(motion, below.link, high)
         depth = 1 + max((len(self.links[k].chain) for k in (below.link, above.link) if k >= 0), default=0)
         length = max(motion.lengths[below.link], motion.lengths[above.link])
         size = 2 * max(below.size, above.size) + 4 * length + 3 * ONE
         slack = (TURN * depth * size >> BITS) + 1 + below.fuzz + above.fuzz
-        margin = self.margins.get(pair, self.margin)
+        margin = motion.margin if isinstance(motion, _Box) else self.margins.get(pair, self.margin)
         for opens, closes, least in self.contacts.get((motion.number, pair), ()):
             margin = least if opens <= start and end <= closes else margin
-        needed = _up(margin) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
+        if isinstance(motion, _Box):
+            needed = _up(margin) + self.bent(motion, spans[3:], below.link, high)
+        else:
+            bend, stray = self.bound(motion, below.link, high)
+            needed = _up(margin) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
         gap = min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack  # |n| times this, and |n| > norm - 2
         spare = gap // (norm if gap > 0 else norm - 2) - needed
         since, until = (Fraction(t, 1 << DEEPEST) for t in spans[0])
         if spare <= 0:
             where = f"for motion {motion.number}, t in [{since}, {until}], fails by"
+            if isinstance(motion, _Box):
+                ends = [f"[{a / 2**DEEPEST:.6g}, {b / 2**DEEPEST:.6g}]" for a, b in spans[3:]]
+                where = f"for the shares {' x '.join(ends)} of the ranges fails by"
             raise Refused(f"{_shown(*self.named(pair))}: the plane {where} {(-spare * 10**6 >> BITS) / 1000:.3f} mm.")
         if self.tightest is None or self.tightest[-1] > Fraction(spare, ONE):
             self.tightest = *self.named(pair), motion.number, since, until, margin, Fraction(spare, ONE)
         self.sizes["intervals"] += 1
 
-    def poses(self, motion: _Motion, t: int) -> list[tuple[Whole, Whole]]:
+    def corners(self, box: _Box, sides: list[Pair], low: int, high: int, steps: int) -> Iterable[tuple[Pose, Pose]]:
+        """Poses of two links in the frame of the common link, at all corners of a part of a box."""
+        ends = [side if width else side[:1] for side, (_, _, width) in zip(sides, box.sides, strict=True)]
+        for shares in product(*ends):
+            known = len(box.local)
+            found = box.at(shares)
+            self.spend(steps + 50 * sum(map(len, box.paths)) + 2000 * (len(box.local) - known))
+            yield found.get(low, STILL), found.get(high, STILL)
+
+    def bent(self, box: _Box, sides: list[Pair], below: int, high: int) -> int:
+        """The sum of B_c (2 h_c)^2 / 8 of a part of a box, for a body seen from a link, rounded up."""
+        if (below, high) not in box.bends:
+            joints, found = self.moving(box, below, high), list[int]()
+            for value, _, _ in box.sides:
+                bend = before = 0
+                for k, turns, reach in joints:
+                    if self.links[k].value == value:
+                        by = _up(abs(self.links[k].by))
+                        bend -= -reach * -(-by * (2 * before + turns * by) >> BITS) >> BITS
+                        before += turns * by
+                found.append(bend)
+            box.bends[below, high] = found
+        total = 0
+        for bend, (start, end), (_, _, width) in zip(box.bends[below, high], sides, box.sides, strict=True):
+            total -= -bend * _up(width) ** 2 * (end - start) ** 2 >> 2 * BITS + 2 * DEEPEST + 3
+        return total
+
+    def poses(self, motion: _Motion, t: int) -> list[Pose]:
         """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
         if t in motion.poses:
             return motion.poses[t]
-        share, values, found, count = Fraction(t, 1 << DEEPEST), [], list[tuple[Whole, Whole]](), len(motion.points)
+        share, values, found, count = Fraction(t, 1 << DEEPEST), [], list[Pose](), len(motion.points)
         self.spend(2000 * len(self.links) + len(motion.columns) * count**2 * (8 + count))
         for column in motion.columns:
             while len(column) > 1:
                 column = [a + share * (b - a) for a, b in pairwise(column)]
             values.append(column[0])
         for link in self.links:
-            turn, shift = link.pose(values)
+            turn, shift = link.pose(values[link.value] if link.kind else Fraction(0))
             if link.above >= 0:
                 base, place = found[link.above]
                 turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
             found.append((turn, shift))
-        motion.poses[t] = [*found, ((ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0))]
+        motion.poses[t] = [*found, STILL]
         return motion.poses[t]
 
-    def bound(self, motion: _Motion, below: int, high: int) -> Pair:  # A and V of a body seen from a link
+    def moving(self, motion: _Motion, below: int, high: int) -> list[tuple[int, bool, int]]:
+        """The joints between a link and a body: the link, whether it turns, and R_j or the length of the axis."""
         key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
         if key not in self.balls:  # the links in between, from the body on, and its reach about them without slides
-            up, down, self.balls[key], radius = list[int](), list[int](), [], self.bodies[high].radius
-            while above != below:  # a link comes after the one above it, so the later of two is not the common one
-                (up if above > below else down).append(max(above, below))
-                above, below = (self.links[k].above if k == max(above, below) else k for k in (above, below))
+            up, down = self.paths(above, below)
+            self.balls[key], radius = [], self.bodies[high].radius
             self.spend(100 * len(up + down))
-            for k in up + down[::-1]:
-                center, radius = self.links[k].pass_ball(center, radius, k in up)
+            for k, upward in [*((k, True) for k in up), *((k, False) for k in reversed(down))]:
+                center, radius = self.links[k].pass_ball(center, radius, upward)
                 self.balls[key].append((k, radius))
+        found, slides = list[tuple[int, bool, int]](), 0
+        for k, reach in self.balls[key]:
+            kind, norm = self.links[k].kind, self.links[k].axis_norm
+            if kind:
+                found.append((k, kind == 1, reach + slides if kind == 1 else norm))
+            slides += -(-norm * motion.rates[k][3] >> BITS) if kind == 2 else 0
+        return found[::-1]
+
+    def bound(self, motion: _Motion, below: int, high: int) -> Pair:  # A and V of a body seen from a link
+        key = (below, high)
         if key not in motion.bounds:
-            moving, before, slides, a, v = list[Whole](), 0, 0, 0, 0
-            for k, reach in self.balls[key]:
-                (rate, *rest, far), kind, norm = motion.rates[k], self.links[k].kind, self.links[k].axis_norm
-                if kind:
-                    moving.append((reach + slides, rate, rate, *rest) if kind == 1 else (norm, 0, rate, *rest))
-                slides += -(-norm * far >> BITS) if kind == 2 else 0
-            for reach, turn, rate, bend, stray in reversed(moving):
-                a -= -reach * (bend - (-rate * (2 * before + turn) >> BITS)) >> BITS
+            before, a, v = 0, 0, 0
+            for k, turns, reach in self.moving(motion, below, high):
+                rate, bend, stray, _ = motion.rates[k]
+                a -= -reach * (bend - (-rate * (2 * before + turns * rate) >> BITS)) >> BITS
                 v -= -reach * stray >> BITS
-                before += turn
+                before += turns * rate
             motion.bounds[key] = a, v
         return motion.bounds[key]
 
@@ -629,17 +764,17 @@ def verify(data: bytes) -> Report:
     if not 56 <= len(data) <= MOST_BYTES:
         raise Refused(f"The file has {len(data)} bytes; a proof has 56 to {MOST_BYTES}.")
     version, claim, size, rest = struct.unpack_from("<4I", data, 8)
-    if (version, claim) not in ((1, 1), (1, 2), (2, 1)):
+    if (version, claim) not in ((1, 1), (1, 2), (2, 1), (2, 3)):
         raise Refused(
             f"The file has version {version}, claim {claim}; this program reads version 1, claims 1 and 2, and "
-            "version 2, claim 1."
+            "version 2, claims 1 and 3."
         )
     if len(data) != 56 + size + rest:
         raise Refused(f"The file is truncated or extended: it has {len(data)} bytes instead of {56 + size + rest}.")
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
         raise Refused("The file is damaged: its hash is wrong.")
-    checker = _Checker(data[24 : 24 + size], data[24 + size : -32], version)
-    (checker.run if claim == 1 else checker.common_point)()
+    checker = _Checker(data[24 : 24 + size], data[24 + size : -32], version, claim)
+    (checker.run, checker.common_point, checker.run_ranges)[claim - 1]()
     checker.reader.end()
     return Report(
         hashlib.sha256(data[24 : 24 + size]).hexdigest(), checker.sizes, (checker.margin, len(checker.margins)),
@@ -647,12 +782,13 @@ def verify(data: bytes) -> Report:
         tuple((name, x) for (name, *_), x in zip(checker.values, checker.deviations, strict=False)),
         tuple(tuple(map(tuple, x)) for x in checker.points), tuple(checker.motions), checker.tightest, checker.common,
         tuple((*checker.named(pair), ends) for pair, ends in checker.rules.items()), tuple(checker.told),
+        tuple(checker.ranges),
     )  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Check a file, print its claim and return 0 if it is verified to be free, 1 if not, 2 if it cannot be read."""
-    parser = argparse.ArgumentParser(description="Check a proof: motions or bodies are free, or two bodies collide.")
+    parser = argparse.ArgumentParser(description="Check a proof: motions, ranges or bodies are free, or two collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file
     try:

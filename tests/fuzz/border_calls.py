@@ -986,6 +986,7 @@ CALLS: dict[str, Call] = {
             "boxes": count(10),
             "cache": flag(False),
             "progress": callback(),
+            "proof": flag(False),
         },
     ),
     "Robot.free_range": Call(

@@ -14,7 +14,7 @@ import loewner
 from loewner import plots
 from loewner._validate import Floats, Pair
 from loewner.cli import configurations, inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, progress_bar
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, progress_bar, remove_older_proof
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import FileError, InputError
 from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
@@ -26,6 +26,7 @@ EXAMPLES = """examples:
   loewner clash mechanism.urdf --between crank housing --margin 0.001 --limits "crank=-1.2,0.8" -o clash.png
   loewner clash panda.urdf --srdf panda.srdf --exempt --write-srdf panda.srdf
   loewner clash mechanism.urdf --largest crank --at "0.1,0,0"
+  loewner clash mechanism.urdf --between crank housing --margin 0.001 --proof never.proof
 
 pairs: those that are checked, unless --between, --exempt or --all chooses others. Adjacent links are exempt if there is
   no SRDF.
@@ -35,6 +36,8 @@ verdicts: NEVER and ALWAYS are proven for every configuration in the ranges of t
   was found, and not all is proven.
 
 --write-srdf adds what is proven, also if other pairs can collide.
+proof: all pairs in question have to be NEVER; otherwise the first other one is named, with exit status 2. loewner
+  verify checks the file, with --robot against a robot and a scene.
 
 exit status: 0 all pairs are proven never to collide, 1 a pair can collide, 2 error, 3 no contact was found, but a pair
   is open; with --largest: 0 a range was found
@@ -72,6 +75,7 @@ def add(commands: Any) -> None:
     clash.add_argument(
         "--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits"
     )
+    clash.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of all pairs, for loewner verify")
     clash.add_argument("--json", action="store_true", help="print JSON")
     clash.set_defaults(run=_run)
 
@@ -81,8 +85,9 @@ def _run(options: argparse.Namespace) -> int:
         raise FileError(f"--out: expected a .png or .svg file, found {options.out}")
     if options.at is not None and not options.largest:
         raise InputError("--at: expected --largest with it, found none")
-    if options.largest and (options.out is not None or options.write_srdf is not None):
-        raise InputError("--largest: expected neither --out nor --write-srdf with it, found one of them")
+    if options.largest and not options.out is options.write_srdf is options.proof is None:
+        raise InputError("--largest: expected neither --out, --write-srdf nor --proof with it, found one of them")
+    remove_older_proof(options.proof)
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     robot = inputs.robot(options)
     limits = dict(_limits(text) for text in options.limits)
@@ -104,7 +109,10 @@ def _run(options: argparse.Namespace) -> int:
         found = robot.prove_pairs(
             pairs, margin=options.margin, limits=limits, scene=scene, boxes=options.boxes,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
+            proof=options.proof is not None,
         )  # fmt: skip
+    if found.proof is not None:
+        found.proof.save(options.proof)
     if options.json:
         print(json.dumps({"robot": found.robot, "pairs": [_entry(row, robot) for row in found]}, indent=2))
     else:

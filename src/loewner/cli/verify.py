@@ -1,8 +1,9 @@
-"""``loewner verify``: check the proof of a plan, and compare its model with a robot and a scene."""
+"""``loewner verify``: check the proof of a plan or of ranges, and compare its model with a robot and a scene."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +29,8 @@ The proof is checked by loewner.verify, which computes in whole numbers and shar
 the model and the motions in the file. With --robot, the model must be identical, bit for bit, to that of this robot and
 scene. With --path, the motions must be the straight ones between the configurations of the path, in order and bit for
 bit. Where a scene has rules of contact (leave:, reach:), each contact is printed with its motion, its interval, and the
-overlap that it allows; an overlap deeper than --overlap is refused.
+overlap that it allows; an overlap deeper than --overlap is refused. The proof of loewner clash is about pairs: each is
+printed with its margin and the ranges of the joints between the two bodies.
 
 exit status: 0 verified to be free, and the same model and path; 1 verified to collide (a proof by loewner.prove),
 refused, too deep a contact, or a different model or path; 2 error
@@ -42,8 +44,9 @@ def add(commands: Any) -> None:
     """Add the command."""
     command = inputs.command(commands, "verify", "check the proof of a plan", EXAMPLES)
     command.add_argument(
-        "file", type=Path, metavar="FILE", help="a proof, as loewner plan --proof or loewner.prove writes it"
-    )
+        "file", type=Path, metavar="FILE",
+        help="a proof, as loewner plan --proof, loewner clash --proof or loewner.prove writes it",
+    )  # fmt: skip
     inputs.add_robot_options(command, required=False)
     command.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(command, "start of motions", "end of motions")
@@ -52,6 +55,7 @@ def add(commands: Any) -> None:
         "--overlap", type=float, default=OVERLAP, metavar="M",
         help="deepest overlap that contacts may allow, in metres (default %(default)s)",
     )  # fmt: skip
+    command.add_argument("--json", action="store_true", help="print JSON")
     command.set_defaults(run=_run)
 
 
@@ -66,8 +70,10 @@ def _run(options: argparse.Namespace) -> int:
         report = verify.verify(data)
     except verify.Refused as error:
         print(f"refused: {error}", file=sys.stderr)
+        if options.json:
+            print(json.dumps({"verified": False, "refused": str(error)}, indent=2))
         return COLLIDING
-    lines, faults = [str(report)], list[str]()
+    lines, faults, found = [str(report)], list[str](), list[str]()
     if options.urdf is not None:
         scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
         inputs.apply_rules(scene, options)
@@ -87,19 +93,53 @@ def _run(options: argparse.Namespace) -> int:
     for *pair, motion, _, _, least in [row for row in report.contacts if -row[-1] > overlap][:1]:
         words = f"{verify._shown(*pair)} may overlap by {-1000 * least:.12g} mm in motion {motion}"
         faults.append(f"DEEP CONTACT: {words}, and --overlap allows {1000 * overlap:.12g} mm")
-    print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]))
+    if options.json:
+        print(json.dumps(_entry(report, faults) | {"different": found}, indent=2))
+    else:
+        print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]))
     return COLLIDING if faults or report.common else FREE
 
 
 def _claim(report: verify.Report) -> str:
     if report.common:
         return f"COLLIDING, {' and '.join(report.common)} have a common point"
+    if report.ranges:
+        return "FREE, the pairs above are farther apart than their margins, at all values in the ranges above"
     contacts = f" except in {len(report.stretches)} contacts, which are listed above" if report.contacts else ""
     return f"FREE, all pairs are farther apart than their margins, at every time{contacts}"
 
 
+def _entry(report: verify.Report, faults: list[str]) -> dict[str, Any]:
+    """A report as JSON has it."""
+    return {
+        "verified": not faults,
+        "claim": _claim(report),
+        "faults": faults,
+        "model": report.model,
+        "sizes": report.sizes,
+        "pairs": [
+            {
+                "names": [a, b],
+                "margin": margin,
+                "range": {name: [low, high] for name, low, high, _ in extents},
+                "whole_range": all(whole for *_, whole in extents),
+            }
+            for a, b, margin, extents in report.ranges
+        ],
+        "motions": len(report.motions),
+        "contacts": [
+            {"names": [a, b], "motion": motion, "from": float(since), "to": float(until), "least_distance": least}
+            for a, b, motion, since, until, least in report.contacts
+        ],
+        "left_out": [list(pair) for pair in report.left_out],
+        "not_covered": list(report.uncovered),
+    }
+
+
 def _difference(report: verify.Report, path: Path) -> str:
     """Describe the first difference between the motions and a path; empty if there is none."""
+    if report.ranges:
+        return "the proof is about ranges, not motions"
     if not report.deviations:
         return "the proof is about two bodies that do not move"
     names = [name for name, _ in report.deviations]

@@ -35,6 +35,8 @@ from loewner.robots.courses import straight
 from loewner.robots.pair_cache import keep, known_pairs
 from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 from loewner.robots.problem import Problem
+from loewner.robots.proof_models import model_of
+from loewner.robots.range_proofs import Claim, proof_of_ranges
 from loewner.robots.robot import Robot
 from loewner.scenes import Scene
 
@@ -438,6 +440,7 @@ def prove_pairs(
     boxes: int = 1_000_000,
     cache: bool = True,
     progress: Progress | None = None,
+    proof: bool = False,
 ) -> ProvenPairs:
     """Answer `Robot.prove_pairs`."""
     cache = _validate.flag(cache, "cache")
@@ -446,6 +449,10 @@ def prove_pairs(
     _validate.callback(progress, "progress")
     scene = _standing(scene)
     given = _checked_limits(self, limits)
+    stated = None
+    if _validate.flag(proof, "proof"):
+        ready = prepared(self, scene, self._usually_skipped, scene.version, None)
+        stated = model_of(ready), ready  # refused at once where there is none
     every = prepared(self, scene, (), scene.version, None)
     asked = _asked(self, every, pairs)
     kept = cache and not given and margin == 0.0 and not scene.names and not scene.margins
@@ -464,7 +471,9 @@ def prove_pairs(
     if kept and questions:
         keep(self, (found[names] for names in questions), boxes // len(asked))
     rigid = tuple(names for names, one in found.items() if one is None)
-    return ProvenPairs(self.name, tuple(one for one in found.values() if one is not None), rigid)
+    rows = tuple(one for one in found.values() if one is not None)
+    made = None if stated is None else proof_of_ranges(*stated, _claims(self, every, rows))
+    return ProvenPairs(self.name, rows, rigid, made)
 
 
 @guarded
@@ -510,6 +519,24 @@ def free_range(
 
 
 robot.answers |= {"prove_pairs": prove_pairs, "free_range": free_range}
+
+
+def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[Claim]:
+    """The rows as a proof states them; all have to be NEVER."""
+    if not rows:
+        raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
+    place, found = {name: k for k, name in enumerate(every.names)}, list[Claim]()
+    for row in rows:
+        if row.verdict is not PairVerdict.NEVER:
+            why = f" ({row.reason})" if row.reason else ""
+            raise InputError(
+                f"proof: expected pairs that are NEVER nearer than their margins, found {row.verdict} for "
+                f"{' and '.join(row.names)}{why}; leave it out"
+            )
+        a, b = sorted(place[name] for name in row.names)
+        columns = np.array([whole.configuration_names.index(name) for name in row.columns], dtype=np.int64)
+        found.append(Claim((a, b), row.margin, columns, row.lower, row.upper))
+    return found
 
 
 def _standing(scene: Scene | None) -> Scene:

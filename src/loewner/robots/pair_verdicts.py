@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -106,6 +107,8 @@ class ProvenPairs:
         Sorted by names.
     rigid : tuple of pairs of str
         Pairs in question whose bodies are on one rigid part. They are never checked.
+    proof : Proof or None
+        A proof of all rows, which are NEVER, for other programs to verify; None if none was requested.
 
     Examples
     --------
@@ -118,6 +121,7 @@ class ProvenPairs:
     robot: str
     rows: tuple[ProvenPair, ...]
     rigid: tuple[Pair, ...] = ()
+    proof: Any = None
 
     def __len__(self) -> int:
         return len(self.rows)

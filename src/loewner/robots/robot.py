@@ -599,6 +599,7 @@ class Robot(KeepsReadOnly):
         boxes: int = 1_000_000,
         cache: bool = True,
         progress: Progress | None = None,
+        proof: bool = False,
     ) -> ProvenPairs:
         """Prove which pairs of bodies can ever collide, over the whole ranges of the joints between them.
 
@@ -623,6 +624,9 @@ class Robot(KeepsReadOnly):
             depend, so that later calls only read them.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
+        proof : bool
+            Write a proof of all rows for other programs to verify, `ProvenPairs.proof`. All have to be NEVER, with
+            bodies of convex pieces, joints that turn or slide, and at most eight values with a range between them.
 
         Returns
         -------
@@ -635,7 +639,10 @@ class Robot(KeepsReadOnly):
             If there is no such link, body or value.
         InputError
             If an entry is not a pair of two different bodies, or none of the two moves; if a link has no body; if a
-            range has its lower end above its upper one; or if a body of the scene follows a motion.
+            range has its lower end above its upper one; or if a body of the scene follows a motion. With `proof`, also
+            if a row is not NEVER, and if the format cannot express the model or the proof, or in 5 MB.
+        ConvergenceError
+            With `proof`, if a pair comes too near to its margin for the format.
 
         See Also
         --------
@@ -659,9 +666,10 @@ class Robot(KeepsReadOnly):
         return cast(
             "ProvenPairs",
             answers["prove_pairs"](
-                self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress
+                self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress,
+                proof=proof,
             ),
-        )
+        )  # fmt: skip
 
     def free_range(
         self,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from loewner.verify import Report
 
 # Models without rules of contact have the first version.
-MAGIC, VERSION, WITHOUT_RULES, FREE, COMMON = b"LOEWNERP", 2, 1, 1, 2
+MAGIC, VERSION, WITHOUT_RULES, FREE, COMMON, RANGES = b"LOEWNERP", 2, 1, 1, 2, 3
 _HEAD = struct.Struct("<8sIIII")
 
 # Programs that check proofs may refuse larger files [bytes], and joints that turn beyond this [rad].
@@ -31,7 +31,7 @@ MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 @dataclass(frozen=True, repr=False)
 class Proof:
-    """A proof that motions are free of collisions, or of the verdict of two bodies, as in docs/proof-format.md.
+    """A proof that motions or ranges are free of collisions, or of two bodies' verdict, as in docs/proof-format.md.
 
     `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
 
@@ -89,8 +89,8 @@ class Proof:
 
     @property
     def verdict(self) -> Verdict:
-        """FREE for a proof of motions, or of two bodies that are apart, and COLLIDING for one of a common point."""
-        return Verdict.FREE if _HEAD.unpack_from(self.data)[2] == FREE else Verdict.COLLIDING
+        """FREE for a proof of motions, of ranges or of two bodies that are apart, COLLIDING for a common point."""
+        return Verdict.COLLIDING if _HEAD.unpack_from(self.data)[2] == COMMON else Verdict.FREE
 
     @property
     def motions(self) -> list[Floats]:
@@ -98,8 +98,9 @@ class Proof:
 
         An InputError is raised if the file has none that can be read. `verify` does more: it proves the motions free.
         """
-        if self.verdict == Verdict.COLLIDING:
-            raise InputError("data: expected motions, found a common point")
+        claim = _HEAD.unpack_from(self.data)[2]
+        if claim != FREE:
+            raise InputError(f"data: expected motions, found {'a common point' if claim == COMMON else 'ranges'}")
         block, found = self.data[-32 - self.size : -32], list[Floats]()
         try:
             dof = len(contents(self.model)[0])
@@ -202,7 +203,7 @@ def _fault(data: bytes) -> str | None:
     if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
         return "a proof of loewner, found something else"
     _, version, what, model, proof = _HEAD.unpack_from(data)
-    if (version, what) not in ((WITHOUT_RULES, FREE), (WITHOUT_RULES, COMMON), (VERSION, FREE)):
+    if (version, what) not in ((WITHOUT_RULES, FREE), (WITHOUT_RULES, COMMON), (VERSION, FREE), (VERSION, RANGES)):
         return f"version {WITHOUT_RULES} or {VERSION} of the format, found {version}, which proves {what}"
     if len(data) != _HEAD.size + model + proof + 32:
         return f"{_HEAD.size + model + proof + 32} bytes, found {len(data)}: it is not whole"
