@@ -274,6 +274,7 @@ def settle_tree(seed, starts, boxes=10_000):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_no_search_refutes_a_proof(seed):
+    """Twenty searches for each proof, in eight trees."""
     settle_tree(seed, 20, 2000)
 
 

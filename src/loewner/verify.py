@@ -1,5 +1,6 @@
 """Check a file that proves motions free of collisions, in whole numbers and fractions, without the rest of the library.
 
+It also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies collide.
 This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
 whole numbers of units of 2^-72. Rounding has these bounds, in units, for the norms of vectors and matrices (the root of
