@@ -41,11 +41,11 @@ class ProvenPair:
     Attributes
     ----------
     names : tuple of str
-    verdict : PairVerdict
+    verdict : str
         NEVER: the bodies are proven to be farther apart than the margin at every configuration of the range. ALWAYS:
-        they are proven to be within the margin at every one. SOMETIMES: they are at `colliding`, and not at `free`.
-        CAN: they are at `colliding`, and no configuration without contact was found. OPEN: no contact was found, and
-        not all of the range could be proven; see `reason`.
+        they are proven to be within the margin at every one. SOMETIMES: they are at ``colliding``, and not at ``free``.
+        CAN: they are at ``colliding``, and no configuration without contact was found. OPEN: no contact was found, and
+        not all of the range could be proven; see ``reason``.
     columns : tuple of str
         The values on which the pair depends, named as in `Robot.configuration_names`.
     lower, upper : ndarray, shape (columns,)
