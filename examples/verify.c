@@ -26,7 +26,8 @@
 #endif
 #define FOR(i, n) for (int i = 0; i < (n); i++)
 #define EACH(i, n) for (size_t i = 0; i < (n); i++)
-enum { MAX_DEPTH = 64, MAX_BODIES = 65536, MAX_LINKS = 1000, MAX_DEGREE = 31, MAX_FILE = 1 << 24, MAX_SIDES = 8 };
+enum { MAX_DEPTH = 64, MAX_BODIES = 65536, MAX_LINKS = 1000, MAX_DEGREE = 31, MAX_FILE = 1 << 24 };
+enum { MAX_SIDES = 8, MAX_CORNERS = 1 << 26 };
 _Noreturn static void refuse(const char *why) { printf("refused: %s\n", why), exit(1); }
 static void *allocate(size_t count, size_t size) { /* room for one more, and zeros */
     void *p = calloc(count + 1, size);
@@ -516,6 +517,7 @@ typedef struct { uint64_t key; double margin; size_t first, count; } Told;
 static Side *sides, *side; /* of all pairs; the first one of the pair at hand */
 static size_t side_count; /* of the pair at hand */
 static int in_ranges;
+static size_t corner_count; /* of all boxes with a plane */
 static Told *tells; /* all pairs, to be printed at the end */
 static size_t tell_count;
 static Pose *placed; /* poses of the links between the two bodies, as seen from the common one */
@@ -595,6 +597,7 @@ static void check_plane(const Part *p) {
     int places = 2;
     if (in_ranges) places = 1;
     if (in_ranges) EACH(v, side_count) if (side[v].low < side[v].high) places *= 2;
+    if (in_ranges && (corner_count += (size_t)places) > MAX_CORNERS) refuse("the boxes have more than 2^26 corners");
     FOR(end, places) {
         uint64_t k = p->k + (uint64_t)end;
         if (in_ranges) place_corner(end);
