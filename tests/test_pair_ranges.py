@@ -621,6 +621,17 @@ def test_bad_options(options, kind, words):
         mechanisms.hinge().prove_pairs(**options)
 
 
+@pytest.mark.parametrize("question", ["limits", "joints"])
+def test_a_joint_that_follows_another_one_has_no_range(question):
+    """The message names the joint that it follows."""
+    robot = mechanisms.rack_and_pinion()
+    with pytest.raises(InputError, match=f"{question}: .* 'rack', which follows 'pinion'"):
+        if question == "limits":
+            robot.prove_pairs(limits={"rack": (0.0, 1.0)})
+        else:
+            robot.free_range("rack", pairs=[("frame", "rack")])
+
+
 def test_bodies_that_follow_motions_are_refused():
     """Their place depends on time."""
     scene, far = Scene(), np.eye(4)

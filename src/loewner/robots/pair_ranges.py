@@ -553,8 +553,7 @@ def _standing(scene: Scene | None) -> Scene:
 
 def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float, float]]) -> tuple[int, float, float]:
     """The column of a value, and its range, which must hold its present value."""
-    if name not in whole.configuration_names:
-        raise _validate.unknown_name("joints", name, whole.configuration_names)
+    _expect_value(whole, name, "joints")
     at, tree = whole.configuration_names.index(name), whole.tree
     if at not in given:
         moved = [k for k in np.flatnonzero(tree.kind != kernel_columns.FIXED).tolist() if tree.column[k] == at]
@@ -620,13 +619,23 @@ def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | No
         raise InputError(f"limits: expected a mapping from joints to (lower, upper), found {_validate.short(limits)}")
     found = {}
     for name, ends in (limits or {}).items():
-        if name not in whole.configuration_names:
-            raise _validate.unknown_name("limits", name, whole.configuration_names)
+        _expect_value(whole, name, "limits")
         low, high = _validate.finite_array(ends, f"limits of {name}", (2,)).tolist()
         if low > high:
             raise InputError(f"limits of {name}: expected (lower, upper), found {low:g} above {high:g}")
         found[whole.configuration_names.index(name)] = low, high
     return found
+
+
+def _expect_value(whole: Robot, name: Any, argument: str) -> None:
+    """Refuse a name that is none of the values of a configuration."""
+    if isinstance(name, str) and name in whole.mimics:
+        other, _ = whole.mimics[name]
+        raise InputError(
+            f"{argument}: expected joints with values of their own, found {name!r}, which follows {other!r}"
+        )
+    if name not in whole.configuration_names:
+        raise _validate.unknown_name(argument, name, whole.configuration_names)
 
 
 def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[tuple[int, int]]:
