@@ -624,12 +624,10 @@ def test_bad_options(options, kind, words):
 @pytest.mark.parametrize("question", ["limits", "joints"])
 def test_a_joint_that_follows_another_one_has_no_range(question):
     """The message names the joint that it follows."""
-    robot = mechanisms.rack_and_pinion()
+    robot, pairs = mechanisms.rack_and_pinion(), [("frame", "rack")]
+    joints, limits = ("rack", None) if question == "joints" else ("pinion", {"rack": (0.0, 1.0)})
     with pytest.raises(InputError, match=f"{question}: .* 'rack', which follows 'pinion'"):
-        if question == "limits":
-            robot.prove_pairs(limits={"rack": (0.0, 1.0)})
-        else:
-            robot.free_range("rack", pairs=[("frame", "rack")])
+        robot.free_range(joints, pairs=pairs, limits=limits)
 
 
 def test_bodies_that_follow_motions_are_refused():
