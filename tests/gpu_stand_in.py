@@ -103,7 +103,7 @@ class StandIn:
 
     def _array(self, address: int, size: int) -> np.ndarray | None:
         """Memory at an address, if so much was allocated."""
-        for begin, array in self.memory.items():
+        for begin, array in list(self.memory.items()):  # other threads allocate meanwhile
             if begin <= address and address + size <= begin + array.size:
                 return array[address - begin : address - begin + size]
         return None

@@ -115,4 +115,4 @@ def test_policy_names_the_versions_of_formats():
     assert rows == {name: str(version) for name, version in written.items()}
     text = Path(verify.__file__).read_text()
     assert "reads version 1," in text
-    assert f"version {VERSION}, claim 1." in text
+    assert f"version {VERSION}, claims 1 and 3." in text

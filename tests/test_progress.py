@@ -97,6 +97,7 @@ WATCHED = {
     ],
     "Bodies.from_points": [lambda progress: loewner.Bodies.from_points(SETS, progress=progress)],
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
+    "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
     "compile_kernels": [compiled],
     "paper.run": [lambda progress: paper.run(300, progress=progress)],
     "cluster.fit": [fitted_by_a_cluster],
