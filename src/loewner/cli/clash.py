@@ -12,6 +12,7 @@ import numpy as np
 
 import loewner
 from loewner import plots
+from loewner._files import shown
 from loewner._validate import Floats, Pair
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, progress_bar, remove_older_proof
@@ -121,7 +122,7 @@ def _run(options: argparse.Namespace) -> int:
         _draw(found, robot, scene, options.out)
     if options.write_srdf is not None:
         written = found.to_srdf(options.write_srdf, narrower=options.narrower)
-        print(f"{options.write_srdf}: {len(written)} pairs added")
+        print(f"{shown(options.write_srdf)}: {len(written)} pairs added")
     verdicts = {row.verdict for row in found}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
         return COLLIDING
@@ -190,7 +191,7 @@ def _draw(found: ProvenPairs, robot: loewner.Robot, scene: loewner.Scene | None,
     """Draw the two bodies with the least distance, where they have it."""
     row = min(found, key=lambda row: np.nan_to_num(row.distance, nan=np.inf))
     if row.nearest is None:
-        print(f"note: {path} is not written, since no distance is known")
+        print(f"note: {shown(path)} is not written, since no distance is known")
         return
     poses = dict(zip(robot.link_names, robot.forward_kinematics(row.nearest), strict=True))
     placed = []

@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+from loewner._files import shown
 from loewner.cli import inputs
 from loewner.cli.output import new_table, print_table, progress_bar
 
@@ -55,7 +56,7 @@ def _run(options: argparse.Namespace) -> int:
         print(_wrapped(sheet.note))
     for name, path in (("report", options.out), ("counts", options.json)):
         if path is not None:
-            print(f"{name}: {path}")
+            print(f"{name}: {shown(path)}")
     return 0
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import loewner
 from loewner import Verdict, _archives, _tables, planners
-from loewner._files import read_regular
+from loewner._files import read_regular, shown
 from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
@@ -363,10 +363,12 @@ def _print_answer(answer: dict[str, Any]) -> None:
     )
     print(f"found in  {1e3 * answer['seconds']:.3g} ms, this machine, this run")
     if answer["out"] is not None:
-        print(f"written   {answer['out']}")
+        print(f"written   {shown(answer['out'])}")
     if answer["proof"] is not None:
         size = answer["proof_bytes"]
-        print(f"written   {answer['proof']}, {size['file']:,} bytes: model {size['model']:,}, proof {size['proof']:,}")
+        print(
+            f"written   {shown(answer['proof'])}, {size['file']:,} bytes: model {size['model']:,}, proof {size['proof']:,}"
+        )
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:

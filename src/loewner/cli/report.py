@@ -23,7 +23,7 @@ import numpy as np
 
 import loewner
 from loewner import Verdict, _archives, _json, _validate
-from loewner._files import read_regular, replacing
+from loewner._files import read_regular, replacing, shown
 from loewner._native import library
 from loewner.bodies import arrays_of, packed_of
 from loewner.cli import configurations, inputs
@@ -106,7 +106,7 @@ def _write(options: argparse.Namespace) -> int:
     for name, value in answers.items():
         table.add_row(name, _shown(value))
     print_table(table)
-    print(f"{options.out} contains {', '.join(member.name for member in members)}")
+    print(f"{shown(options.out)} contains {', '.join(member.name for member in members)}")
     return FREE
 
 

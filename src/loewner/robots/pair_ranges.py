@@ -490,6 +490,8 @@ def free_range(
 ) -> dict[str, tuple[float, float]]:
     """Answer `Robot.free_range`."""
     names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
+    for name in names:
+        _expect_value(self, name, "joints")
     if not names or len(set(names)) < len(names):
         raise InputError(f"joints: expected one name or several different ones, found {_validate.short(joints)}")
     margin, boxes = _validate.positive_scalar(margin, "margin", zero=True), _validate.whole_number(boxes, "boxes", 1)
@@ -634,7 +636,7 @@ def _expect_value(whole: Robot, name: Any, argument: str) -> None:
         raise InputError(
             f"{argument}: expected joints with values of their own, found {name!r}, which follows {other!r}"
         )
-    if name not in whole.configuration_names:
+    if not isinstance(name, str) or name not in whole.configuration_names:
         raise _validate.unknown_name(argument, name, whole.configuration_names)
 
 
