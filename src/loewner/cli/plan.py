@@ -366,9 +366,8 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"written   {shown(answer['out'])}")
     if answer["proof"] is not None:
         size = answer["proof_bytes"]
-        print(
-            f"written   {shown(answer['proof'])}, {size['file']:,} bytes: model {size['model']:,}, proof {size['proof']:,}"
-        )
+        written = shown(answer["proof"])
+        print(f"written   {written}, {size['file']:,} bytes: model {size['model']:,}, proof {size['proof']:,}")
 
 
 def _print_verdict(answer: dict[str, Any]) -> None:
