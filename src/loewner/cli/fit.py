@@ -111,7 +111,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
                 if outcome.status == "done":
                     outcome = outcome_of(mesh, partial(_moved, made[at], target))
                 if outcome.status == "done":
-                    rows[at] = [str(target), *row]
+                    rows[at] = [shown(target), *row]
                 else:
                     failed[at] = outcome.message
                     print(f"loewner: error: {outcome.message}", file=sys.stderr, flush=True)
@@ -188,7 +188,7 @@ def _summary(done: str, failed: Mapping[Path, str]) -> int:
     if failed:
         table = new_table("mesh", "what is wrong", title="loewner fit: failed")
         for mesh, text in failed.items():
-            table.add_row(str(mesh), text.removeprefix(f"{shown(mesh)}: "))
+            table.add_row(shown(mesh), text.removeprefix(f"{shown(mesh)}: "))
         print_table(table)
     return ERROR if failed else 0
 
