@@ -133,6 +133,18 @@ def test_the_margin_counts(near):
     assert row.margin == 0.005 + near
 
 
+@pytest.mark.filterwarnings("ignore:.*expected lengths in metres:UserWarning")
+def test_a_range_far_from_zero_ends():
+    """At 3e6 m, neighbouring numbers are farther apart than the ranges' accuracy: the search stops between them."""
+    far = 3e6
+    robot = mechanisms.robot(
+        link("frame", ball(BALL, (far, 0.0, 0.0))), link("slide", ball(BALL)),
+        joint("slide", "prismatic", "frame", "slide", axis=(1, 0, 0), limits=(0.0, 2 * far)),
+    )  # fmt: skip
+    _, upper = robot.free_range("slide", [far - 1.0], pairs=[("frame", "slide")])["slide"]
+    assert far - 0.3 < upper < far - 2 * BALL
+
+
 def test_a_rack_is_free_up_to_contact():
     """The proven range of the pinion ends where the rack touches, or at the limit."""
     lower, upper = mechanisms.rack_and_pinion().free_range("pinion", pairs=[("frame", "rack")])["pinion"]
@@ -332,6 +344,29 @@ def test_pairs_without_a_range_are_open():
     assert "any axis" in row.reason
 
 
+def test_a_box_of_values_needs_ranges():
+    """With a floating joint between a pair, a box of several values cannot be proven, and is not told to be empty."""
+    robot = mechanisms.robot(
+        link("frame", ball(0.1)), link("one"), link("two", ball(0.1, (0.5, 0.0, 0.0))),
+        joint("a", "revolute", "frame", "one", limits=(0.0, 1.0)),
+        joint("b", "revolute", "one", "two", limits=(0.0, 1.0)),
+    ).add_base("floating")  # fmt: skip
+    scene = Scene()
+    scene.add("post", Body.sphere(0.1), [[1, 0, 0, 3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    with pytest.raises(InputError, match="post and two: the joint above .* any axis"):
+        robot.free_range(["a", "b"], pairs=[("two", "post")], scene=scene)
+
+
+def test_a_robot_without_bodies_has_no_pairs():
+    """It is read, and questions about it are refused, as by a checker."""
+    robot = mechanisms.robot(
+        link("frame"), link("crank"), joint("hinge", "continuous", "frame", "crank"), pairs="proven"
+    )  # fmt: skip
+    for question in (robot.prove_pairs, lambda: robot.free_range("hinge")):
+        with pytest.raises(InputError, match="collision geometry"):
+            question()
+
+
 def test_a_base_on_a_floor():
     """A planar base needs ranges for its position; with them it misses the post or not."""
     robot = mechanisms.hinge().add_base("planar")
@@ -448,6 +483,9 @@ def test_proven_pairs_in_an_srdf(tmp_path):
     path.write_text(mine)
     assert found.to_srdf(path) == ()
     assert path.read_text() == mine
+    mine = mine.replace("disable", "enable")  # a pair that somebody wants checked
+    path.write_text(mine)
+    assert found.to_srdf(path) == ()
     mine = '\ufeff<?xml version="1.0"?>\r\n<robot name="mechanism">\r\n</robot >\r\n<!-- </robot> -->\r\n'
     path.write_bytes(mine.encode())
     assert found.to_srdf(path) == (("first", "second"),)

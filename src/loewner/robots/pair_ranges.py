@@ -432,22 +432,22 @@ def _values(whole: Robot, joints: list[int]) -> tuple[dict[int, bool], str]:
 @guarded
 def prove_pairs(
     self: Robot,
-    pairs: Iterable[Pair] | None = None,
+    pairs: Iterable[Pair] | None,
     *,
-    margin: float = 0.0,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-    scene: Scene | None = None,
-    boxes: int = 1_000_000,
-    cache: bool = True,
-    progress: Progress | None = None,
-    proof: bool = False,
+    margin: float,
+    limits: Mapping[str, tuple[float, float]] | None,
+    scene: Scene | None,
+    boxes: int,
+    cache: bool,
+    progress: Progress | None,
+    proof: bool,
 ) -> ProvenPairs:
-    """Answer `Robot.prove_pairs`."""
+    """Answer `Robot.prove_pairs`, which has the defaults."""
     cache = _validate.flag(cache, "cache")
     margin = _validate.positive_scalar(margin, "margin", zero=True)
     boxes = _validate.whole_number(boxes, "boxes", 1)
     _validate.callback(progress, "progress")
-    scene = _standing(scene)
+    scene = _standing(self, scene)
     given = _checked_limits(self, limits)
     stated = None
     if _validate.flag(proof, "proof"):
@@ -480,22 +480,22 @@ def prove_pairs(
 def free_range(
     self: Robot,
     joints: str | Iterable[str],
-    about: ArrayLike | None = None,
+    about: ArrayLike | None,
     *,
-    pairs: Iterable[Pair] | None = None,
-    margin: float = 0.0,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-    scene: Scene | None = None,
-    boxes: int = 100_000,
+    pairs: Iterable[Pair] | None,
+    margin: float,
+    limits: Mapping[str, tuple[float, float]] | None,
+    scene: Scene | None,
+    boxes: int,
 ) -> dict[str, tuple[float, float]]:
-    """Answer `Robot.free_range`."""
+    """Answer `Robot.free_range`, which has the defaults."""
     names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
     for name in names:
         _expect_value(self, name, "joints")
     if not names or len(set(names)) < len(names):
         raise InputError(f"joints: expected one name or several different ones, found {_validate.short(joints)}")
     margin, boxes = _validate.positive_scalar(margin, "margin", zero=True), _validate.whole_number(boxes, "boxes", 1)
-    scene, given = _standing(scene), _checked_limits(self, limits)
+    scene, given = _standing(self, scene), _checked_limits(self, limits)
     q = self.configuration() if about is None else self.checked_one(about, "about")
     every = prepared(self, scene, self._usually_skipped if pairs is None else (), scene.version, None)
     asked = [(int(a), int(b)) for a, b in every.pairs] if pairs is None else _asked(self, every, pairs)
@@ -541,8 +541,10 @@ def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[
     return found
 
 
-def _standing(scene: Scene | None) -> Scene:
-    """Check the scene of a question, and return a copy of it."""
+def _standing(whole: Robot, scene: Scene | None) -> Scene:
+    """Check the robot and the scene of a question, and return a copy of the scene."""
+    if not whole.bodies:
+        raise InputError(f"robot: expected a robot with collision geometry, found none in {whole.name!r}")
     if scene is not None and not isinstance(scene, Scene):
         raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
     scene = Scene() if scene is None else scene.snapshot()
@@ -562,7 +564,7 @@ def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float,
         low, high, reason = _range(whole, moved, at, all(tree.kind[k] == kernel_columns.REVOLUTE for k in moved))
         if reason or not moved:
             raise InputError(f"joints: expected a joint with a range, found {name!r}: {reason or 'part of a position'}")
-        if low < -FARTHEST_LIMIT or not whole.hard_lower[at] > -FARTHEST_LIMIT:  # a full turn begins anywhere
+        if whole.hard_lower[at] <= -FARTHEST_LIMIT:  # a full turn begins anywhere
             low, high = q[at] + low, q[at] + high
     else:
         low, high = given[at]
@@ -578,6 +580,8 @@ def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
     while known != end and abs(step) > FINEST:
         a[column] = known
         b[column] = end if abs(step) >= abs(end - known) else known + step
+        if b[column] == known:  # no number is left between the two
+            break
         if proofs.prove(ready, straight(ready.robot, a[None], b[None]), FINEST).verdicts[0] == codes.FREE:
             known, step = float(b[column]), 2.0 * step
         else:
@@ -601,8 +605,9 @@ def _largest_share(
         ends |= {at: (q[at] - share * (q[at] - low), q[at] + share * (high - q[at])) for at, low, high in columns}
         asked_now = [_question(whole, every, pair, margin, ends) for pair, margin in zip(asked, kept, strict=True)]
         questions = [one for one in asked_now if isinstance(one, _Question)]
-        if any(isinstance(one, ProvenPair) for one in asked_now):
-            return False
+        for one in asked_now:
+            if isinstance(one, ProvenPair):  # a box of no size would be a silent answer
+                raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
         _settle(questions, boxes, None, search=False)
         return all(question.proven_free for question in questions)
 

@@ -240,6 +240,7 @@ def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:
 
 
 def _listed(path: Path, text: str) -> set[frozenset[str]]:
-    """Return the pairs that the text of an SRDF lists."""
-    elements = read_xml(path, "an SRDF", text.removeprefix("\ufeff")).all("disable_collisions")
+    """Return the pairs that the text of an SRDF lists, also as pairs to check."""
+    root = read_xml(path, "an SRDF", text.removeprefix("\ufeff"))
+    elements = [*root.all("disable_collisions"), *root.all("enable_collisions")]
     return {frozenset((one.attributes.get("link1", ""), one.attributes.get("link2", ""))) for one in elements}

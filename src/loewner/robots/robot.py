@@ -300,7 +300,7 @@ class Robot(KeepsReadOnly):
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
         made = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
-        if pairs != "proven":
+        if pairs != "proven" or not made.bodies:
             return made
         others = [pair for pair in combinations(sorted(made.bodies), 2) if pair not in made.adjacent_pairs]
         return made.disabling(made.adjacent_pairs | made.prove_pairs(others, cache=cache, progress=progress).exempt)
@@ -639,8 +639,8 @@ class Robot(KeepsReadOnly):
             If there is no such link, body or value.
         InputError
             If an entry is not a pair of two different bodies, or none of the two moves; if a link has no body; if a
-            range has its lower end above its upper one; or if a body of the scene follows a motion. With `proof`, also
-            if a row is not NEVER, and if the format cannot express the model or the proof, or in 5 MB.
+            range has its lower end above its upper one; if the robot has no collision geometry; or if a body of the
+            scene follows a motion. With `proof`, also if a row is not NEVER, and if the format cannot express the model or the proof, or in 5 MB.
         ConvergenceError
             With `proof`, if a pair comes too near to its margin for the format.
 
