@@ -141,7 +141,8 @@ def test_a_range_far_from_zero_ends():
         link("frame", ball(BALL, (far, 0.0, 0.0))), link("slide", ball(BALL)),
         joint("slide", "prismatic", "frame", "slide", axis=(1, 0, 0), limits=(0.0, 2 * far)),
     )  # fmt: skip
-    _, upper = robot.free_range("slide", [far - 1.0], pairs=[("frame", "slide")])["slide"]
+    pairs, limits = [("frame", "slide")], {"slide": (0.0, 2 * far)}
+    _, upper = robot.free_range("slide", [far - 1.0], pairs=pairs, limits=limits)["slide"]
     assert far - 0.3 < upper < far - 2 * BALL
 
 
