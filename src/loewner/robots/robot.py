@@ -640,8 +640,8 @@ class Robot(KeepsReadOnly):
         InputError
             If an entry is not a pair of two different bodies, or none of the two moves; if a link has no body; if a
             range has its lower end above its upper one; if the robot has no collision geometry; or if a body of the
-            scene follows a motion. With `proof`, also if a row is not NEVER, and if the format cannot express the model or
-            the proof, or in 5 MB.
+            scene follows a motion. With `proof`, also if a row is not NEVER, and if the format cannot express the model
+            or the proof, or in 5 MB.
         ConvergenceError
             With `proof`, if a pair comes too near to its margin for the format.
 
