@@ -261,7 +261,6 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
         EXPECT(before <= first && first <= last && last <= next && next <= columns, "layout: points");
         EXPECT(first % POINT_BLOCK == 0 && last % POINT_BLOCK == 0 && next % POINT_BLOCK == 0, "layout: points");
         EXPECT(kind <= SURFACE ? 1 <= at && at <= surfaces : at == 0, "layout: surfaces");
-        EXPECT(kind > SURFACE || last - first == POINT_BLOCK, "layout: boxes of surfaces");
         EXPECT(kind > POLYTOPE || last > first, "layout: polytopes without points");
         if (kind == MAPPED)
             TRY(check_nodes(pack->points + 3 * last, 3 * (next - last), last - first));

@@ -179,7 +179,10 @@ typedef struct {
     double margin;
 } Rule;
 
-/* All that kernels are given of one set of bodies: whole, or with standing surfaces cut into parts. */
+/* Which surfaces are cut into parts: none, all, or those of bodies without solids. */
+typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
+
+/* All that kernels are given of one set of bodies. */
 typedef struct {
     Pack pack;
     void *joined; /* memory of the pack, unless it is a file's */
@@ -200,7 +203,7 @@ typedef struct {
     Tree tree;      /* with a link for each attached body */
     int64_t *link, *pair_list, *rows, *order, *motion_order, *path_start, *path_link, *group_start, *group_pairs;
     double *margins, *poses;
-    Half whole, cut; /* cut.words[0] == 0: there is none */
+    Half halves[CUTTINGS]; /* of words[0] == 0: there is none, and `half_of` returns the first one */
     void *memory[32];
     int memory_count;
 } State;
@@ -255,7 +258,7 @@ enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
 
 /* The set of bodies of which motions are proven. */
-const Half *half_of_motions(const loewner_checker *checker);
+const Half *half_of(const loewner_checker *checker, Cutting cutting);
 
 loewner_status check_configurations(const loewner_checker *checker, const double *configurations, size_t n,
                                     const char *name);

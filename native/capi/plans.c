@@ -33,7 +33,7 @@ typedef struct {
 
 static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspace, const double *joint_error)
 {
-    const Half *half = half_of_motions(checker);
+    const Half *half = half_of(checker, CUT);
     int is_off = 0;
     for (int64_t c = 0; joint_error != NULL && c < checker->file->dof; c++)
         is_off |= joint_error[c] > 0;

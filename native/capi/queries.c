@@ -98,7 +98,7 @@ static loewner_status settle_pairs(const State *state, loewner_workspace *worksp
                                    int8_t *verdicts)
 {
     int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5] = {count, 1, 1, 1, 1};
-    int64_t pack = (int64_t)state->whole.words;
+    int64_t pack = (int64_t)state->halves[WHOLE].words;
     memset(verdicts, LOEWNER_AMBIGUOUS, (size_t)count);
     for (int64_t first = 0, last; first < count; first = last) {
         for (last = first + 1; last < count && state->margins[last] == state->margins[first];)
@@ -354,7 +354,7 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
             write_distance(found, numbers, numbers + count, numbers + 2 * count, vectors, count, k, status[k] == 0);
             for (int side = 0; side < 2; side++) {
                 int64_t *piece = workspace->pieces + 2 * k + side;
-                *piece = status[k] == 0 ? owner(&state->whole.pack, *piece) : state->pair_list[side];
+                *piece = status[k] == 0 ? owner(&state->halves[WHOLE].pack, *piece) : state->pair_list[side];
                 found->bodies[side] = state->body[*piece];
             }
         }
@@ -382,7 +382,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
     if (!(softness > 0 && softness < INFINITY))
         return fail(LOEWNER_BAD_ARGUMENT, "softness: expected a positive number, found %g", softness);
     /* A solid counts as a whole, not only its surface. */
-    const Half *half = state->starts_matter ? &state->whole : half_of_motions(checker);
+    const Half *half = half_of(checker, state->starts_matter ? OPEN_CUT : CUT);
     int64_t dof = checker->file->dof, count = (int64_t)n, nothing;
     struct {
         int64_t gradient;
@@ -502,7 +502,7 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
 {
     const State *state = &checker->state;
     const File *file = checker->file;
-    const Half *half = half_of_motions(checker);
+    const Half *half = half_of(checker, CUT);
     int64_t dof = file->dof, count = (int64_t)n, points = degree + 1, nothing;
     int is_off = 0;
     for (int64_t c = 0; joint_error != NULL && c < dof; c++)
@@ -644,7 +644,7 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
 static loewner_status find_free(const loewner_checker *checker, loewner_workspace *workspace, int64_t count,
                                 const loewner_proof_options *options, int8_t *is_free)
 {
-    const Half *half = half_of_motions(checker);
+    const Half *half = half_of(checker, CUT);
     int64_t tally[2] = {0, 0}, dof = checker->file->dof, nothing;
     const double *error = options != NULL ? options->joint_error : NULL;
     int is_off = 0;

@@ -34,8 +34,8 @@ static void leave_half(Half *half)
 
 static void leave_state(State *state)
 {
-    leave_half(&state->whole);
-    leave_half(&state->cut);
+    for (int k = 0; k < CUTTINGS; k++)
+        leave_half(state->halves + k);
     for (int k = 0; k < state->memory_count; k++)
         free(state->memory[k]);
     memset(state, 0, sizeof *state);
@@ -63,10 +63,21 @@ static void range_of(const Pack *pack, int64_t which, Counts *from, Counts *coun
         count->parts += pack->part_start[PARTS * p + 2] - pack->part_start[PARTS * p];
 }
 
-/* The pack of a body, with standing surfaces in parts or not. */
-static const Pack *pack_of(const Body *body, int in_parts)
+/* Whether pieces of a body are solids. */
+static int is_solid(const Body *body)
 {
-    return in_parts && body->file->has_cut ? &body->file->cut : &body->file->whole;
+    const Pack *pack = &body->file->whole;
+    for (int64_t p = pack->piece_start[body->which]; p < pack->piece_start[body->which + 1]; p++)
+        if (pack->layout[LAYOUT * p + KIND_OF] == SOLID)
+            return 1;
+    return 0;
+}
+
+/* The pack of a body, with its surfaces in parts or not. */
+static const Pack *pack_of(const Body *body, Cutting cutting)
+{
+    int in_parts = body->file->has_cut && (cutting == CUT || (cutting == OPEN_CUT && !is_solid(body)));
+    return in_parts ? &body->file->cut : &body->file->whole;
 }
 
 /* Append one body; `at` is where its arrays begin. */
@@ -124,14 +135,8 @@ static int64_t rigid_link(const Tree *tree, int64_t link)
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
 }
 
-/* Whether the body at a place stands still, whatever the robot does. */
-static int stands(const State *state, int64_t k)
-{
-    return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
-}
-
 /* Make one pack of the bodies of a state. */
-static loewner_status join(const loewner_checker *checker, const State *state, int in_parts, Half *half)
+static loewner_status join(const loewner_checker *checker, const State *state, Cutting cutting, Half *half)
 {
     int64_t bodies = state->moving + state->standing;
     Pack *made = &half->pack;
@@ -139,7 +144,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     *made = (Pack){.bodies = bodies, .is_single = 1};
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        const Pack *pack = pack_of(body, in_parts && stands(state, k));
+        const Pack *pack = pack_of(body, cutting);
         Counts from, count;
         range_of(pack, body->which, &from, &count);
         total.pieces += count.pieces;
@@ -180,7 +185,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, i
     ((int64_t *)made->piece_start)[0] = 0;
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        append(made, pack_of(body, in_parts && stands(state, k)), body->which, &at);
+        append(made, pack_of(body, cutting), body->which, &at);
     }
     return LOEWNER_OK;
 }
@@ -523,14 +528,14 @@ static loewner_status measure(const loewner_checker *checker, Half *half, int is
     return LOEWNER_OK;
 }
 
-static loewner_status make_half(const loewner_checker *checker, State *state, int in_parts, int is_for_motions)
+static loewner_status make_half(const loewner_checker *checker, State *state, Cutting cutting, int is_for_motions)
 {
-    Half *half = in_parts ? &state->cut : &state->whole;
+    Half *half = state->halves + cutting;
     int64_t bodies = state->moving + state->standing, links = state->tree.links, pairs = state->pairs;
-    if (state->is_as_saved)
-        half->pack = in_parts ? checker->file->cut : checker->file->whole;
+    if (state->is_as_saved && cutting != OPEN_CUT)
+        half->pack = cutting == CUT ? checker->file->cut : checker->file->whole;
     else
-        TRY(join(checker, state, in_parts, half));
+        TRY(join(checker, state, cutting, half));
     write_words(&half->pack, half->words);
     int64_t pieces = half->pack.piece_start[bodies] - half->pack.piece_start[state->moving];
     half->ball = room(state, 5 * state->moving, 8);
@@ -651,19 +656,6 @@ static void copy_poses(const loewner_checker *checker, State *state)
         memcpy(state->poses + 16 * k, checker->bodies[state->body[state->moving + k]].pose, 16 * sizeof(double));
 }
 
-/* Whether some standing body is a solid whose surface alone is seen by proofs of motions. */
-static int has_standing_solids(const State *state)
-{
-    for (int64_t k = 0; k < state->moving + state->standing; k++) {
-        if (!stands(state, k))
-            continue;
-        for (int64_t p = state->whole.pack.piece_start[k]; p < state->whole.pack.piece_start[k + 1]; p++)
-            if (state->whole.pack.layout[LAYOUT * p + KIND_OF] == SOLID)
-                return 1;
-    }
-    return 0;
-}
-
 static loewner_status assemble(const loewner_checker *checker, State *state)
 {
     state->is_as_saved = is_as_saved(checker);
@@ -678,12 +670,16 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
     TRY(list_paths(state));
     TRY(list_pairs(checker, state));
     int has_cut = 0;
-    for (int64_t k = 0; k < state->moving + state->standing; k++)
-        has_cut |= checker->bodies[state->body[k]].file->has_cut;
-    TRY(make_half(checker, state, 0, !has_cut));
+    for (int64_t k = 0; k < state->moving + state->standing; k++) {
+        const Body *body = checker->bodies + state->body[k];
+        has_cut |= body->file->has_cut;
+        state->starts_matter |= is_solid(body);
+    }
+    TRY(make_half(checker, state, WHOLE, !has_cut));
     if (has_cut)
-        TRY(make_half(checker, state, 1, 1));
-    state->starts_matter = has_cut && has_standing_solids(state);
+        TRY(make_half(checker, state, CUT, 1));
+    if (has_cut && state->starts_matter)
+        TRY(make_half(checker, state, OPEN_CUT, 0));
     return LOEWNER_OK;
 }
 
@@ -702,18 +698,19 @@ static loewner_status renew(loewner_checker *checker)
         *state = made;
     } else {
         copy_poses(checker, state);
-        TRY(place(state, &state->whole, 1 - state->whole.current));
-        if (state->cut.words[0] != 0)
-            TRY(place(state, &state->cut, 1 - state->cut.current));
+        for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
+            if (half->words[0] != 0)
+                TRY(place(state, half, 1 - half->current));
     }
     checker->serial = atomic_fetch_add(&serials, 1);
     atomic_store(&checker->is_stale, 0);
     return LOEWNER_OK;
 }
 
-const Half *half_of_motions(const loewner_checker *checker)
+const Half *half_of(const loewner_checker *checker, Cutting cutting)
 {
-    return checker->state.cut.words[0] != 0 ? &checker->state.cut : &checker->state.whole;
+    const Half *half = checker->state.halves + cutting;
+    return half->words[0] != 0 ? half : checker->state.halves + WHOLE;
 }
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
@@ -743,10 +740,12 @@ typedef struct {
 static loewner_status bind(const loewner_checker *checker, loewner_workspace *workspace)
 {
     const State *state = &checker->state;
-    const Half *half = half_of_motions(checker);
+    const Half *half = half_of(checker, CUT);
     size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs,
            bodies = (size_t)(state->moving + state->standing);
-    size_t memory = (size_t)(half->memory > state->whole.memory ? half->memory : state->whole.memory);
+    size_t memory = 0;
+    for (int k = 0; k < CUTTINGS; k++)
+        memory = (size_t)state->halves[k].memory > memory ? (size_t)state->halves[k].memory : memory;
     const Part parts[] = {
         {(void **)&workspace->memory, memory},
         {(void **)&workspace->validator, (size_t)half->memory},
@@ -785,11 +784,11 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         at += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
     }
     /* The order of pairs is the workspace's own: it learns which collide most often. */
-    memcpy(workspace->table, (const void *)state->whole.handle, sizeof workspace->table);
+    memcpy(workspace->table, (const void *)state->halves[WHOLE].handle, sizeof workspace->table);
     memcpy(workspace->order, state->order, 8 * pairs);
     memset(workspace->hits, 0, 8 * pairs);
     workspace->table[3 * ORDER_ROW] = (int64_t)workspace->order;
-    workspace->pack = (int64_t)state->whole.words;
+    workspace->pack = (int64_t)state->halves[WHOLE].words;
     workspace->seen = 0;
     workspace->is_ready = 0;
     workspace->next_look = FIRST_LOOK;

@@ -168,7 +168,7 @@ def one_body(kernel: records.Pieces) -> records.Pieces:
     return kernel._replace(piece_start=start, groups=groups, children=children, roots=roots)
 
 
-def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, boxes: Floats) -> records.Pieces:
+def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats]) -> records.Pieces:
     """Make the kernels' arrays of one body, the parts of a surface.
 
     An exact search on a part is answered by the whole surface's tree: it may find a collision with another part, which
@@ -179,13 +179,15 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, boxes: Floats) -> records
     p : PieceArrays
     tree : SurfaceTree
         The whole surface's tree.
-    boxes : ndarray, shape (parts, 24)
-        Corners of boxes around the parts, without the radius: eight x, eight y, eight z.
+    around : sequence of ndarray, shape (k, 3)
+        For each part, points whose convex hull contains its triangles, without the radius.
     """
-    table, count = _table(p), len(boxes)
+    table, count = _table(p), len(around)
     hot, number = np.ascontiguousarray(table[:, : columns.HOT]), np.arange(count)
-    single, points = _single(hot), _end_to_end([boxes.ravel()])
-    layout = np.column_stack([p.layout[:, columns.KIND], 8 * number, 8 * number + 8, number])
+    blocks = [_in_blocks(points) for points in around]
+    single, points = _single(hot), _end_to_end([block.ravel() for block in blocks])
+    ends = np.cumsum([0, *(block.size // 3 for block in blocks)])
+    layout = np.column_stack([p.layout[:, columns.KIND], ends[:-1], ends[1:], number])
     layout[:, columns.SURFACE_AT] = tree.table.ctypes.data
     vertices = _end_to_end([points[: len(points) * (len(single) > 0)].astype(np.float32)])
     part_start = np.column_stack([number, number + 1, number + 1]).ravel()
@@ -193,6 +195,13 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, boxes: Floats) -> records
         table, layout, points, p.piece_start.copy(), hot, single, *_trees(table, p.piece_start), vertices, hot.copy(),
         part_start,
     )  # fmt: skip
+
+
+def _in_blocks(points: Floats) -> Floats:
+    """Arrange points, shape (k, 3), in blocks of eight; the last one is filled up with repeats of the last point."""
+    count = -(-len(points) // columns.BLOCK) * columns.BLOCK
+    filled = points[np.minimum(np.arange(count), len(points) - 1)]
+    return filled.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1)
 
 
 def _end_to_end(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:

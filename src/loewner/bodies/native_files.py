@@ -62,8 +62,7 @@ def save(path: str | os.PathLike[str], packed: Packed) -> None:
     count = len(packed.piece_start) - 1
     packs = [packed]
     if packed.trees:
-        cut = in_parts([take(packed, np.array([k])) for k in range(count)], np.ones(count, dtype=bool))
-        packs.append(join(cut))
+        packs.append(join(in_parts([take(packed, np.array([k])) for k in range(count)])))
     write(path, [[str(k) for k in range(count)]], {}, packs, (0, 0, 0))
 
 

@@ -1,4 +1,4 @@
-"""Cut surfaces into parts: proofs of motions replace each piece by a box, and small boxes leave more free space."""
+"""Cut surfaces into parts, which proofs of motions replace by their convex hulls."""
 
 from __future__ import annotations
 
@@ -8,40 +8,58 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from loewner._kernels import columns
+from loewner._matrices import dot, product
 from loewner._native import entries
-from loewner._validate import Bools
+from loewner._validate import Floats
 from loewner.bodies.flat_faces import flat_faces
 from loewner.bodies.layout import PieceArrays, kernel_of_parts
 from loewner.bodies.pack import Packed, Prepared, as_one, some
 from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
+from loewner.errors import GeometryError
+from loewner.polytopes import Polytope
 
-# Limits on the parts of a surface, and of all surfaces of a problem together.
+# Parts of a surface. Where hulls of these meet, proofs of motions go on with triangles.
+PARTS = 6
+
+# Limits on the parts of a surface, and of all surfaces of a problem together, where only the parts count.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Parts of surfaces by tree, with the limit on their number; None for a surface that cannot be cut.
-_known: WeakKeyDictionary[SurfaceTree, tuple[int, Packed | None]] = WeakKeyDictionary()
+# Flat parts with more corners than this are replaced by a box.
+MOST_FLAT = 128
+
+# Step in which the vertices of a hull are moved outward, relative to its size; more than the rounding of their places.
+ROUNDED = 1e-12
+
+# Number of products formed at a time.
+AT_ONCE = 1_000_000
+
+# Parts of surfaces by tree and limit on their number; None for a surface that cannot be cut.
+_known: WeakKeyDictionary[SurfaceTree, dict[int, Packed | None]] = WeakKeyDictionary()
 
 
-def in_parts(packs: Sequence[Packed], bodies: Bools) -> list[Packed]:
+def in_parts(packs: Sequence[Packed], most: int = PARTS) -> list[Packed]:
     """Cut the surfaces of bodies into parts, each a piece of its own; a body without surfaces is returned as it is.
 
-    Parts of a solid cover only its surface. A body that starts outside and stays clear of all parts stays outside.
+    Parts of a solid cover only its surface. Two bodies whose parts never meet stay apart if neither is in the other at
+    the start.
 
     Parameters
     ----------
     packs : sequence of Packed
         One body each.
-    bodies : ndarray of bool
-        Bodies whose surfaces are cut.
+    most : int
+        Limit on the parts of a surface.
     """
-    surfaces = sum(len(pack.trees) for pack, chosen in zip(packs, bodies.tolist(), strict=True) if chosen)
+    return [_in_parts(pack, most) if pack.trees else pack for pack in packs]
+
+
+def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
+    """Cut the surfaces of bodies into as many parts as is reasonable."""
+    surfaces, most = sum(len(pack.trees) for pack in packs), MOST_PARTS
     # A power of two, so that adding a surface does not always cut all others anew.
-    most = MOST_PARTS
     while most * surfaces > ALL_PARTS:
         most //= 2
-    return [
-        _in_parts(pack, most) if chosen and pack.trees else pack for pack, chosen in zip(packs, bodies, strict=True)
-    ]
+    return in_parts(packs, max(most, PARTS))
 
 
 def _in_parts(packed: Packed, most: int) -> Packed:
@@ -68,10 +86,10 @@ def _as_they_are(packed: Packed, first: int, last: int) -> list[Packed]:
 def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
     """Return the parts of a surface, made once, as a body; None if it is a single part."""
     tree = packed.trees[i]
-    known = _known.get(tree)
-    if known is None or known[0] != most:
-        known = _known[tree] = most, _cut(packed, i, most)
-    return known[1]
+    known = _known.setdefault(tree, {})
+    if most not in known:
+        known[most] = _cut(packed, i, most)
+    return known[most]
 
 
 def _cut(packed: Packed, i: int, most: int) -> Packed | None:
@@ -114,4 +132,34 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
     )
     tree = packed.trees[i]
     made = Prepared(**vars(pieces), maps={}, trees=dict.fromkeys(range(count), tree))
-    return Packed.with_kernel(made, kernel_of_parts(pieces, tree, boxes[:count]))
+    around = [box.reshape(3, 8).T for box in boxes[:count]]
+    if not single:
+        parts = (np.unique(triangles[order[start[k] : start[k + 1]]]) for k in range(count))
+        around = [_hull_around(vertices[part], box) for part, box in zip(parts, around, strict=True)]
+    return Packed.with_kernel(made, kernel_of_parts(pieces, tree, around))
+
+
+def _hull_around(points: Floats, box: Floats) -> Floats:
+    """Make few points whose hull certainly contains all of those given.
+
+    The vertices of their hull are moved away from its middle c by a relative amount. A point p lies in the hull of the
+    moved vertices v if n·(p - c) is at most the least n·(v - c) over the vertices of each face with normal n, by the
+    lemma of docs/containment.md. The corners of the box around the points are taken instead if many points are in a
+    plane, which has no faces.
+    """
+    if len(points) <= len(box):
+        return points
+    try:
+        hull = Polytope.from_points(points)
+    except GeometryError:
+        return points if len(points) <= MOST_FLAT else box
+    center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
+    normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
+    heights = np.full(len(hull.normals), np.inf)
+    np.minimum.at(heights, hull.face_of_simplex, dot(normals[:, None], vertices).min(axis=1))
+    if not heights.min() > 0:
+        return box
+    rows, away = hull.normals / heights[:, None], np.ascontiguousarray((points - center).T)
+    each = max(1, AT_ONCE // len(points))
+    farthest = max(float(product(rows[k : k + each], away).max()) for k in range(0, len(rows), each))
+    return np.asarray(center + (hull.vertices - center) * (1 + ROUNDED * (np.ceil((farthest - 1) / ROUNDED) + 1)))

@@ -228,8 +228,7 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
 
 def _how_far(growth: Growth, spent: str, option: str) -> str:
     """Make the message for a search that found nothing."""
-    judge, state, gap = growth.judge, growth.state, growth.gap
-    seen = judge.how_surfaces_are_seen()
+    state, gap = growth.state, growth.gap
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (
         f"the two came within {gap[0]:.3g} (in the units of the joints) of each other"
@@ -239,7 +238,6 @@ def _how_far(growth: Growth, spent: str, option: str) -> str:
         f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
         f"make a tree of {from_start} configurations from the start and one of {from_goals} from the goals; {near}. "
         f"{_what_is_between(growth)}There may be no path; a larger {option}, or another seed, may help"
-        f"{seen and f'{seen}, or certified=False'}"
     )
 
 

@@ -7,14 +7,13 @@ one time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner._kernels import codes, columns
+from loewner._kernels import codes
 from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import InputError, PlanningError
@@ -85,26 +84,6 @@ class Judge:
     def now(self) -> Judge:
         """Return a judge for the scene's current state, otherwise the same."""
         return replace(self, ready=prepared_of(self.checker))
-
-    def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
-        """Explain, for messages, how surfaces may prevent proofs of motions; "" if there are no surfaces or no proofs.
-
-        Parameters
-        ----------
-        names : sequence of str, optional
-            Names of the bodies in question; all bodies if not given.
-        """
-        whole, cut = self.ready.packed, self.ready.in_parts.packed
-        kinds = np.minimum.reduceat(whole.layout[:, columns.KIND], whole.piece_start[:-1])
-        for k, name in enumerate(self.ready.names):
-            if kinds[k] <= columns.SURFACE and not self.resolution and (names is None or name in names):
-                count = cut.piece_start[k + 1] - cut.piece_start[k]
-                how = "the box around it" if count == 1 else f"the boxes around {count} parts of it"
-                return (
-                    f". Proofs see {name!r} as {how}, since it is a surface, a cloud or a height field: "
-                    "take pieces or voxels"
-                )
-        return ""
 
     def up_to(self, longest: float) -> Judge:
         """Return a judge for the same state that can sample motions up to a given length.
@@ -191,7 +170,6 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     certified = prove_by_rules(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE, judge.joint_error)
     certified.expect_short(path[k : k + 1], path[k + 1 : k + 2])
     found = certified.of_shape((), judge.ready)
-    seen = ""
     if found.verdict == Verdict.FREE:
         told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:
@@ -202,6 +180,4 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
             + (" for deviating values" if judge.joint_error is not None else "")
         )
         told = f"on which {found.names[0]} and {found.names[1]} {how} at the fraction {found.fraction:.6g}"
-        if found.verdict == Verdict.AMBIGUOUS:
-            seen = judge.how_surfaces_are_seen(found.names)
-    raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}{seen}")
+    raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}")

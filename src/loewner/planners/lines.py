@@ -228,4 +228,4 @@ def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
     k, (a, b) = left[worst], told.names[worst]
     how = "collide" if told.verdict[worst] == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
     fraction = u[k] + told.fraction[worst] * (u[k + 1] - u[k])
-    return f"{a} and {b} {how} at the fraction {fraction:.4g}{judge.how_surfaces_are_seen(told.names[worst])}"
+    return f"{a} and {b} {how} at the fraction {fraction:.4g}"

@@ -199,7 +199,7 @@ class Space:
         allowed = f"{stated:.3g}" if (error == error[0]).all() else f"{stated / size:.3g} times the given ones"
         return (
             f"one that is proven free only within joint errors of {allowed}: {a} and {b} are "
-            f"{1e3 * nearest.distance:.3g} mm apart{judge.how_surfaces_are_seen(nearest.names)}"
+            f"{1e3 * nearest.distance:.3g} mm apart"
         )
 
 

@@ -216,8 +216,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
     ConvergenceError
         If squares of positions overflow.
     """
-    if not ready.starts_matter:  # a solid counts as a whole, not only its surface
-        ready = ready.in_parts
+    ready = ready.in_open_parts
     expect_pairs(ready, "clearance")
     n, dof = Q.shape
     _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")

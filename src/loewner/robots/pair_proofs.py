@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate, queries
 from loewner._guard import guarded
 from loewner.bodies import Body, packed_of
-from loewner.bodies.parts import in_parts
+from loewner.bodies.parts import in_small_parts
 from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots import common_points, separations
 from loewner.robots.proof_models import Model, model_of_pair
@@ -66,7 +66,7 @@ def prove(
             raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
     poses = np.stack([_validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")])
     packs = packed_of(a), packed_of(b)
-    cut = in_parts(packs, np.array([True, True]))
+    cut = in_small_parts(packs)
     model, parts = model_of_pair(packs, cut, poses, keep), any(pack.trees for pack in cut)
     if not queries.collide(a, poses[0], b, poses[1], margin=keep):
         return _apart(model, parts, lambda: queries.distance(a, poses[0], b, poses[1], exact=True))

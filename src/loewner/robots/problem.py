@@ -23,7 +23,7 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
-from loewner.bodies.parts import in_parts
+from loewner.bodies.parts import in_parts, in_small_parts
 from loewner.pose_paths import PackedPaths, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
@@ -219,14 +219,15 @@ class Problem:
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs[pairs],
             self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
         )._placed(self.standing.poses, version=self.version, paths=self.paths)  # fmt: skip
-        Problem.cut.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
+        for value in (Problem.cut, Problem.open_cut):
+            value.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
         return chosen
 
     def with_order(self, order: Ints) -> Problem:
         """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
         ordered = self._placed(self.standing.poses, order=order)
         ordered._from_handle[records.ENTRIES * _ORDER : _TABLE].view(np.int64)[0] = order.ctypes.data
-        for value in (Problem.cut, Problem.motions):
+        for value in (Problem.cut, Problem.open_cut, Problem.motions):
             value.hand_on(self, ordered)
         return ordered
 
@@ -239,7 +240,8 @@ class Problem:
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
         moved = self._placed(poses, version=version)
-        Problem.cut.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
+        for value in (Problem.cut, Problem.open_cut):
+            value.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
         return moved
 
     def _placed(self, poses: Floats, **changes: Any) -> Problem:
@@ -341,11 +343,37 @@ class Problem:
 
     @kept
     def cut(self) -> Problem | None:
-        """The problem with its static surfaces cut into parts; None if there are no such surfaces.
+        """The problem with its surfaces cut into parts; None if there are no surfaces that can be cut."""
+        return self._of_parts(in_parts(self.packs))
 
-        Static bodies are bodies in the world, or attached to links that are fixed to the root.
+    @property
+    def in_parts(self) -> Problem:
+        """The problem for proofs of motions, with any surfaces cut into parts.
+
+        Parts of a solid cover only its surface. A motion on which no parts meet is free if its start is free, since one
+        body can only enter another one through their surfaces. `starts_matter` is true if there are solids.
         """
-        packs = in_parts(self.packs, self._stand)
+        return self.cut or self
+
+    @kept
+    def open_cut(self) -> Problem | None:
+        """The same, but bodies with solids stay whole."""
+        solid = [bool((pack.layout[:, columns.KIND] == columns.SOLID).any()) for pack in self.packs]
+        return self._of_parts([
+            pack if whole else parts for pack, parts, whole in zip(self.packs, in_parts(self.packs), solid, strict=True)
+        ])  # fmt: skip
+
+    @property
+    def in_open_parts(self) -> Problem:
+        """The problem for bounds on distances, which are less than 0 inside a solid."""
+        return (self.open_cut if self.starts_matter else self.cut) or self
+
+    @kept
+    def in_small_parts(self) -> Problem:
+        """The problem for proofs by planes between parts alone."""
+        return self._of_parts(in_small_parts(self.packs)) or self
+
+    def _of_parts(self, packs: list[Packed]) -> Problem | None:
         if all(one is other for one, other in zip(packs, self.packs, strict=True)):
             return None
         count = len(self.link)
@@ -355,29 +383,10 @@ class Problem:
             self.leaving, self.reaching, self.moving if same else None,
         ).with_poses(self.standing.poses, self.version)  # fmt: skip
 
-    @property
-    def in_parts(self) -> Problem:
-        """The problem for proofs of motions, with any static surfaces cut into parts.
-
-        Parts of a solid cover only its surface. A motion that is free of them is free if its start is free, since a
-        body outside can only enter through the surface. `starts_matter` is true if there are such parts.
-        """
-        return self.cut or self
-
     @kept
     def starts_matter(self) -> bool:
-        """Whether a motion that is free of all parts is proven free only if its start is free as well."""
-        solid = self.packed.layout[:, columns.KIND] == columns.SOLID
-        stands = np.repeat(self._stand, np.diff(self.packed.piece_start))
-        return self.cut is not None and bool((solid & stands).any())
-
-    @property
-    def _stand(self) -> Bools:
-        """Mark the bodies that have the same pose at all configurations."""
-        stand = np.ones(len(self.packs), dtype=bool)
-        rigid = rigid_with(self.robot)
-        stand[: len(self.link)] = rigid[self.link] == rigid[0]
-        return stand
+        """Whether a motion that the kernel proves is free only if its start is free as well."""
+        return bool((self.packed.layout[:, columns.KIND] == columns.SOLID).any())
 
     @kept
     def by_margin(self) -> list[OfMargin]:

@@ -160,7 +160,7 @@ def model_of(ready: Problem) -> Model:
     if known is not None:
         return known
     _refuse(ready)
-    robot, cut = ready.robot, ready.in_parts
+    robot, cut = ready.robot, ready.in_small_parts
     links, at, turns, shifts = _links(robot.tree, robot.link_names)
     moving, standing = ready.link, cut.standing.poses.reshape(-1, 4, 4)
     link = np.append(at[moving], np.full(len(standing), -1))

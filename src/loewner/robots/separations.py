@@ -311,7 +311,7 @@ class _Search(NamedTuple):
         k = np.minimum(places.astype(np.int64), len(self.courses) - 1)
         Q = configurations(self.ready.robot, self.courses[k], places - k)
         at_end = contacts.distance_at(self.ready, self.pair, Q[0])
-        normals = contacts.contact_normals(self.ready.in_parts, self.pair, Q, self.tolerance)
+        normals = contacts.contact_normals(self.ready.in_small_parts, self.pair, Q, self.tolerance)
         at = np.unique(normals.round(12), axis=0, return_index=True)[1]
         least = min(at_end, float(self.model.margins[self.pair])) - self.tolerance
         return least, np.column_stack([np.ones(len(at)), normals[at]])

@@ -38,7 +38,7 @@ _layout_of, _table_of, _points_of = TRIANGLE.accessors("layout table points")
 
 MEMORY = Arena(
     stack=integers(STACK, 2),  # boxes of both trees; one tree uses the first column
-    placed=floats(2 * BLOCK),  # the corners of two leaves
+    placed=floats(3 * BLOCK),  # the corners of two leaves, one of them at two poses
     vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
     planes=floats(PLANES * PLANE),
     bounds=floats(STACK, 2),  # of each entry, a squared lower bound on distances and the order of the search
@@ -345,6 +345,16 @@ def keep_plane(B, shift, R, n, size, planes, k):
     lowest = dot(n, plus(placed_support(B, negated(n)), shift))
     planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = m
     planes[PLANE * k + 3] = lowest - boxes.ROUNDINGS * size
+
+
+@inline
+def lower_plane(B, shift, n, size, planes, k):
+    """Lower plane k, which `keep_plane` has written for the direction n, to the places of B at another pose."""
+    length = np.sqrt(dot(n, n))
+    if 0.0 < length < np.inf:
+        n = n[0] / length, n[1] / length, n[2] / length
+        lowest = dot(n, plus(placed_support(B, negated(n)), shift))
+        planes[PLANE * k + 3] = min(planes[PLANE * k + 3], lowest - boxes.ROUNDINGS * size)
 
 
 @inline

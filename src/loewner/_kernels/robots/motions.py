@@ -26,13 +26,14 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, MOST_POINTS, TOO_LONG, TOUCHING
-from loewner._kernels.columns import OUTER_RADIUS
+from loewner._kernels.columns import KIND, OUTER_RADIUS, SURFACE, SURFACE_AT
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_fast
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
+from loewner._kernels.narrow.surface_swept import triangles_apart
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import columns_of, link_entries, place_columns
 from loewner._kernels.robots.motion_bounds import (
@@ -94,6 +95,9 @@ WAITING = 256
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
+
+# Pairs of surfaces of a block whose answers are kept for their other parts: places, and numbers of such a pair.
+ANSWERS, ANSWER = 64, 5
 
 # Pairs that are tested before bounds about whole blocks are compared; planners put often colliding pairs there.
 FIRST_PAIRS = 4
@@ -181,6 +185,7 @@ MEMORY = Arena(
     near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
     listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
     listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
+    answers=integers(ANSWERS, ANSWER),  # see `_row_of_answers`
     relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
     waiting=integers(WAITING, 3),  # intervals to be halved: row in the list of piece pairs, number, whether undecided
     waiting_normals=floats(WAITING, 3),
@@ -225,6 +230,7 @@ _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = 
 _gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
     "gaps planes part_times ends near_pairs listed listed_ways"
 )
+(_answers_of,) = MEMORY.accessors("answers")
 _size = MEMORY.sizing()
 
 
@@ -254,19 +260,19 @@ def _standing_poses(problem):
 
 
 @inline
-def _relative(poses, fixed, row, to, k):
-    """Write the pose in `row` relative to the one in row `fixed` to row k of `to`."""
+def _relative(frames, fixed, poses, row, to, k):
+    """Write the pose in a row of `poses` relative to the one in row `fixed` of `frames` to row k of `to`."""
     for r in range(3):
         for c in range(3):
             to[k, r, c] = (
-                poses[fixed, 0, r] * poses[row, 0, c]
-                + poses[fixed, 1, r] * poses[row, 1, c]
-                + poses[fixed, 2, r] * poses[row, 2, c]
+                frames[fixed, 0, r] * poses[row, 0, c]
+                + frames[fixed, 1, r] * poses[row, 1, c]
+                + frames[fixed, 2, r] * poses[row, 2, c]
             )
         to[k, r, 3] = (
-            poses[fixed, 0, r] * (poses[row, 0, 3] - poses[fixed, 0, 3])
-            + poses[fixed, 1, r] * (poses[row, 1, 3] - poses[fixed, 1, 3])
-            + poses[fixed, 2, r] * (poses[row, 2, 3] - poses[fixed, 2, 3])
+            frames[fixed, 0, r] * (poses[row, 0, 3] - frames[fixed, 0, 3])
+            + frames[fixed, 1, r] * (poses[row, 1, 3] - frames[fixed, 1, 3])
+            + frames[fixed, 2, r] * (poses[row, 2, 3] - frames[fixed, 2, 3])
         )
 
 
@@ -284,9 +290,68 @@ def _proven_standing(motion, i, poses, first, last, j, still, row, least, keep, 
 def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, least, keep, n):
     """As `_proven_standing` for two moving pieces, relative to the body of j."""
     to = _relative_of(motion)
-    _relative(poses, fixed_first, first, to, 1)
-    _relative(poses, fixed_last, last, to, 2)
+    _relative(poses, fixed_first, poses, first, to, 1)
+    _relative(poses, fixed_last, poses, last, to, 2)
     return _proven_standing(motion, i, to, 1, 2, j, to, 0, least, keep, n)
+
+
+@inline
+def _row_of_answers(motion, near):
+    """Row of `answers` for two pieces, -1 if neither is a surface.
+
+    All parts of a surface have the same answers, since these are sought with all its triangles. A row has the pair of
+    bodies, the two surfaces or pieces, the intervals of the block that are settled, and the configurations that have
+    been tested, the latter two as bits.
+    """
+    layout = pieces_of(motion.pack).layout
+    i_is, j_is = layout[near.i, KIND] <= SURFACE, layout[near.j, KIND] <= SURFACE
+    if not (i_is or j_is):
+        return -1
+    one, other = layout[near.i, SURFACE_AT] if i_is else ~near.i, layout[near.j, SURFACE_AT] if j_is else ~near.j
+    answers, row = _answers_of(motion), (near.pair + (one >> 4) + 7 * (other >> 4) + one + other) & (ANSWERS - 1)
+    if answers[row, 0] != near.pair or answers[row, 1] != one or answers[row, 2] != other:
+        answers[row, 0], answers[row, 1], answers[row, 2], answers[row, 3], answers[row, 4] = (
+            near.pair,
+            one,
+            other,
+            0,
+            0,
+        )
+    return row
+
+
+@apart
+def _triangles_apart(motion, near, back, width, poses, first, last, still, fixed_first, fixed_last):
+    """Whether two pieces, if one of them is a surface or a part of one, are proven apart in an interval.
+
+    Parameters
+    ----------
+    near : Near
+    back : Ways
+        `Ways` of j relative to i.
+    width : float
+        Length of the interval.
+    poses, first, last :
+        Poses in the world, and the rows of those of piece i at both ends.
+    still, fixed_first, fixed_last :
+        Likewise of piece j.
+    """
+    pieces, i, j, to = pieces_of(motion.pack), near.i, near.j, _relative_of(motion)
+    bend, speed, stands = near.bend, near.speed, problem_of(motion.problem).pairs[near.pair, 1] >= motion.counts.moving
+    if pieces.layout[j, KIND] > SURFACE:  # in the frame of the surface
+        if pieces.layout[i, KIND] > SURFACE:
+            return False
+        i, j, bend, speed, stands = j, i, back.bend, back.speed, False
+        poses, first, last, still, fixed_first, fixed_last = still, fixed_first, fixed_last, poses, first, last
+    if not stands:  # the frame of a static body may be skew
+        _relative(still, fixed_first, poses, first, to, 1)
+        _relative(still, fixed_last, poses, last, to, 2)
+        poses, first, last, still, fixed_first = to, 1, 2, to, 0
+    return triangles_apart(
+        placed(pieces, j, still, fixed_first), placed(pieces, i, poses, first), placed(pieces, i, poses, last),
+        near.margin + near.slack + bend * width * width / 8.0, 2.0 * motion_tables_of(motion.tables).chain[2],
+        speed * width, _gjk_of(motion), _exact_of(motion),
+    )  # fmt: skip
 
 
 @apart
@@ -521,8 +586,10 @@ def _halve(motion, near, back, low, high, n, tally):
     verdict : int
     t : float
         Fraction at which it is COLLIDING or AMBIGUOUS.
+    by_triangles : bool
+        Whether it is FREE since all triangles of the surfaces are apart, also those of other parts.
     """
-    problem = problem_of(motion.problem)
+    problem, by_triangles = problem_of(motion.problem), True
     stands = problem.pairs[near.pair, 1] >= motion.counts.moving
     times, poses, part, ends = (
         _cut_times_of(motion), _cut_poses_of(motion), _part_times_of(motion), _ends_of(motion),
@@ -541,7 +608,7 @@ def _halve(motion, near, back, low, high, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return AMBIGUOUS, a  # no number is left between the two
+                return AMBIGUOUS, a, False  # no number is left between the two
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -555,12 +622,12 @@ def _halve(motion, near, back, low, high, n, tally):
         tally[1] += 1
         hit = _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward)
         if hit != FREE:
-            return hit, t
+            return hit, t, False
         if _off(near, width) <= motion.tolerance:
             wide = near.margin + motion.tolerance
             tally[1] += 1
             if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, wide, toward) != FREE:
-                return AMBIGUOUS, t
+                return AMBIGUOUS, t, False
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
@@ -579,6 +646,7 @@ def _halve(motion, near, back, low, high, n, tally):
                 tally[0] += LANES
                 left = _open_between(motion, near, times[depth, a], times[depth, b], m)
             if proven or left == 0:
+                by_triangles = False
                 continue
             # A plane that turns with the other body.
             keep = near.margin + near.slack + back.bend * w * w / 8.0
@@ -589,10 +657,14 @@ def _halve(motion, near, back, low, high, n, tally):
                 _to_body(poses, at + a, negated(world)),
             )  # fmt: skip
             if found:
+                by_triangles = False
+                continue
+            if _triangles_apart(motion, near, back, w, poses, at + a, at + b, poses, both + a, both + b):
                 continue
             if _moved(near, w) <= enough:
-                return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b])
+                return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b]), False
             if left != EVERY:
+                by_triangles = False
                 while a + 1 < b and times[depth, a + 1] <= part[lowest_bit(left)]:
                     a += 1
                 while a < b - 1 and times[depth, b - 1] >= part[highest_bit(left) + 1]:
@@ -600,7 +672,7 @@ def _halve(motion, near, back, low, high, n, tally):
             stack[top, 0], stack[top, 1], stack[top, 2] = depth, a, b
             normals[top, 0], normals[top, 1], normals[top, 2] = m
             top += 1
-    return FREE, np.nan
+    return FREE, np.nan, by_triangles
 
 
 # -- a block ------------------------------------------------------------------------------------
@@ -631,13 +703,15 @@ def _hit(found):
 @njit()
 def _halve_waiting(motion, count, found, tally):
     """Settle all waiting intervals, until a collision is found."""
-    problem, swept = problem_of(motion.problem), _swept_of(motion)
+    problem, swept, answers = problem_of(motion.problem), _swept_of(motion), _answers_of(motion)
     waiting, normals, times, part = (
         _waiting_of(motion), _waiting_normals_of(motion), _times_of(motion), _part_times_of(motion),
     )  # fmt: skip
     for e in range(count):
         near, k = _with_errors(motion, waiting[e, 0]), waiting[e, 1]
-        pair = near.pair
+        pair, row = near.pair, _row_of_answers(motion, near)
+        if row >= 0 and (answers[row, 3] >> k) & 1 != 0:
+            continue
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
         back = _ways(motion, False, other, link, problem.link[one])
@@ -653,7 +727,14 @@ def _halve_waiting(motion, count, found, tally):
             left = _open_between(motion, near, times[k], times[k + 1], n)
         if proven or left == 0:
             continue
-        if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
+        still, b, moves = swept.poses, other * LANES + k, other < motion.counts.moving
+        if not moves:
+            still, b = _standing_poses(problem), other - motion.counts.moving
+        width, at = times[k + 1] - times[k], one * LANES + k
+        if row >= 0 and _triangles_apart(motion, near, back, width, swept.poses, at, at + 1, still, b, b + moves):
+            answers[row, 3] |= 1 << k
+            continue
+        if _moved(near, width) <= _enough(motion, near):
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
             continue
         low, high = times[k], times[k + 1]
@@ -663,8 +744,10 @@ def _halve_waiting(motion, count, found, tally):
             first, last = lowest_bit(left), highest_bit(left) + 1
             low, high = part[first], part[last]
             _write_ends(motion, near, _cut_links_of(motion), first, last)
-        verdict, t = _halve(motion, near, back, low, high, n, tally)
+        verdict, t, by_triangles = _halve(motion, near, back, low, high, n, tally)
         found = _worse(found, verdict, t, pair)
+        if row >= 0 and (verdict == AMBIGUOUS or (by_triangles and left == EVERY)):
+            answers[row, 3] |= 1 << k
         if _hit(found):
             break
     return found
@@ -731,6 +814,10 @@ def _search(motion, e, found, waiting_count, tally):
         _listed_pair(motion, e), _listed_ways_of(motion), e * LISTED_WAYS + _NORMALS, _gaps_of(motion),
     )  # fmt: skip
     live, tested = _listed_of(motion)[e, 3], _listed_of(motion)[e, 4]
+    answers, row = _answers_of(motion), _row_of_answers(motion, near)
+    if row >= 0:
+        live &= ~answers[row, 3]
+        tested |= answers[row, 4]
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
@@ -756,6 +843,8 @@ def _search(motion, e, found, waiting_count, tally):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
+        if row >= 0:
+            answers[row, 4] |= 3 << k
         waiting[waiting_count, 0], waiting[waiting_count, 1], waiting[waiting_count, 2] = e, k, undecided
         normals[waiting_count, 0], normals[waiting_count, 1], normals[waiting_count, 2] = n
         waiting_count += 1
@@ -925,6 +1014,8 @@ def _settle_block(motion, low, high, found, tally):
     tally[0] += LANES
     for body in range(moving):
         swept.done[body] = 0
+    for row in range(ANSWERS):
+        _answers_of(motion)[row, 0] = -1
     count = 0
     for number in range(len(order)):
         pair = order[number]

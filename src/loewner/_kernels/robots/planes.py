@@ -7,7 +7,7 @@ neighbouring ones, and this finds out for less than a search.
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.columns import BLOCK, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
+from loewner._kernels.columns import BLOCK, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH, SURFACE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, negated, one_norm
 from loewner._kernels.pieces.pack import placed
@@ -83,7 +83,7 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
         shift = minus(t, (poses[row, 0, 3], poses[row, 1, 3], poses[row, 2, 3]))
     m = apply_transposed(R, normal)
     start, stop = pieces.layout[i, POINTS_FROM], pieces.layout[i, POINTS_TO]
-    if pieces.layout[i, KIND] == POLYTOPE:
+    if pieces.layout[i, KIND] == POLYTOPE or pieces.layout[i, KIND] <= SURFACE:
         low, points = broadcast(np.inf), pieces.points
         for column in range(start, stop):
             k = entry_of(column)
