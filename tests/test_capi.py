@@ -460,13 +460,13 @@ def test_forged_files_are_refused(forged, tmp_path, count):
     content, rows = forged
     rng = np.random.default_rng(1)
     path = tmp_path / "cell.lwn"
-    names = [*native_files.BEFORE, *2 * [f"pack {k}" for k in range(12)]]
+    names = [*native_files.BEFORE, *3 * [f"pack {k}" for k in range(12)]]
     indices = [names.index(name) for name in ("parent", "kind", "column", "link", "pairs", "order", "quaternions")]
     indices = [k for k in indices if rows[k, 1] > 0]
     # Of packs: layout, piece_start, children, roots, part_start; of surfaces: children.
-    packs = range(len(native_files.BEFORE), len(native_files.BEFORE) + 24, 12)
+    packs = range(len(native_files.BEFORE), len(native_files.BEFORE) + 36, 12)
     indices += [first + k for first in packs for k in (1, 3, 7, 8, 11) if rows[first + k, 1] > 0]
-    indices += range(len(native_files.BEFORE) + 25, len(rows), 5)
+    indices += range(len(native_files.BEFORE) + 37, len(rows), 5)
     refusals = 0
     for number in range(count):
         made = bytearray(content)

@@ -156,18 +156,6 @@ def test_links_that_stand_are_cut(tmp_path, rng, solid):
     assert [(verdicts == FREE).sum() for verdicts in found[1:]] == [(found[0] == FREE).sum()] * 2
 
 
-def test_messages_tell_how_a_surface_is_seen(machine, monkeypatch):
-    """A motion within the only box of a surface is free and not proven; one that collides is not excused so."""
-    monkeypatch.setattr(parts, "ALL_PARTS", 1)
-    scene = Scene()
-    scene.add("body", Body.from_surface(shelf(), solid=False))
-    checker = CollisionChecker(machine, scene)
-    with pytest.raises(PlanningError, match="'body' as the box around it, since .*: take pieces or voxels$"):
-        planners.shorten(checker, [[-0.2, 0.0, 0.0], [0.2, 0.0, 0.0]])
-    with pytest.raises(PlanningError, match=r"collide .* at the fraction [\d.]+$"):
-        planners.shorten(checker, [[-0.2, 0.0, 0.0], [2.0, 0.0, 0.0]])
-
-
 def test_a_plan_in_a_cupboard_of_one_mesh(machine):
     """From one corner to another, around a wall in the middle: proven, within the box of the surface."""
     vertices, faces = shelf()
@@ -194,7 +182,7 @@ def test_no_part_hangs_over_an_opening(finer, turned, rng):
         mesh = mesh.subdivide()
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if turned else np.eye(3)
     body = Body.from_surface((mesh.vertices @ turn.T, mesh.faces), solid=False)
-    (cut,) = parts.in_parts([body._packed], np.array([True]))
+    (cut,) = parts.in_small_parts([body._packed])
     for i in cut.trees:
         corners, triangles = _part(cut, i)
         sides = np.ptp(corners @ turn, axis=0)
@@ -206,7 +194,7 @@ def test_terrain_is_cut_where_its_surface_is():
     """Its sides and its base, which few triangles close, are in no box with the ground."""
     x = np.linspace(0, 2, 60)
     body = Body.height_field(0.1 * np.sin(7 * x)[:, None] * np.cos(6 * x), x[1], base=-2.0)
-    (cut,) = parts.in_parts([body._packed], np.array([True]))
+    (cut,) = parts.in_small_parts([body._packed])
     high = [np.ptp(vertices[:, 2]) for vertices, _ in (_part(cut, i) for i in cut.trees) if vertices[:, 2].max() > -1]
     sides = [height for height in high if height > 1]
     assert len(high) > 100
@@ -240,16 +228,15 @@ def test_parts_follow_a_body_that_moves(machine, rng):
 
 
 def test_parts_hold_each_triangle_once(rng):
-    """Of all surfaces of the bodies that stand, whatever is between them; others stay as they are."""
+    """Of all surfaces of bodies, also between other pieces; bodies without surfaces stay as they are."""
     vertices, faces = bumpy(rng)
     mixed = Body.union([Body.box([1, 1, 1]), Body.from_surface((vertices, faces)), Body.sphere(1.0)])
     packed = CollisionChecker(_lone(), _scene(mixed=mixed, cloud=Body.from_cloud(vertices, radius=0.1)))._ready()
     whole, cut = packed.bodies._packed, packed.in_parts.bodies._packed
-    assert cut.piece_start.tolist() == [0, 1, 1 + 2 + parts.MOST_PARTS, 1 + 2 + 2 * parts.MOST_PARTS]
+    assert cut.piece_start.tolist() == [0, 1, 1 + 2 + parts.PARTS, 1 + 2 + 2 * parts.PARTS]
     assert sorted(_corners(whole).tolist()) == sorted(_corners(cut).tolist())
     assert np.unique(cut.frames[:, 0]).tolist() == [0.0, 0.1, 1.0]
-    packs = packed.packs
-    assert all(map(is_, parts.in_parts(packs, np.zeros(len(packs), dtype=bool)), packs))
+    assert parts.in_parts(packed.packs)[0] is packed.packs[0]
 
 
 CLOUDS = {
@@ -267,7 +254,7 @@ CLOUDS = {
 def test_boxes_and_ellipsoids_hold_their_points(cloud, rng):
     """Each part of a cloud lies in its box and, with the radius, in its ellipsoid; each point is in one part."""
     points, radius = CLOUDS[cloud](rng), 0.01
-    (cut,) = parts.in_parts([Body.from_cloud(points, radius=radius)._packed], np.array([True]))
+    (cut,) = parts.in_small_parts([Body.from_cloud(points, radius=radius)._packed])
     sizes = np.diff(cut.triangle_start)
     assert sizes.min() > 0
     assert sizes.sum() == len(points)
@@ -287,25 +274,20 @@ def test_no_part_holds_points_of_two_walls(rng):
     """However many points they have, although only some of these suggest the cut: it is between the walls."""
     points = np.tile(rng.uniform(size=(20000, 3)), (2, 1)) * [1.0, 1.0, 0.02]
     points[:20000, 2] += 0.3
-    (cut,) = parts.in_parts([Body.from_cloud(points, radius=0.01)._packed], np.array([True]))
+    (cut,) = parts.in_small_parts([Body.from_cloud(points, radius=0.01)._packed])
     assert max(np.ptp(_part(cut, i)[0][:, 2]) for i in cut.trees) < 0.021
 
 
-def test_many_surfaces_have_few_parts_each(monkeypatch):
-    """All together no more than so many, and one more among many leaves the parts of the others as they are."""
+def test_many_surfaces_have_few_small_parts_each(monkeypatch):
+    """For proofs that checkers read: all together no more than so many, and one more among many changes no other."""
     monkeypatch.setattr(parts, "ALL_PARTS", 40)
     mesh = bumpy(np.random.default_rng(0))
-    scene = _scene(**{f"b{k}": Body.from_surface(mesh, solid=False) for k in range(3)})
-    checker = CollisionChecker(_lone(), scene)
-    assert np.diff(checker._ready().in_parts.bodies._packed.piece_start)[1:].tolist() == [8] * 3
-    before = [parts._known[tree][1] for tree in checker._ready().bodies._packed.trees.values()]
-    scene.add("one more", Body.from_surface(mesh, solid=False))
-    ready = checker._ready()
-    assert np.diff(ready.in_parts.bodies._packed.piece_start)[1:].tolist() == [8] * 4
-    assert [parts._known[tree][1] for tree in list(ready.bodies._packed.trees.values())[:3]] == before
+    packs = [Body.from_surface(mesh, solid=False)._packed for _ in range(4)]
+    three, four = parts.in_small_parts(packs[:3]), parts.in_small_parts(packs)
+    assert [len(pack.layout) for pack in four] == [8] * 4
+    assert all(map(is_, three, four))
     monkeypatch.setattr(parts, "ALL_PARTS", 7)
-    ready = CollisionChecker(_lone(), scene)._ready()
-    assert ready.in_parts is ready
+    assert [len(pack.layout) for pack in parts.in_small_parts(packs)] == [parts.PARTS] * 4
 
 
 def test_problems_made_of_others_are_as_made_anew(rng):

@@ -21,7 +21,6 @@ from loewner import (
     GeometryError,
     InputError,
     MemoryLimitError,
-    PlanningError,
     Robot,
     Scene,
     _memory,
@@ -310,8 +309,8 @@ def test_robots_among_sensor_data(kind: str, rng: np.random.Generator, tmp_path:
             assert loop.collide(robot.between(free[k], free[k + 1], found.fraction[k]))
 
 
-def test_a_plan_that_proofs_cannot_make_says_why(tmp_path: Path) -> None:
-    """Above a floor of points it is proven; in a tunnel through the parts the error names the cloud and ways out."""
+def test_a_plan_in_a_tunnel_of_points_is_proven(tmp_path: Path) -> None:
+    """Above a floor of points, and among so many that each part of them reaches into the free space."""
     robot = Robot.from_urdf(gantry(tmp_path)[0])
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform([-2, -2, -0.5], [2, 2, -0.4], size=(500, 3)), [[0.0, 0, 3]]])
@@ -320,13 +319,11 @@ def test_a_plan_that_proofs_cannot_make_says_why(tmp_path: Path) -> None:
     scene.add("seen", Body.from_cloud(points, radius=0.02))
     assert len(planners.plan(checker, start, goal)) >= 2
     scene.remove("seen")
-    # Points all around, so many that each part reaches into the free space between them.
     around = rng.uniform([-2, -2, -1], [2, 2, 1], size=(40_000, 3))
     around = around[np.hypot(around[:, 0] - around[:, 1], 2 * around[:, 2]) > 0.5]
     scene.add("seen", Body.from_cloud(around, radius=0.002))
-    with pytest.raises(PlanningError, match="'seen' as the boxes around 128 parts of it"):
-        planners.plan(checker, start, goal, max_iterations=50)
-    assert len(planners.plan(checker, start, goal, certified=False)) >= 2
+    path = planners.plan(checker, start, goal)
+    assert (checker.certify_edges(path[:-1], path[1:]).verdict == 0).all()
 
 
 # -- bad input --------------------------------------------------------------------------------------

@@ -147,7 +147,7 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     header->standing = (int64_t)numbers[4];
     header->has_cut = (int64_t)numbers[5];
     header->surfaces = (int64_t)numbers[6];
-    EXPECT(header->has_cut <= 1 &&
+    EXPECT((header->has_cut == 0 || header->has_cut == CUTTINGS - 1) &&
                header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) + SURFACE_ARRAYS * header->surfaces,
            "the number of its arrays");
     EXPECT(header->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
@@ -515,7 +515,7 @@ static loewner_status take_all(File *file, const Header *header)
     else
         EXPECT(header->dof == 0 && header->moving == 0, "a robot without links");
     for (int k = 0; k <= file->has_cut; k++, at += PACK_ARRAYS)
-        TRY(take_pack(file, at, bodies, header->surfaces, k == 0 ? &file->whole : &file->cut));
+        TRY(take_pack(file, at, bodies, header->surfaces, file->packs + k));
     if (header->surfaces > 0) {
         file->surfaces = malloc(sizeof(int64_t) * SURFACE_WORDS * (size_t)header->surfaces);
         if (file->surfaces == NULL)
@@ -523,8 +523,9 @@ static loewner_status take_all(File *file, const Header *header)
         for (int64_t k = 0; k < header->surfaces; k++, at += SURFACE_ARRAYS)
             TRY(take_surface(file, at, file->surfaces + SURFACE_WORDS * k));
     }
-    TRY(link_surfaces(file, &file->whole, 0));
-    return link_surfaces(file, &file->cut, 1);
+    for (int k = 0; k < CUTTINGS; k++)
+        TRY(link_surfaces(file, file->packs + k, k));
+    return LOEWNER_OK;
 }
 
 /* -- files --------------------------------------------------------------------------------------------------------- */

@@ -124,12 +124,15 @@ typedef struct {
 
 enum { SURFACE_ARRAYS = 5, SURFACE_WORDS = 3 * SURFACE_ARRAYS };
 
+/* Which surfaces are in parts: none, all, or those of static bodies without solids, in small parts. */
+typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
+
 typedef struct {
     atomic_int users;
     void *map;
     size_t size;
-    void *owned[2];    /* copies of layouts, with addresses of surfaces */
-    int64_t *surfaces; /* tables of their addresses */
+    void *owned[CUTTINGS]; /* copies of layouts, with addresses of surfaces */
+    int64_t *surfaces;     /* tables of their addresses */
     int64_t dof, links, moving, bodies, pairs;
     int has_cut;
     const char **names; /* of bodies, links and values */
@@ -145,7 +148,7 @@ typedef struct {
     const int64_t *lowered, *rules; /* rules of pairs of static bodies: two bodies, and whether they may touch */
     const double *rule_margins;     /* -1 for none */
     int64_t rule_count;
-    Pack whole, cut;
+    Pack packs[CUTTINGS]; /* without cuts only the first one */
 } File;
 
 enum { JOINT_SINGLE = 1, JOINT_NO_LOWER = 2, JOINT_NO_UPPER = 4, JOINT_TURNING = 8 };
@@ -178,9 +181,6 @@ typedef struct {
     int has_margin, has_allowed, allowed;
     double margin;
 } Rule;
-
-/* Which surfaces are cut into parts: none, all, or those of bodies without solids. */
-typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
 
 /* All that kernels are given of one set of bodies. */
 typedef struct {

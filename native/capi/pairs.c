@@ -29,7 +29,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     if (side->poses != NULL && side->pose_count != 1 && side->pose_count < last)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected one pose or as many as pairs, found %zu", name,
                     side->pose_count);
-    Pack pack = side->bodies->file->whole;
+    Pack pack = side->bodies->file->packs[WHOLE];
     pack.piece_start += which;
     pack.roots += which;
     pack.bodies = all ? (int64_t)n : 1;

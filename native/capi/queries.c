@@ -381,8 +381,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
         return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for clearances, found none");
     if (!(softness > 0 && softness < INFINITY))
         return fail(LOEWNER_BAD_ARGUMENT, "softness: expected a positive number, found %g", softness);
-    /* A solid counts as a whole, not only its surface. */
-    const Half *half = half_of(checker, state->starts_matter ? OPEN_CUT : CUT);
+    const Half *half = half_of(checker, OPEN_CUT);
     int64_t dof = checker->file->dof, count = (int64_t)n, nothing;
     struct {
         int64_t gradient;

@@ -66,18 +66,30 @@ static void range_of(const Pack *pack, int64_t which, Counts *from, Counts *coun
 /* Whether pieces of a body are solids. */
 static int is_solid(const Body *body)
 {
-    const Pack *pack = &body->file->whole;
+    const Pack *pack = body->file->packs + WHOLE;
     for (int64_t p = pack->piece_start[body->which]; p < pack->piece_start[body->which + 1]; p++)
         if (pack->layout[LAYOUT * p + KIND_OF] == SOLID)
             return 1;
     return 0;
 }
 
-/* The pack of a body, with its surfaces in parts or not. */
-static const Pack *pack_of(const Body *body, Cutting cutting)
+/* The first link with which one is rigidly joined; -1 is the world. */
+static int64_t rigid_link(const Tree *tree, int64_t link)
 {
-    int in_parts = body->file->has_cut && (cutting == CUT || (cutting == OPEN_CUT && !is_solid(body)));
-    return in_parts ? &body->file->cut : &body->file->whole;
+    return tree->kind[link] == FIXED ? tree->parent[link] : link;
+}
+
+/* Whether the body at a place stands still, whatever the robot does. */
+static int stands(const State *state, int64_t k)
+{
+    return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
+}
+
+/* The pack of the body at a place. */
+static const Pack *pack_of(const State *state, const Body *body, int64_t k, Cutting cutting)
+{
+    int is_whole = !body->file->has_cut || (cutting == OPEN_CUT && !stands(state, k));
+    return body->file->packs + (is_whole ? WHOLE : cutting);
 }
 
 /* Append one body; `at` is where its arrays begin. */
@@ -129,12 +141,6 @@ static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
     ((int64_t *)made->piece_start)[at->bodies] = at->pieces;
 }
 
-/* The first link with which one is rigidly joined; -1 is the world. */
-static int64_t rigid_link(const Tree *tree, int64_t link)
-{
-    return tree->kind[link] == FIXED ? tree->parent[link] : link;
-}
-
 /* Make one pack of the bodies of a state. */
 static loewner_status join(const loewner_checker *checker, const State *state, Cutting cutting, Half *half)
 {
@@ -144,7 +150,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, C
     *made = (Pack){.bodies = bodies, .is_single = 1};
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        const Pack *pack = pack_of(body, cutting);
+        const Pack *pack = pack_of(state, body, k, cutting);
         Counts from, count;
         range_of(pack, body->which, &from, &count);
         total.pieces += count.pieces;
@@ -185,7 +191,7 @@ static loewner_status join(const loewner_checker *checker, const State *state, C
     ((int64_t *)made->piece_start)[0] = 0;
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        append(made, pack_of(body, cutting), body->which, &at);
+        append(made, pack_of(state, body, k, cutting), body->which, &at);
     }
     return LOEWNER_OK;
 }
@@ -532,8 +538,8 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
 {
     Half *half = state->halves + cutting;
     int64_t bodies = state->moving + state->standing, links = state->tree.links, pairs = state->pairs;
-    if (state->is_as_saved && cutting != OPEN_CUT)
-        half->pack = cutting == CUT ? checker->file->cut : checker->file->whole;
+    if (state->is_as_saved)
+        half->pack = checker->file->packs[cutting];
     else
         TRY(join(checker, state, cutting, half));
     write_words(&half->pack, half->words);
@@ -676,10 +682,10 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
         state->starts_matter |= is_solid(body);
     }
     TRY(make_half(checker, state, WHOLE, !has_cut));
-    if (has_cut)
+    if (has_cut) {
         TRY(make_half(checker, state, CUT, 1));
-    if (has_cut && state->starts_matter)
         TRY(make_half(checker, state, OPEN_CUT, 0));
+    }
     return LOEWNER_OK;
 }
 

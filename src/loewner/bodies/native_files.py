@@ -25,7 +25,7 @@ from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._kernels._sources import source_hash
 from loewner.bodies.pack import Packed, join, take
-from loewner.bodies.parts import in_parts
+from loewner.bodies.parts import in_open_parts, in_parts
 from loewner.errors import InputError
 
 SUFFIX = ".lwn"
@@ -62,7 +62,8 @@ def save(path: str | os.PathLike[str], packed: Packed) -> None:
     count = len(packed.piece_start) - 1
     packs = [packed]
     if packed.trees:
-        packs.append(join(in_parts([take(packed, np.array([k])) for k in range(count)])))
+        bodies = [take(packed, np.array([k])) for k in range(count)]
+        packs += [join(in_parts(bodies)), join(in_open_parts(bodies, np.ones(count, dtype=bool)))]
     write(path, [[str(k) for k in range(count)]], {}, packs, (0, 0, 0))
 
 
@@ -84,7 +85,8 @@ def write(
     arrays : dict
         Arrays by their names in `BEFORE`; missing ones are empty.
     packs : sequence of Packed
-        The bodies; and once more with surfaces in parts, if there are surfaces that can be cut.
+        The bodies; and if there are surfaces that can be cut, once more with all of them in parts, and with those of
+        static bodies without solids in small parts.
     counts : tuple of int
         Values of a configuration, links, and moving bodies.
 

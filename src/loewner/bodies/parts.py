@@ -10,7 +10,7 @@ import numpy as np
 from loewner._kernels import columns
 from loewner._matrices import dot, product
 from loewner._native import entries
-from loewner._validate import Floats
+from loewner._validate import Bools, Floats
 from loewner.bodies.flat_faces import flat_faces
 from loewner.bodies.layout import PieceArrays, kernel_of_parts
 from loewner.bodies.pack import Packed, Prepared, as_one, some
@@ -60,6 +60,16 @@ def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
     while most * surfaces > ALL_PARTS:
         most //= 2
     return in_parts(packs, max(most, PARTS))
+
+
+def in_open_parts(packs: Sequence[Packed], still: Bools) -> list[Packed]:
+    """Cut the surfaces of bodies that do not move into small parts; a body with a solid is returned as it is."""
+    chosen = [
+        stands and bool(pack.trees) and not (pack.layout[:, columns.KIND] == columns.SOLID).any()
+        for pack, stands in zip(packs, still.tolist(), strict=True)
+    ]
+    cut = iter(in_small_parts([pack for pack, is_cut in zip(packs, chosen, strict=True) if is_cut]))
+    return [next(cut) if is_cut else pack for pack, is_cut in zip(packs, chosen, strict=True)]
 
 
 def _in_parts(packed: Packed, most: int) -> Packed:

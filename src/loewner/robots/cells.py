@@ -56,7 +56,7 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
         **_rules(scene, ready),
     }
     names = ready.names, robot.link_names, robot.configuration_names
-    packs = [whole] if ready.cut is None else [whole, ready.cut.packed]
+    packs = [whole] if ready.cut is None else [whole, ready.cut.packed, ready.in_open_parts.packed]
     native_files.write(path, names, arrays, packs, (robot.dof, len(robot.link_names), len(ready.link)))
 
 

@@ -23,7 +23,7 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
-from loewner.bodies.parts import in_parts, in_small_parts
+from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
 from loewner.pose_paths import PackedPaths, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
@@ -357,16 +357,16 @@ class Problem:
 
     @kept
     def open_cut(self) -> Problem | None:
-        """The same, but bodies with solids stay whole."""
-        solid = [bool((pack.layout[:, columns.KIND] == columns.SOLID).any()) for pack in self.packs]
-        return self._of_parts([
-            pack if whole else parts for pack, parts, whole in zip(self.packs, in_parts(self.packs), solid, strict=True)
-        ])  # fmt: skip
+        """The problem with surfaces of static bodies without solids in small parts, if there are any."""
+        stand = np.ones(len(self.packs), dtype=bool)
+        rigid = rigid_with(self.robot)
+        stand[: len(self.link)] = rigid[self.link] == rigid[0]
+        return self._of_parts(in_open_parts(self.packs, stand))
 
     @property
     def in_open_parts(self) -> Problem:
         """The problem for bounds on distances, which are less than 0 inside a solid."""
-        return (self.open_cut if self.starts_matter else self.cut) or self
+        return self.open_cut or self
 
     @kept
     def in_small_parts(self) -> Problem:
