@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from loewner._kernels import columns
-from loewner._matrices import dot, product
+from loewner._matrices import dot
 from loewner._native import entries
 from loewner._validate import Bools, Floats
 from loewner.bodies.flat_faces import flat_faces
@@ -24,8 +24,10 @@ PARTS = 6
 # Limits on the parts of a surface, and of all surfaces of a problem together, where only the parts count.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Flat parts with more corners than this are replaced by a box.
-MOST_FLAT = 128
+# Directions, spread evenly, in which corners of large parts are farthest: more corners take longer to search.
+_HEIGHTS, _ANGLES = (2 * np.arange(64) + 1) / 64 - 1, np.pi * (3 - np.sqrt(5)) * np.arange(64)
+WAYS = np.sqrt(1 - _HEIGHTS**2)[:, None] * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), 0 * _ANGLES])
+WAYS[:, 2] = _HEIGHTS
 
 # Step in which the vertices of a hull are moved outward, relative to its size; more than the rounding of their places.
 ROUNDED = 1e-12
@@ -152,24 +154,28 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
 def _hull_around(points: Floats, box: Floats) -> Floats:
     """Make few points whose hull certainly contains all of those given.
 
-    The vertices of their hull are moved away from its middle c by a relative amount. A point p lies in the hull of the
-    moved vertices v if n·(p - c) is at most the least n·(v - c) over the vertices of each face with normal n, by the
-    lemma of docs/containment.md. The corners of the box around the points are taken instead if many points are in a
-    plane, which has no faces.
+    They are vertices of the hull of all points, or of those that are farthest in `WAYS` if there are many, moved away
+    from their middle c by a relative amount. A point p lies in the hull of the moved vertices v if n·(p - c) is at most
+    the least n·(v - c) over the vertices of each face with normal n, by the lemma of docs/containment.md. The corners
+    of the box around the points are taken instead if many points are in a plane, which has no faces.
     """
     if len(points) <= len(box):
         return points
+    chosen = points
+    if len(points) > len(WAYS):
+        sides = np.ptp(points, axis=0)
+        chosen = points[np.unique((points @ (WAYS / np.where(sides > 0, sides, 1.0)).T).argmax(axis=0))]
     try:
-        hull = Polytope.from_points(points)
+        hull = Polytope.from_points(chosen)
     except GeometryError:
-        return points if len(points) <= MOST_FLAT else box
+        return points if len(points) <= len(WAYS) else box
     center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
     normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
     heights = np.full(len(hull.normals), np.inf)
     np.minimum.at(heights, hull.face_of_simplex, dot(normals[:, None], vertices).min(axis=1))
     if not heights.min() > 0:
         return box
-    rows, away = hull.normals / heights[:, None], np.ascontiguousarray((points - center).T)
+    rows, away = hull.normals / heights[:, None], (points - center).T
     each = max(1, AT_ONCE // len(points))
-    farthest = max(float(product(rows[k : k + each], away).max()) for k in range(0, len(rows), each))
-    return np.asarray(center + (hull.vertices - center) * (1 + ROUNDED * (np.ceil((farthest - 1) / ROUNDED) + 1)))
+    farthest = max(float((rows[k : k + each] @ away).max()) for k in range(0, len(rows), each))
+    return np.asarray(center + (hull.vertices - center) * (1 + ROUNDED * (np.rint((farthest - 1) / ROUNDED) + 2)))

@@ -31,6 +31,7 @@ MIDDLES = 0.1
 
 STACK = 2 * LEVELS * WIDE  # entries, for two trees
 PLANES, PLANE = 4, 4  # planes that are kept, each a normal and an offset
+PARTING = 14  # numbers of a plane between two surfaces at two poses, see `surface_swept`
 ORIGIN = (0.0, 0.0, 0.0)
 
 TRIANGLE = Arena(layout=integers(1, LAYOUT), table=floats(1, COLUMNS), points=floats(3 * LEAF))
@@ -40,13 +41,13 @@ MEMORY = Arena(
     stack=integers(STACK, 2),  # boxes of both trees; one tree uses the first column
     placed=floats(3 * BLOCK),  # the corners of two leaves, one of them at two poses
     vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
-    planes=floats(PLANES * PLANE),
+    planes=floats(PLANES * PLANE), parting=floats(PLANES * PARTING),
     bounds=floats(STACK, 2),  # of each entry, a squared lower bound on distances and the order of the search
     lanes=floats(2 * WIDE),
     first=TRIANGLE, second=TRIANGLE,
 )  # fmt: skip
-stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of = MEMORY.accessors(
-    "stack placed vertices result planes bounds lanes"
+stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of, parting_of = MEMORY.accessors(
+    "stack placed vertices result planes bounds lanes parting"
 )
 first_of, second_of = MEMORY.addresses("first second")
 SIZE = MEMORY.size()  # bytes
@@ -122,23 +123,32 @@ def next_meeting(about, a, b, memory, height):
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
             return child_a, child_b, height
-        if boxes.opens_first(a, b, slot_a, slot_b):
-            middle, half = boxes.box_at(b.boxes, slot_b)
-            middles, halves = boxes.boxes_of(a.boxes, child_a)
-            bits = boxes.meeting(about, boxes.between(about, middles, middle), halves, half)
-            while bits != 0:
-                lane, bits = next_lane(bits)
-                stack[height, 0], stack[height, 1] = child_a * WIDE + lane, slot_b
-                height += 1
-        else:
-            middle, half = boxes.box_at(a.boxes, slot_a)
-            middles, halves = boxes.boxes_of(b.boxes, child_b)
-            bits = boxes.meeting(about, boxes.between(about, middle, middles), half, halves)
-            while bits != 0:
-                lane, bits = next_lane(bits)
-                stack[height, 0], stack[height, 1] = slot_a, child_b * WIDE + lane
-                height += 1
+        height = push_meeting(about, a, b, slot_a, slot_b, stack, height)
     return 0, 0, 0
+
+
+@inline
+def push_meeting(about, a, b, slot_a, slot_b, stack, height):
+    """Open one of two boxes, and put the pairs that are not proven apart on the stack."""
+    if boxes.opens_first(a, b, slot_a, slot_b):
+        child = a.children[slot_a]
+        middle, half = boxes.box_at(b.boxes, slot_b)
+        middles, halves = boxes.boxes_of(a.boxes, child)
+        bits = boxes.meeting(about, boxes.between(about, middles, middle), halves, half)
+        while bits != 0:
+            lane, bits = next_lane(bits)
+            stack[height, 0], stack[height, 1] = child * WIDE + lane, slot_b
+            height += 1
+    else:
+        child = b.children[slot_b]
+        middle, half = boxes.box_at(a.boxes, slot_a)
+        middles, halves = boxes.boxes_of(b.boxes, child)
+        bits = boxes.meeting(about, boxes.between(about, middle, middles), half, halves)
+        while bits != 0:
+            lane, bits = next_lane(bits)
+            stack[height, 0], stack[height, 1] = slot_a, child * WIDE + lane
+            height += 1
+    return height
 
 
 @inline
