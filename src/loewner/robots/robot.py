@@ -31,6 +31,8 @@ from loewner.fits import checked_tolerance
 from loewner.mjcf_models import read_mjcf
 from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
+from loewner.robots.links import Joint as LinkJoint
+from loewner.robots.links import described
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.pair_verdicts import ProvenPairs
@@ -417,6 +419,72 @@ class Robot(KeepsReadOnly):
         robot, bodies = description_of(model)
         doubt_limits(robot.path, robot.joints)
         return cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), "MJCF", None)
+
+    @classmethod
+    @guarded
+    def from_links(
+        cls,
+        links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]],
+        joints: Iterable[LinkJoint],
+        *,
+        disabled: Iterable[Pair] | None = None,
+        name: str = "robot",
+    ) -> Robot:
+        """Make a robot of links and joints in memory.
+
+        Parameters
+        ----------
+        links : mapping from str to Body, None, or list of (Body, pose)
+            The body of each link, in the frame of the link; None if it has none; or several bodies, each at its pose of
+            shape (4, 4) in the link, with translation in metres.
+        joints : iterable of Joint
+            They connect all links to one root. Their order is the order of the values of a configuration.
+        disabled : iterable of pairs of str, optional
+            Pairs of links that need no check; all others are checked. Default: adjacent pairs need no check, as for a
+            URDF without an SRDF.
+        name : str
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        InputError
+            If links and joints do not form a tree; if a name is used twice, limits are not in order, or something is
+            given for a joint of a kind that has none of it.
+        PoseError
+            If a pose is not a rigid motion.
+        UnknownNameError
+            If a joint, a mimicking joint or a pair names what does not exist, or there is no such kind of joint.
+
+        Warns
+        -----
+        UserWarning
+            If limits of a joint that mimics another would leave that one hardly any range; if the limits of revolute
+            joints are probably not in radians.
+
+        Examples
+        --------
+        >>> from loewner import Joint
+        >>> links = {"rail": Body.box([3, 0.2, 0.2]), "cart": Body.box([0.5, 0.5, 0.2])}
+        >>> on_top = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.21], [0, 0, 0, 1]]
+        >>> slide = Joint("slide", "prismatic", "rail", "cart", on_top, axis=[1, 0, 0], lower=-1, upper=1)
+        >>> Robot.from_links(links, [slide])
+        Robot('robot', 2 links, 2 with bodies, 1 joints, dof 1)
+        """
+        robot, bodies, bounds = described(links, joints, name)
+        doubt_limits(robot.path, robot.joints)
+        semantics = Semantics(ruled=disabled is not None)
+        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
+        for joint, ends in bounds.items():  # of joints of several values, which a file has no limits for
+            at = slice(made._columns[joint].start, made._columns[joint].start + len(ends[0]))
+            for limits, end in zip(("lower", "upper"), ends, strict=True):
+                changed = getattr(made, limits).copy()
+                changed[at] = end
+                changed.setflags(write=False)
+                made = replace(made, **{limits: changed, f"hard_{limits}": changed})
+        return made if disabled is None else made.disabling(disabled)
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
         """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.
