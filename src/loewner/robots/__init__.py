@@ -1,8 +1,9 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
-`robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read, or `links` checks. Users call `checker`;
-`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges`
-proves which pairs can ever collide, `sampling` guesses it. `written_proofs` writes proofs that other programs verify.
+`robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read; `links` takes them from memory,
+`drake` and `pinocchio` from models of these libraries. Users call `checker`; `checked_pairs` and `problem` prepare its
+queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges` proves which pairs can ever collide,
+`sampling` guesses it. `written_proofs` writes proofs that other programs verify.
 """
 
 from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401 - it answers methods of Robot

@@ -311,7 +311,7 @@ def with_body(
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
     robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
     if mimic is not None:
-        robot = _coupled(robot, *mimic)
+        robot = replace(_coupled(robot, *mimic), _layout=cast(Any, self)._layout)
     in_world = (*robot._in_world, name) if parent is None else robot._in_world
     return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent, _in_world=in_world))
 
@@ -473,6 +473,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
         _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
         _watch=Watch(name, configuration_names, limits["hard_lower"], limits["hard_upper"], turns, free),
         _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
+        _layout=robots[0]._layout if len(configuration_names) == robots[0].dof else None,
         _in_world=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._in_world)),
         _parts={
             p.prefix + key: _shifted(p, part, shift)

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._matrices import lengths, product
-from loewner._validate import Bools, Floats, Pair
+from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.robots import urdf
 from loewner.robots.urdf import SHORTEST_AXIS, VALUES, Description, Mimic
-from loewner.robots.xml_elements import LARGEST, some
+from loewner.robots.xml_elements import LARGEST
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
 
@@ -89,15 +89,6 @@ class Joint:
     jerk: float | None = None
     mimic: tuple[str, float, float] | None = None
     reference: float = 0.0
-
-
-class Shape(NamedTuple):
-    """A collision shape of another library's model: a body at a pose in a link."""
-
-    link: str
-    name: str
-    body: Body
-    T_link_body: Floats
 
 
 def described(
@@ -199,7 +190,7 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floa
         origin, behind = product(origin, behind), None
     single = len(VALUES[kind]) == 1
     lower, upper = _limits(joint, kind, what)
-    rates = {rate: math.nan for rate in RATES}
+    rates = dict.fromkeys(RATES, math.nan)
     for rate in RATES:
         given = getattr(joint, rate)
         if given is not None:
@@ -285,44 +276,3 @@ def checked_mimic(mimic: Any, what: str) -> tuple[str, float, float]:
 def _fixed(parent: str, child: str, origin: Floats) -> urdf.Joint:
     none = np.array([1.0, 0.0, 0.0])
     return urdf.Joint(child, "fixed", parent, child, origin, none, -math.inf, math.inf, math.nan, None, 0)
-
-
-def with_shapes(
-    links: Sequence[str], joints: Sequence[Joint], shapes: Sequence[Shape], checked: Bools
-) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
-    """Give links the shapes of another library's model, whose rules on pairs are for shapes instead of links.
-
-    Shapes of a link that are checked with the same others form its body; each further class of them becomes a link
-    fixed to it. Each shape of the first link, the world, becomes a link of its own.
-
-    Parameters
-    ----------
-    links : sequence of str
-        The first is the world.
-    joints : sequence of Joint
-    shapes : sequence of Shape
-    checked : ndarray of bool, shape (n, n)
-        Which shapes are checked with each other; symmetric.
-
-    Returns
-    -------
-    links, joints, disabled
-        As `Robot.from_links` takes them.
-    """
-    classes: dict[tuple[str, object], list[int]] = {}
-    for k, shape in enumerate(shapes):
-        classes.setdefault((shape.link, k if shape.link == links[0] else checked[k].tobytes()), []).append(k)
-    made: dict[str, list[tuple[Body, Floats]] | None] = dict.fromkeys(links)
-    all_joints = {joint.name: joint for joint in joints}
-    names, firsts = [], []
-    for (link, _), members in classes.items():
-        first, name = shapes[members[0]], link
-        if link == links[0] or made[link] is not None:
-            name = unused(first.name if link == links[0] else f"{link}/{first.name}", made)
-            joint = unused(name, all_joints)
-            all_joints[joint] = Joint(joint, "fixed", link, name)
-        made[name] = [(shapes[k].body, shapes[k].T_link_body) for k in members]
-        names.append(name)
-        firsts.append(members[0])
-    skipped = np.argwhere(np.tril(~checked[np.ix_(firsts, firsts)], -1)).tolist()
-    return made, list(all_joints.values()), [(names[a], names[b]) for a, b in skipped]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,11 +31,14 @@ from loewner.fits import checked_tolerance
 from loewner.mjcf_models import read_mjcf
 from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
+from loewner.robots.drake import drake_model
+from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.links import Joint as LinkJoint
 from loewner.robots.links import described
-from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.mjcf import description_of, semantics_of
+from loewner.robots.other_models import Layout, Model, layout_of, with_shapes
 from loewner.robots.pair_verdicts import ProvenPairs
+from loewner.robots.pinocchio import pinocchio_model
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, Joint, doubt_limits, read_urdf
@@ -197,6 +200,8 @@ class Robot(KeepsReadOnly):
     _ruled: bool = field(repr=False)
     # Bodies that were added in the world, which the robot's pose does not move.
     _in_world: tuple[str, ...] = field(repr=False)
+    # How the values correspond to those of the model that the robot was made of.
+    _layout: Layout | None = field(repr=False)
 
     @classmethod
     @guarded
@@ -361,6 +366,7 @@ class Robot(KeepsReadOnly):
             _parts={},
             _ruled=semantics.ruled,
             _in_world=(),
+            _layout=None,
         )
 
     @classmethod
@@ -485,6 +491,208 @@ class Robot(KeepsReadOnly):
                 changed.setflags(write=False)
                 made = replace(made, **{limits: changed, f"hard_{limits}": changed})
         return made if disabled is None else made.disabling(disabled)
+
+    @classmethod
+    @guarded
+    def from_drake(
+        cls,
+        plant: Any,
+        scene_graph: Any,
+        context: Any = None,
+        *,
+        mimic: Mapping[str, tuple[str, float, float]] | None = None,
+        tol: float = 1e-4,
+    ) -> Robot:
+        """Read a robot, with the world around it, from a plant of Drake and its scene graph.
+
+        The pairs that Drake's collision filters exclude are in `disabled_pairs`. `imported` and `exported` convert
+        configurations. docs/howto/other-models.md lists the correspondences.
+
+        Parameters
+        ----------
+        plant : pydrake.multibody.plant.MultibodyPlant
+            Finalized.
+        scene_graph : pydrake.geometry.SceneGraph
+        context : pydrake.systems.framework.Context, optional
+            Of the whole diagram: its geometry and filters, poses of frames, and locked joints, which become fixed.
+            Default: those of the model.
+        mimic : mapping, optional
+            Joints that follow others, since Drake's Python cannot read couplers: ``{joint: (other, gear ratio,
+            offset)}``, in the names of the robot.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            Every body of the plant is a link, by its name, or MODEL::NAME if several models have it. Each shape of the
+            world is a link of its own, and so are shapes of a body with other filters than its first one.
+
+        Raises
+        ------
+        InputError
+            If the plant is not finalized, a joint or a shape cannot be represented, or the context is not of the
+            diagram.
+        UnknownNameError
+            If `mimic` names a joint that does not exist.
+        GeometryError
+            If a mesh is flat.
+
+        Warns
+        -----
+        UserWarning
+            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not of the plant.
+
+        Examples
+        --------
+        >>> robot = Robot.from_drake(plant, scene_graph)  # doctest: +SKIP
+        >>> CollisionChecker(robot).collide(robot.imported(plant.GetPositions(context)))  # doctest: +SKIP
+        False
+        """
+        return cls._of_model(drake_model(plant, scene_graph, context, mimic or {}, checked_tolerance(tol)))
+
+    @classmethod
+    @guarded
+    def from_pinocchio(
+        cls,
+        model: Any,
+        geometry_model: Any,
+        *,
+        meshes: Literal["hull", "pieces", "surface"] = "surface",
+        tol: float = 1e-4,
+    ) -> Robot:
+        """Read a robot, with the world around it, from a model of pinocchio and its collision geometry.
+
+        Exactly the pairs of `geometry_model.collisionPairs` are checked; the others are in `disabled_pairs`. `imported`
+        and `exported` convert configurations. docs/howto/other-models.md lists the correspondences.
+
+        Parameters
+        ----------
+        model : pinocchio.Model
+        geometry_model : pinocchio.GeometryModel
+        meshes : {"hull", "pieces", "surface"}
+            Representation of meshes of triangles, as for `from_urdf`. The default, like Coal, is their triangles; the
+            space that a closed one encloses belongs to it as well.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            Every body frame is a link, by its name. Each shape of the universe is a link of its own, and so are shapes
+            of a link that are checked with other shapes than its first one.
+
+        Raises
+        ------
+        InputError
+            If a joint or a shape cannot be represented.
+        GeometryError
+            If a mesh is flat.
+
+        Examples
+        --------
+        >>> robot = Robot.from_pinocchio(model, collision_model)  # doctest: +SKIP
+        >>> CollisionChecker(robot).collide(robot.imported(q))  # doctest: +SKIP
+        False
+        """
+        return cls._of_model(pinocchio_model(model, geometry_model, meshes, checked_tolerance(tol)))
+
+    @classmethod
+    def _of_model(cls, model: Model) -> Robot:
+        """Make the robot of another library's model."""
+        links, joints, disabled = with_shapes(model.links, model.joints, model.shapes, model.checked)
+        made = cls.from_links(links, joints, disabled=disabled, name=model.name)
+        return replace(made, _layout=layout_of(model.order, made._columns, joints_above(made), made.tree, {}))
+
+    @guarded
+    def exported(self, Q: ArrayLike) -> Floats:
+        """Return configurations as the model has them that this robot was made of: Drake, pinocchio or MuJoCo.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        ndarray, shape (..., nq)
+            Positions of Drake's plant, q of pinocchio, or qpos of MuJoCo, with the values of joints that mimic others.
+
+        Raises
+        ------
+        InputError
+            If the robot was made otherwise, or has got values since, as by `join`; use the parts then.
+
+        Examples
+        --------
+        >>> robot.exported(plan.path)  # doctest: +SKIP
+        """
+        checked = self.checked(Q)
+        return self._known_layout.exported(checked)
+
+    @guarded
+    def imported(self, q: ArrayLike, *, tolerance: float = 1e-6) -> Floats:
+        """Return configurations of this robot for those of the model that it was made of; see `exported`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+        tolerance : float
+            Largest deviation [rad or m] of values that follow others, or do not change, from where the robot has them.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+
+        Raises
+        ------
+        InputError
+            If values deviate by more than the tolerance, are not finite, or the width is not the model's. As for
+            `exported`.
+
+        Examples
+        --------
+        >>> checker.collide(robot.imported(data.qpos))  # doctest: +SKIP
+        False
+        """
+        layout = self._known_layout
+        given = _validate.finite_array(q, "q", ("...", len(layout.source)))
+        return self.checked(layout.imported(given, _validate.positive_scalar(tolerance, "tolerance", zero=True)))
+
+    @property
+    def _known_layout(self) -> Layout:
+        if self._layout is None:
+            raise InputError(
+                "expected a robot with the values of a model of Drake, pinocchio or MuJoCo, found one that was made "
+                "otherwise, or has got others since"
+            )
+        return self._layout
+
+    @guarded
+    def as_scene(self, q: ArrayLike) -> Scene:
+        """Return the bodies where they are at a configuration as a scene, for other robots to avoid.
+
+        Parameters
+        ----------
+        q : array_like, shape (dof,)
+
+        Returns
+        -------
+        Scene
+            Bodies have the names of their links. Pairs that need no check of the robot may touch in the scene.
+
+        Examples
+        --------
+        >>> scene = Robot.from_urdf("arm.urdf").as_scene([1.0, 0.0])
+        >>> scene.names, scene.pose("cart")[:3, 3]
+        (('rail', 'cart', 'forearm'), array([1., 0., 0.]))
+        """
+        scene, poses = Scene(), link_poses(self, self.checked_one(q)[None])[0]
+        for name, body in self.bodies.items():
+            scene.add(name, body, poses[self.link_names.index(name)])
+        for a, b in sorted(self._usually_skipped):
+            if a in scene and b in scene:
+                scene.allow(a, b)
+        return scene
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
         """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.

@@ -519,8 +519,8 @@ def narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
             continue
         if new[0] >= new[1] or new[1] - new[0] < LEAST_LEFT * (high - low) < math.inf:
             faults.append(
-                f"{place(path, joint)}: expected limits of {joint.name!r} that leave {mimic.joint!r}, which it mimics, a "
-                f"range, found that {least:zg} .. {most:zg} is left of {low:zg} .. {high:zg}"
+                f"{place(path, joint)}: expected limits of {joint.name!r} that leave {mimic.joint!r}, which it mimics, "
+                f"a range, found that {least:zg} .. {most:zg} is left of {low:zg} .. {high:zg}"
             )
             continue
         ranges[mimic.joint] = new

@@ -1,0 +1,217 @@
+"""Read robots from pinocchio's models, through the objects that are given: neither pinocchio nor Coal is imported."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from loewner import _validate
+from loewner._matrices import in_frame
+from loewner._validate import Floats
+from loewner.bodies import Body
+from loewner.errors import InputError
+from loewner.robots.link_bodies import MODELS
+from loewner.robots.links import Joint
+from loewner.robots.other_models import Model, Order, Shape, chained, expect, made_body, unique
+
+X, Y, Z = np.eye(3)
+
+# Terrain of Coal may have no thickness at its lowest points; here it has this one [m].
+LEAST_DEPTH = 1e-6
+
+# Joints and their columns within those of pinocchio's joint.
+Moves = Iterator[tuple[Joint, tuple[int, ...]]]
+
+
+def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) -> Model:
+    """Read a model and its collision geometry; see `Robot.from_pinocchio`."""
+    expect(model, "Model", "model")
+    expect(geometry_model, "GeometryModel", "geometry_model")
+    _validate.choice(meshes, "meshes", MODELS)
+    bodies = [k for k, frame in enumerate(model.frames) if frame.type.name == "BODY"]
+    of_body = dict(zip(bodies, unique([model.frames[k].name for k in bodies], ["BODY"] * len(bodies)), strict=True))
+    # The link of a joint is its first body that has the frame of the joint; for the universe it is the world.
+    at_joint: dict[int, str] = {}
+    for k in bodies:
+        frame = model.frames[k]
+        if frame.parentJoint and np.array_equal(frame.placement.homogeneous, np.eye(4)):
+            at_joint.setdefault(int(frame.parentJoint), of_body[k])
+    taken = list(of_body.values())
+    for joint in range(model.njoints):
+        if joint not in at_joint:
+            at_joint[joint] = unique([*taken, model.names[joint]], ["JOINT"] * (len(taken) + 1))[-1]
+            taken.append(at_joint[joint])
+    joints: list[Joint] = []
+    columns: dict[str, tuple[int, ...]] = {}
+    for k in range(1, model.njoints):
+        name, child, parent = model.names[k], at_joint[k], at_joint[int(model.parents[k])]
+        moves = list(_moves(model, model.joints[k], name))
+        columns |= {move.name: theirs for move, theirs in moves if theirs}
+        joints += chained([move for move, _ in moves], parent, child, model.jointPlacements[k].homogeneous, np.eye(4))
+    for k, name in of_body.items():
+        frame = model.frames[k]
+        if at_joint[int(frame.parentJoint)] != name:
+            on = at_joint[int(frame.parentJoint)]
+            joints.append(Joint(f"{name} fixed", "fixed", on, name, frame.placement.homogeneous))
+    shapes = []
+    for shape in geometry_model.geometryObjects:
+        joint, frame = int(shape.parentJoint), int(shape.parentFrame)
+        if joint >= model.njoints:
+            raise InputError(f"geometry {shape.name!r}: expected a joint of the model, found joint {joint}")
+        link, T = at_joint[joint], shape.placement.homogeneous
+        if frame in of_body and int(model.frames[frame].parentJoint) == joint and of_body[frame] != link:
+            link, T = of_body[frame], in_frame(model.frames[frame].placement.homogeneous, T)
+        made = made_body(partial(_body, shape.geometry, meshes, tol), f"geometry {shape.name!r}")
+        shapes.append(Shape(link, shape.name, made, T))
+    checked = np.zeros((len(shapes), len(shapes)), dtype=bool)
+    enabled = [not shape.disableCollision for shape in geometry_model.geometryObjects]
+    for pair in geometry_model.collisionPairs:
+        a, b = int(pair.first), int(pair.second)
+        checked[a, b] = checked[b, a] = enabled[a] and enabled[b] and a != b
+    return Model(
+        name=model.name or "model",
+        links=tuple(dict.fromkeys([at_joint[0], *(joint.child for joint in joints)])),
+        joints=tuple(joints),
+        shapes=shapes,
+        checked=checked,
+        order=Order("pinocchio", model.nq, columns, {}),
+    )
+
+
+# -- joints ---------------------------------------------------------------------------------------
+
+
+def _moves(model: Any, joint: Any, name: str) -> Moves:
+    """List joints that together are a joint of pinocchio, and the columns of their values."""
+    kind, q = joint.shortname(), int(joint.idx_q)
+    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+
+    def single(suffix: str, kind: Any, axis: Floats, at: int, *, limited: bool = True) -> tuple[Joint, tuple[int, ...]]:
+        low, high = (float(lower[q + at]), float(upper[q + at])) if limited else (-math.inf, math.inf)
+        rate = _velocity(model, int(joint.idx_v) + at)
+        return Joint(name + suffix, kind, "", "", axis=axis, lower=low, upper=high, velocity=rate), (q + at,)
+
+    if kind == "JointModelMimic":
+        yield _mimicking(model, joint, name), ()
+    elif kind == "JointModelComposite":
+        yield from _composite(model, joint.extract(), name)
+    elif kind == "JointModelFreeFlyer":
+        made = Joint(name, "floating", "", "", lower=lower[q : q + 3], upper=upper[q : q + 3])
+        yield made, (q, q + 1, q + 2, q + 6, q + 3, q + 4, q + 5)
+    elif kind == "JointModelSpherical":
+        yield Joint(name, "ball", "", ""), (q + 3, q, q + 1, q + 2)
+    elif kind == "JointModelSphericalZYX":
+        yield from (single(f"/{'zyx'[k]}", "revolute", axis, k) for k, axis in enumerate((Z, Y, X)))
+    elif kind == "JointModelTranslation":
+        yield from (single(f"/{'xyz'[k]}", "prismatic", axis, k) for k, axis in enumerate((X, Y, Z)))
+    elif kind == "JointModelPlanar":
+        yield from (single(f"/{'xy'[k]}", "prismatic", axis, k) for k, axis in enumerate((X, Y)))
+        turn, _ = single("/theta", "revolute", Z, 2, limited=False)
+        yield turn, (q + 2, q + 3)
+    elif kind == "JointModelUniversal":
+        both = joint.extract()
+        yield from (single(f"/{k + 1}", "revolute", axis, k) for k, axis in enumerate((both.axis1, both.axis2)))
+    elif joint.nv == 1:
+        along, axis = _screw(joint)
+        if not axis.any():
+            yield single("", "prismatic", along, 0)
+        elif joint.nq == 2:
+            turn, _ = single("", "revolute", axis, 0, limited=False)
+            yield turn, (q, q + 1)
+        else:
+            yield single("", "revolute", axis, 0)
+            pitch = float(along @ axis)
+            if along.any():
+                yield Joint(f"{name}/slide", "prismatic", "", "", axis=axis, mimic=(name, pitch, 0.0)), ()
+    else:
+        raise InputError(f"joint {name!r}: expected a joint that a robot can have, found one of the kind {kind}")
+
+
+def _screw(joint: Any) -> tuple[Floats, Floats]:
+    """Return the velocity and the angular velocity of a joint of one value, at the rate 1."""
+    data = joint.createData()
+    joint.calc(data, np.eye(1, joint.idx_q + joint.nq, joint.idx_q)[0])
+    motion = np.asarray(data.S, dtype=np.float64).reshape(6)
+    return motion[:3], motion[3:]
+
+
+def _mimicking(model: Any, joint: Any, name: str) -> Joint:
+    rule = joint.extract()
+    followed = model.names[list(model.mimicked_joints)[list(model.mimicking_joints).index(joint.id)]]
+    along, axis = (part / rule.scaling if rule.scaling else part for part in _screw(joint))
+    turns = bool(axis.any())
+    if turns and along.any() or not (turns or along.any()):
+        raise InputError(f"joint {name!r}: expected a mimicking joint that turns or slides, found one of another kind")
+    kind = "revolute" if turns else "prismatic"
+    return Joint(name, kind, "", "", axis=axis if turns else along, mimic=(followed, rule.scaling, rule.offset))
+
+
+def _composite(model: Any, joint: Any, name: str) -> Moves:
+    for k, part in enumerate(joint.joints):
+        for number, (move, theirs) in enumerate(_moves(model, part, f"{name}/{k}")):
+            before = joint.jointPlacements[k].homogeneous if number == 0 else None
+            yield replace(move, T_parent_joint=before), theirs
+
+
+def _velocity(model: Any, at: int) -> float | None:
+    """Return the largest velocity of a value; None if there is none."""
+    most = float(model.velocityLimit[at])
+    return most if 0 < most < math.inf else None
+
+
+# -- shapes ---------------------------------------------------------------------------------------
+
+
+def _body(shape: Any, meshes: str, tol: float) -> Body:
+    """Make the body of a shape of Coal, which gives half lengths."""
+    kind = type(shape).__name__
+    swept = float(shape.getSweptSphereRadius()) if hasattr(shape, "getSweptSphereRadius") else 0.0
+    if swept and kind not in ("Sphere", "Capsule", "TriangleP"):
+        raise InputError(f"expected a {kind} without a swept sphere, found one of radius {swept:g}")
+    if kind == "Box":
+        return Body.box(2 * shape.halfSide)
+    if kind == "Sphere":
+        return Body.sphere(shape.radius + swept)
+    if kind == "Capsule":
+        return Body.capsule(shape.radius + swept, 2 * shape.halfLength)
+    if kind == "Cylinder":
+        return Body.cylinder(shape.radius, 2 * shape.halfLength)
+    if kind == "Cone":
+        return Body.cone(shape.radius, 2 * shape.halfLength)
+    if kind == "Ellipsoid":
+        return Body.ellipsoid(shape.radii)
+    if kind == "Halfspace":
+        return Body.half_space(shape.n, shape.d)
+    if kind.startswith("Convex"):
+        return Body.from_points(shape.points(), tol=tol)
+    if kind == "TriangleP":
+        return Body.from_surface((np.array([shape.a, shape.b, shape.c]), np.array([[0, 1, 2]])), radius=swept)
+    if kind.startswith("BVHModel"):
+        corners = [[shape.tri_indices(k)[i] for i in range(3)] for k in range(shape.num_tris)]
+        mesh = np.array(shape.vertices()), np.array(corners, dtype=np.int64).reshape(-1, 3)
+        if meshes == "surface":
+            return Body.from_surface(mesh)
+        return Body.from_mesh(mesh, decompose=meshes == "pieces", tol=tol)
+    if kind.startswith("HeightField"):
+        return _terrain(shape)
+    if kind == "OcTree":
+        boxes = np.array(shape.toBoxes())
+        return Body.boxes(boxes[:, :3], np.repeat(boxes[:, 3:4], 3, axis=1))
+    raise InputError(
+        "expected a box, sphere, capsule, cylinder, cone, ellipsoid, half-space, convex, triangle, mesh, height field "
+        f"or octree, found a {kind}"
+    )
+
+
+def _terrain(shape: Any) -> Body:
+    """Make a height field: in Coal, rows are along -y, columns along x."""
+    x, y, heights = shape.getXGrid(), shape.getYGrid(), np.array(shape.getHeights())
+    corner = np.eye(4)
+    corner[:2, 3] = x[0], y[-1]
+    base = min(float(shape.getMinHeight()), float(heights.min()) - LEAST_DEPTH)
+    return Body.height_field(heights.T[:, ::-1], [x[1] - x[0], y[0] - y[1]], base=base).transformed(corner)
