@@ -97,11 +97,15 @@ class Layout(KeepsReadOnly):
 
     def exported(self, Q: Floats) -> Floats:
         """Return the model's configurations for ours, shape (..., dof)."""
-        padded = np.concatenate([Q, np.zeros((*Q.shape[:-1], 1))], axis=-1)
-        q: Floats = self.factors * padded[..., self.source] + self.offsets
+        q = self.exported_rates(Q) + self.offsets
         for column, cosine, sine in self.turning.tolist():
             q[..., cosine], q[..., sine] = _elementary.cos(Q[..., column]), _elementary.sin(Q[..., column])
         return q
+
+    def exported_rates(self, rates: Floats) -> Floats:
+        """Return the rates of the model's values for ours; there are no cosines and sines among them."""
+        padded = np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1)
+        return np.asarray(self.factors * padded[..., self.source])
 
     def imported(self, q: Floats, tolerance: float) -> Floats:
         """Return our configurations for the model's, shape (..., width), which must keep its couplings."""

@@ -28,15 +28,15 @@ from loewner._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
 from loewner.bodies import Body, for_pictures, packed_of
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
-from loewner.mjcf_models import read_mjcf
+from loewner.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
 from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
 from loewner.robots.drake import drake_model
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.links import Joint as LinkJoint
 from loewner.robots.links import described
-from loewner.robots.mjcf import description_of, semantics_of
-from loewner.robots.other_models import Layout, Model, layout_of, with_shapes
+from loewner.robots.mjcf import description_of, qpos_columns, semantics_of
+from loewner.robots.other_models import Layout, Model, Order, expect, layout_of, with_shapes
 from loewner.robots.pair_verdicts import ProvenPairs
 from loewner.robots.pinocchio import pinocchio_model
 from loewner.robots.srdf import Semantics, State, read_srdf
@@ -421,10 +421,75 @@ class Robot(KeepsReadOnly):
         >>> robot.link_names, robot.configuration_names
         (('world', 'floor', 'pole'), ('swing',))
         """
-        model = read_mjcf(path, checked_tolerance(tol))
+        return cls._of_mjcf(read_mjcf(path, checked_tolerance(tol)), "MJCF")
+
+    @classmethod
+    @guarded
+    def from_mujoco(cls, model: Any, data: Any = None, *, couplings: bool = True, tol: float = 1e-4) -> Robot:
+        """Read a robot, with the world around it, from a model of MuJoCo in memory.
+
+        As for `from_mjcf`, pairs that MuJoCo does not check are in `disabled_pairs`, and keyframes are in `states`.
+        `imported` and `exported` convert configurations from and to `qpos`.
+
+        Parameters
+        ----------
+        model : mujoco.MjModel
+        data : mujoco.MjData, optional
+            Has the poses of mocap bodies, and tells which constraints are active. Default: those of the model.
+        couplings : bool
+            Let joints follow others if an active equality couples them linearly. If it is False, or there are none, a
+            configuration equals `qpos`, entry by entry.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            As for `from_mjcf`.
+
+        Raises
+        ------
+        InputError
+            If `model` or `data` are not MuJoCo's, or of different models; if a geom that collides is a signed distance
+            field.
+        GeometryError
+            If a mesh that collides is flat.
+
+        Warns
+        -----
+        UserWarning
+            As for `from_mjcf`.
+
+        Examples
+        --------
+        >>> import mujoco
+        >>> model = mujoco.MjModel.from_xml_string('''
+        ... <mujoco model="gripper"><worldbody><body name="left"><joint name="open" type="slide" range="0 0.1"/>
+        ...   <geom size="0.1"/></body><body name="right" pos="0.5 0 0"><joint name="follow" type="slide"/>
+        ...   <geom size="0.1"/></body></worldbody>
+        ...   <equality><joint joint1="follow" joint2="open" polycoef="0 -1 0 0 0"/></equality></mujoco>''')
+        >>> robot = Robot.from_mujoco(model)
+        >>> robot.configuration_names, robot.exported([0.1])
+        (('open',), array([ 0.1, -0.1]))
+        """
+        expect(model, "MjModel", "model")
+        if data is not None:
+            expect(data, "MjData", "data")
+            if (len(data.qpos), len(data.mocap_pos), len(data.eq_active)) != (model.nq, model.nmocap, model.neq):
+                raise InputError("data: expected that of the model, found that of another one")
+        coupled, path = _validate.flag(couplings, "couplings"), Path(name_of(model) or "model")
+        return cls._of_mjcf(compiled_model(model, data, path, checked_tolerance(tol), couplings=coupled), "links")
+
+    @classmethod
+    def _of_mjcf(cls, model: MjcfModel, format: str) -> Robot:
+        """Make the robot of a model that MuJoCo has compiled."""
         robot, bodies = description_of(model)
         doubt_limits(robot.path, robot.joints)
-        return cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), "MJCF", None)
+        made = cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), format, None)
+        theirs = qpos_columns(robot)
+        order = Order("MuJoCo", sum(map(len, theirs.values())), theirs, {})
+        references = {joint.name: joint.reference for joint in robot.joints.values()}
+        return replace(made, _layout=layout_of(order, made._columns, joints_above(made), made.tree, references))
 
     @classmethod
     @guarded
@@ -1540,6 +1605,13 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
             f"{name}: expected shape (..., {robot.dof}), one column each for {', '.join(robot.configuration_names)}; "
             f"found {_validate.shape_text(shape)}"
         )
+
+
+def exported_rates(robot: Robot, rates: Floats) -> Floats:
+    """Return rates of the values of a model, for those of the robot that was made of it; see `Robot.exported`."""
+    if not robot.runs_straight or len(robot._known_layout.turning):
+        raise InputError("robot: expected joints of one value each, found quaternions, or cosines and sines")
+    return robot._known_layout.exported_rates(rates)
 
 
 def joints_above(robot: Robot) -> tuple[str, ...]:
