@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from loewner import _elementary, _validate
+from loewner import _elementary, _validate, queries
+from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._matrices import product
+from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, InputError
 from loewner.robots.links import Joint, unused
+from loewner.robots.tree import constant_pose
+from loewner.robots.xml_elements import some
 
 
 class Shape(NamedTuple):
@@ -123,14 +128,14 @@ class Layout(KeepsReadOnly):
 
 
 def layout_of(
-    order: Order, columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
+    order: Order, own_columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
 ) -> Layout:
     """Find how configurations of a robot correspond to those of its model.
 
     Parameters
     ----------
     order : Order
-    columns : mapping
+    own_columns : mapping
         Joint to its columns in our configurations.
     above : sequence of str
         The joint above each link of the tree; empty for none.
@@ -138,12 +143,12 @@ def layout_of(
     references : mapping
         Joint to its value where the tree has 0, for joints where it is not 0.
     """
-    dof = max((at.stop for at in columns.values()), default=0)
+    dof = max((at.stop for at in own_columns.values()), default=0)
     source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)
     own, turning, names = np.zeros(dof, dtype=np.int64), [], ["?"] * order.width
     rows = {joint: k for k, joint in enumerate(above)}
     for joint, theirs in order.columns.items():
-        at, k = columns.get(joint), rows[joint]
+        at, k = own_columns.get(joint), rows[joint]
         for column in theirs:
             names[column] = joint
         if at is None:  # it mimics another
@@ -214,6 +219,25 @@ def with_shapes(
         firsts.append(members[0])
     skipped = np.argwhere(np.tril(~checked[np.ix_(firsts, firsts)], -1)).tolist()
     return made, list(all_joints.values()), [(names[a], names[b]) for a, b in skipped]
+
+
+def warn_of_fixed_contacts(
+    model: Model, bodies: Mapping[str, Body], names: Sequence[str], tree: Tree, skipped: Container[Pair]
+) -> None:
+    """Warn of bodies that are fixed to each other and collide: no checker checks them, but their library does."""
+    fixed = tree.kind == columns.FIXED
+    groups = np.where(fixed, tree.parent, np.arange(len(names)))
+    poses = {
+        name: (int(groups[k]), constant_pose(tree.constants[k]) if fixed[k] else np.eye(4))
+        for k, name in enumerate(names) if name in bodies
+    }  # fmt: skip
+    found = [
+        f"{a!r} and {b!r}" for a, b in combinations(sorted(poses), 2)
+        if poses[a][0] == poses[b][0] and (a, b) not in skipped
+        and queries.collide(bodies[a], poses[a][1], bodies[b], poses[b][1])
+    ]  # fmt: skip
+    if found:
+        warn(f"{model.name}: not checked, since they are fixed to each other, although they collide: {some(found)}")
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:

@@ -117,7 +117,7 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
         both = joint.extract()
         yield from (single(f"/{k + 1}", "revolute", axis, k) for k, axis in enumerate((both.axis1, both.axis2)))
     elif joint.nv == 1:
-        along, axis = _screw(joint)
+        along, axis = _screw(model, joint)
         if not axis.any():
             yield single("", "prismatic", along, 0)
         elif joint.nq == 2:
@@ -132,10 +132,10 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
         raise InputError(f"joint {name!r}: expected a joint that a robot can have, found one of the kind {kind}")
 
 
-def _screw(joint: Any) -> tuple[Floats, Floats]:
+def _screw(model: Any, joint: Any) -> tuple[Floats, Floats]:
     """Return the velocity and the angular velocity of a joint of one value, at the rate 1."""
     data = joint.createData()
-    joint.calc(data, np.eye(1, joint.idx_q + joint.nq, joint.idx_q)[0])
+    joint.calc(data, np.eye(1, model.nq, joint.idx_q)[0])  # it reads beyond shorter arrays
     motion = np.asarray(data.S, dtype=np.float64).reshape(6)
     return motion[:3], motion[3:]
 
@@ -143,7 +143,7 @@ def _screw(joint: Any) -> tuple[Floats, Floats]:
 def _mimicking(model: Any, joint: Any, name: str) -> Joint:
     rule = joint.extract()
     followed = model.names[list(model.mimicked_joints)[list(model.mimicking_joints).index(joint.id)]]
-    along, axis = (part / rule.scaling if rule.scaling else part for part in _screw(joint))
+    along, axis = (part / rule.scaling if rule.scaling else part for part in _screw(model, joint))
     turns = bool(axis.any())
     if turns and along.any() or not (turns or along.any()):
         raise InputError(f"joint {name!r}: expected a mimicking joint that turns or slides, found one of another kind")
@@ -171,7 +171,7 @@ def _body(shape: Any, meshes: str, tol: float) -> Body:
     """Make the body of a shape of Coal, which gives half lengths."""
     kind = type(shape).__name__
     swept = float(shape.getSweptSphereRadius()) if hasattr(shape, "getSweptSphereRadius") else 0.0
-    if swept and kind not in ("Sphere", "Capsule", "TriangleP"):
+    if swept and kind not in ("Sphere", "Capsule"):
         raise InputError(f"expected a {kind} without a swept sphere, found one of radius {swept:g}")
     if kind == "Box":
         return Body.box(2 * shape.halfSide)
@@ -189,8 +189,6 @@ def _body(shape: Any, meshes: str, tol: float) -> Body:
         return Body.half_space(shape.n, shape.d)
     if kind.startswith("Convex"):
         return Body.from_points(shape.points(), tol=tol)
-    if kind == "TriangleP":
-        return Body.from_surface((np.array([shape.a, shape.b, shape.c]), np.array([[0, 1, 2]])), radius=swept)
     if kind.startswith("BVHModel"):
         corners = [[shape.tri_indices(k)[i] for i in range(3)] for k in range(shape.num_tris)]
         mesh = np.array(shape.vertices()), np.array(corners, dtype=np.int64).reshape(-1, 3)
@@ -203,8 +201,8 @@ def _body(shape: Any, meshes: str, tol: float) -> Body:
         boxes = np.array(shape.toBoxes())
         return Body.boxes(boxes[:, :3], np.repeat(boxes[:, 3:4], 3, axis=1))
     raise InputError(
-        "expected a box, sphere, capsule, cylinder, cone, ellipsoid, half-space, convex, triangle, mesh, height field "
-        f"or octree, found a {kind}"
+        "expected a box, sphere, capsule, cylinder, cone, ellipsoid, half-space, convex, mesh, height field or octree, "
+        f"found a {kind}"
     )
 
 

@@ -36,7 +36,7 @@ from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.links import Joint as LinkJoint
 from loewner.robots.links import described
 from loewner.robots.mjcf import description_of, qpos_columns, semantics_of
-from loewner.robots.other_models import Layout, Model, Order, expect, layout_of, with_shapes
+from loewner.robots.other_models import Layout, Model, Order, expect, layout_of, warn_of_fixed_contacts, with_shapes
 from loewner.robots.pair_verdicts import ProvenPairs
 from loewner.robots.pinocchio import pinocchio_model
 from loewner.robots.srdf import Semantics, State, read_srdf
@@ -606,7 +606,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not of the plant.
+            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not of the plant;
+            if bodies that are fixed to each other collide, which is not checked.
 
         Examples
         --------
@@ -628,7 +629,7 @@ class Robot(KeepsReadOnly):
     ) -> Robot:
         """Read a robot, with the world around it, from a model of pinocchio and its collision geometry.
 
-        Exactly the pairs of `geometry_model.collisionPairs` are checked; the others are in `disabled_pairs`. `imported`
+        The pairs of `geometry_model.collisionPairs` are checked; all others are in `disabled_pairs`. `imported`
         and `exported` convert configurations. docs/howto/other-models.md lists the correspondences.
 
         Parameters
@@ -654,6 +655,11 @@ class Robot(KeepsReadOnly):
         GeometryError
             If a mesh is flat.
 
+        Warns
+        -----
+        UserWarning
+            If bodies that are fixed to each other collide, which is not checked.
+
         Examples
         --------
         >>> robot = Robot.from_pinocchio(model, collision_model)  # doctest: +SKIP
@@ -667,6 +673,7 @@ class Robot(KeepsReadOnly):
         """Make the robot of another library's model."""
         links, joints, disabled = with_shapes(model.links, model.joints, model.shapes, model.checked)
         made = cls.from_links(links, joints, disabled=disabled, name=model.name)
+        warn_of_fixed_contacts(model, made.bodies, made.link_names, made.tree, made.disabled_pairs)
         return replace(made, _layout=layout_of(model.order, made._columns, joints_above(made), made.tree, {}))
 
     @guarded
