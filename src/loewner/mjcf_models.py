@@ -156,7 +156,7 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     ----------
     model : mujoco.MjModel
     data : mujoco.MjData, optional
-        Has the poses of mocap bodies, and tells which constraints are active. Default: those of the model.
+        Has the poses of mocap bodies and the active constraints. Default: as in the model.
     file : Path
         For messages and names.
     tol : float
@@ -307,7 +307,7 @@ def _placed(mujoco: Any, model: Any, data: Any) -> list[Floats]:
 
 
 def _in_parent(model: Any, data: Any, body: int) -> Floats:
-    """Return the pose of a body in its parent; that of a mocap body is in the data."""
+    """Return the pose of a body in its parent; for a mocap body it is in the data."""
     mocap = int(model.body_mocapid[body])
     if data is None or mocap < 0:
         return _pose(model.body_pos[body], model.body_quat[body])

@@ -1,7 +1,7 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
 `robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read; `links` takes them from memory,
-`drake` and `pinocchio` from models of these libraries. Users call `checker`; `checked_pairs` and `problem` prepare its
+`drake` and `pinocchio` from models of other libraries. Users call `checker`; `checked_pairs` and `problem` prepare its
 queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges` proves which pairs can ever collide,
 `sampling` guesses it. `written_proofs` writes proofs that other programs verify.
 """

@@ -36,47 +36,26 @@ def drake_model(
     if context is not None:
         try:
             state = plant.GetMyContextFromRoot(context)
-            output = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
+            query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
         except (RuntimeError, TypeError) as error:
-            found = " ".join(str(error).split())[:200]
-            raise InputError(f"context: expected the context of the whole diagram, found another ({found})") from None
-        inspector = output.inspector()
+            why = " ".join(str(error).split())[:200]
+            raise InputError(f"context: expected the context of the whole diagram, found another ({why})") from None
+        inspector = query.inspector()
     if plant.num_constraints() > len(mimic):
         warn(
             f"{plant.num_constraints()} constraints between bodies or joints are not read, since Drake's Python has no "
             "way to; give couplers as mimic={joint: (other, gear ratio, offset)}"
         )
-    found = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    ends = [body for joint in found for body in (joint.parent_body(), joint.child_body())]
+    elements = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    ends = [body for element in elements for body in (element.parent_body(), element.child_body())]
     bodies = {int(body.index()): body for body in (plant.world_body(), *ends)}
     links = dict(zip(bodies, _names(plant, list(bodies.values())), strict=True))
-    world, q = int(plant.world_body().index()), plant.GetPositions(state)
-    joints: list[Joint] = []
     columns: dict[str, tuple[int, ...]] = {}
     constants: dict[int, float] = {}
-    for joint, name in zip(found, _names(plant, found), strict=True):
-        parent, child = (int(body.index()) for body in (joint.parent_body(), joint.child_body()))
-        if child == world:
-            raise InputError(
-                f"joint {name!r}: expected the world as parent, found it as child; exchange the two frames"
-            )
-        before, behind = (
-            frame.CalcPoseInBodyFrame(state) for frame in (joint.frame_on_parent(), joint.frame_on_child())
-        )
-        start = joint.position_start()
-        if joint.num_positions() == 0 or joint.is_locked(state):
-            held = joint.frame_on_child().CalcPose(state, joint.frame_on_parent())
-            moves: list[tuple[Joint, tuple[int, ...]]] = [(Joint(name, "fixed", "", ""), ())]
-            before = before @ held
-            constants |= {start + k: float(q[start + k]) for k in range(joint.num_positions())}
-        else:
-            moves = list(_moves(plant, joint, name))
-        columns |= {move.name: tuple(start + k for k in theirs) for move, theirs in moves if theirs}
-        Ts = before.GetAsMatrix4(), behind.inverse().GetAsMatrix4()
-        joints += chained([move for move, _ in moves], links[parent], links[child], *Ts)
-    for followed in mimic:
-        if followed not in columns:
-            raise _validate.unknown_name("joint in mimic", followed, columns)
+    joints = list(_joints(plant, state, elements, links, columns, constants))
+    for joint in mimic:
+        if joint not in columns:
+            raise _validate.unknown_name("joint in mimic", joint, columns)
     joints = [replace(joint, mimic=mimic[joint.name]) if joint.name in mimic else joint for joint in joints]
     joints.sort(key=lambda joint: min(columns.get(joint.name, (plant.num_positions(),))))
     geometries, shapes = _shapes(plant, inspector, links, tol)
@@ -91,8 +70,38 @@ def drake_model(
     )
 
 
+def _joints(
+    plant: Any,
+    state: Any,
+    elements: Sequence[Any],
+    links: Mapping[int, str],
+    columns: dict[str, tuple[int, ...]],
+    constants: dict[int, float],
+) -> Iterator[Joint]:
+    """List the joints; add the columns of their values, and the values of joints that are locked, to the last two."""
+    q = plant.GetPositions(state)
+    for element, name in zip(elements, _names(plant, elements), strict=True):
+        parent, child = element.parent_body(), element.child_body()
+        if child.index() == plant.world_body().index():
+            expected = "expected the world as parent, found it as child; exchange the two frames"
+            raise InputError(f"joint {name!r}: {expected}")
+        before, behind = (
+            frame.CalcPoseInBodyFrame(state) for frame in (element.frame_on_parent(), element.frame_on_child())
+        )
+        start = element.position_start()
+        if element.num_positions() == 0 or element.is_locked(state):
+            before = before @ element.frame_on_child().CalcPose(state, element.frame_on_parent())
+            moves: list[tuple[Joint, tuple[int, ...]]] = [(Joint(name, "fixed", "", ""), ())]
+            constants |= {start + k: float(q[start + k]) for k in range(element.num_positions())}
+        else:
+            moves = list(_moves(plant, element, name))
+        columns |= {move.name: tuple(start + k for k in theirs) for move, theirs in moves if theirs}
+        ends = links[int(parent.index())], links[int(child.index())]
+        yield from chained([move for move, _ in moves], *ends, before.GetAsMatrix4(), behind.inverse().GetAsMatrix4())
+
+
 def _names(plant: Any, elements: Sequence[Any]) -> list[str]:
-    """Return the names of bodies or joints, with that of their model instance where a name occurs twice."""
+    """Return the names of bodies or joints, with the name of their model instance where one occurs twice."""
     scopes = [plant.GetModelInstanceName(element.model_instance()) for element in elements]
     return unique([element.name() for element in elements], scopes)
 
@@ -101,14 +110,17 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
     """List joints of one value, or a floating one, that together are a joint of Drake, and their columns in it."""
     kind = joint.type_name()
     lower, upper = joint.position_lower_limits(), joint.position_upper_limits()
-    rates = {
-        rate: np.minimum(getattr(joint, f"{rate}_upper_limits")(), -getattr(joint, f"{rate}_lower_limits")())
-        for rate in ("velocity", "acceleration")
-    }
+    rates = (
+        np.minimum(joint.velocity_upper_limits(), -joint.velocity_lower_limits()),
+        np.minimum(joint.acceleration_upper_limits(), -joint.acceleration_lower_limits()),
+    )
 
     def single(suffix: str, kind: Any, axis: Floats, at: int) -> tuple[Joint, tuple[int, ...]]:
-        known = {rate: float(most[at]) for rate, most in rates.items() if 0 < most[at] < math.inf}
-        made = Joint(name + suffix, kind, "", "", axis=axis, lower=lower[at], upper=upper[at], **known)
+        velocity, acceleration = (float(most[at]) if 0 < most[at] < math.inf else None for most in rates)
+        made = Joint(
+            name + suffix, kind, "", "", axis=axis, lower=lower[at], upper=upper[at], velocity=velocity,
+            acceleration=acceleration,
+        )  # fmt: skip
         return made, (at,)
 
     if kind == "revolute":
@@ -142,7 +154,7 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
 
 
 def _screw_axis(plant: Any, joint: Any) -> Floats:
-    """Return the axis of a screw joint, of which Drake's Python only tells the pose."""
+    """Return the axis of a screw joint, from poses, since Drake's Python has no function for it."""
     state = plant.CreateDefaultContext()
     q = plant.GetPositions(state)
     q[joint.position_start()] = 1.0

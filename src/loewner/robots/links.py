@@ -183,20 +183,12 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floa
     what = f"joint {joint.name!r}"
     kind = _validate.choice(joint.kind, f"kind of {what}", VALUES)
     origin = _pose(joint.T_parent_joint, f"T_parent_joint of {what}")
-    behind: Floats | None = _pose(joint.T_joint_child, f"T_joint_child of {what}")
-    if np.array_equal(behind, np.eye(4)):
-        behind = None
-    if kind == "fixed" and behind is not None:
-        origin, behind = product(origin, behind), None
+    behind = _pose(joint.T_joint_child, f"T_joint_child of {what}")
+    if kind == "fixed":
+        origin, behind = product(origin, behind), np.eye(4)
     single = len(VALUES[kind]) == 1
     lower, upper = _limits(joint, kind, what)
-    rates = dict.fromkeys(RATES, math.nan)
-    for rate in RATES:
-        given = getattr(joint, rate)
-        if given is not None:
-            if not single:
-                raise InputError(f"{rate} of {what}: expected None for a {kind} joint, found {given}")
-            rates[rate] = _validate.positive_scalar(given, f"{rate} of {what}")
+    velocity, acceleration, jerk = (_rate(getattr(joint, rate), kind, f"{rate} of {what}") for rate in RATES)
     reference = _validate.real(joint.reference, f"reference of {what}")
     if reference and not single:
         raise InputError(f"reference of {what}: expected 0 for a {kind} joint, found {reference:g}")
@@ -212,10 +204,12 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floa
         mimic=None if joint.mimic is None else _mimic(joint.mimic, kind, f"mimic of {what}"),
         line=0,
         reference=reference,
-        **rates,
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=jerk,
     )
     several = not single and bool(np.isfinite([lower, upper]).any())
-    return made, (lower, upper) if several else None, behind
+    return made, (lower, upper) if several else None, None if np.array_equal(behind, np.eye(4)) else behind
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:
@@ -224,6 +218,15 @@ def _pose(T: ArrayLike | None, name: str) -> Floats:
     if np.abs(pose).max() > LARGEST:
         raise InputError(f"{name}: expected numbers within ±{LARGEST:g}, found {np.abs(pose).max():g}")
     return pose
+
+
+def _rate(given: float | None, kind: str, name: str) -> float:
+    """Check the largest rate of a joint of one value; NaN for none."""
+    if given is None:
+        return math.nan
+    if len(VALUES[kind]) != 1:
+        raise InputError(f"{name}: expected None for a {kind} joint, found {given}")
+    return _validate.positive_scalar(given, name)
 
 
 def _limits(joint: Joint, kind: str, what: str) -> tuple[Floats, Floats]:

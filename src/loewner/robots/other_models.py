@@ -33,7 +33,7 @@ class Shape(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What a robot is made of.
+    """The parts of a robot that another library has modelled.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Order(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Layout(KeepsReadOnly):
-    """Convert configurations of a robot from and to those of the model that it was made of.
+    """Convert configurations of a robot to the order of its model, and back.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Layout(KeepsReadOnly):
     own : ndarray, shape (dof,)
         The column of the model that equals each of ours.
     turning : ndarray, shape (k, 3)
-        Our columns that the model has as cosine and sine, and the columns of these.
+        Our columns that the model has as cosine and sine, and the columns of the cosine and the sine.
     """
 
     library: str
@@ -130,7 +130,7 @@ class Layout(KeepsReadOnly):
 def layout_of(
     order: Order, own_columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
 ) -> Layout:
-    """Find how configurations of a robot correspond to those of its model.
+    """Find how configurations of a robot correspond to its model's.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def warn_of_fixed_contacts(
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
-    """Return the names, with their scopes where a name occurs twice; numbers settle what is then still alike."""
+    """Return the names, with their scopes where a name occurs twice, and underscores where that is not enough."""
     found: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
         made = name if names.count(name) == 1 else f"{scope}::{name}"

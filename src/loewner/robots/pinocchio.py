@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,7 +16,7 @@ from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.robots.link_bodies import MODELS
-from loewner.robots.links import Joint
+from loewner.robots.links import Joint, JointKind, unused
 from loewner.robots.other_models import Model, Order, Shape, chained, expect, made_body, unique
 
 X, Y, Z = np.eye(3)
@@ -24,7 +24,7 @@ X, Y, Z = np.eye(3)
 # Terrain of Coal may have no thickness at its lowest points; here it has this one [m].
 LEAST_DEPTH = 1e-6
 
-# Joints and their columns within those of pinocchio's joint.
+# Joints, each with its columns in pinocchio's configurations.
 Moves = Iterator[tuple[Joint, tuple[int, ...]]]
 
 
@@ -33,41 +33,20 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
     expect(model, "Model", "model")
     expect(geometry_model, "GeometryModel", "geometry_model")
     _validate.choice(meshes, "meshes", MODELS)
-    bodies = [k for k, frame in enumerate(model.frames) if frame.type.name == "BODY"]
-    of_body = dict(zip(bodies, unique([model.frames[k].name for k in bodies], ["BODY"] * len(bodies)), strict=True))
-    # The link of a joint is its first body that has the frame of the joint; for the universe it is the world.
-    at_joint: dict[int, str] = {}
-    for k in bodies:
-        frame = model.frames[k]
-        if frame.parentJoint and np.array_equal(frame.placement.homogeneous, np.eye(4)):
-            at_joint.setdefault(int(frame.parentJoint), of_body[k])
-    taken = list(of_body.values())
-    for joint in range(model.njoints):
-        if joint not in at_joint:
-            at_joint[joint] = unique([*taken, model.names[joint]], ["JOINT"] * (len(taken) + 1))[-1]
-            taken.append(at_joint[joint])
+    of_body, at_joint = _links(model)
     joints: list[Joint] = []
     columns: dict[str, tuple[int, ...]] = {}
     for k in range(1, model.njoints):
-        name, child, parent = model.names[k], at_joint[k], at_joint[int(model.parents[k])]
-        moves = list(_moves(model, model.joints[k], name))
+        moves = list(_moves(model, model.joints[k], model.names[k]))
         columns |= {move.name: theirs for move, theirs in moves if theirs}
-        joints += chained([move for move, _ in moves], parent, child, model.jointPlacements[k].homogeneous, np.eye(4))
+        ends = at_joint[int(model.parents[k])], at_joint[k]
+        joints += chained([move for move, _ in moves], *ends, model.jointPlacements[k].homogeneous, np.eye(4))
     for k, name in of_body.items():
         frame = model.frames[k]
-        if at_joint[int(frame.parentJoint)] != name:
-            on = at_joint[int(frame.parentJoint)]
+        on = at_joint[int(frame.parentJoint)]
+        if on != name:
             joints.append(Joint(f"{name} fixed", "fixed", on, name, frame.placement.homogeneous))
-    shapes = []
-    for shape in geometry_model.geometryObjects:
-        joint, frame = int(shape.parentJoint), int(shape.parentFrame)
-        if joint >= model.njoints:
-            raise InputError(f"geometry {shape.name!r}: expected a joint of the model, found joint {joint}")
-        link, T = at_joint[joint], shape.placement.homogeneous
-        if frame in of_body and int(model.frames[frame].parentJoint) == joint and of_body[frame] != link:
-            link, T = of_body[frame], in_frame(model.frames[frame].placement.homogeneous, T)
-        made = made_body(partial(_body, shape.geometry, meshes, tol), f"geometry {shape.name!r}")
-        shapes.append(Shape(link, shape.name, made, T))
+    shapes = [_shape(model, shape, of_body, at_joint, meshes, tol) for shape in geometry_model.geometryObjects]
     checked = np.zeros((len(shapes), len(shapes)), dtype=bool)
     enabled = [not shape.disableCollision for shape in geometry_model.geometryObjects]
     for pair in geometry_model.collisionPairs:
@@ -81,6 +60,40 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
         checked=checked,
         order=Order("pinocchio", model.nq, columns, {}),
     )
+
+
+def _links(model: Any) -> tuple[dict[int, str], dict[int, str]]:
+    """Name the links of body frames, by the numbers of the frames, and the links that joints move.
+
+    A joint moves the first body that has its frame; another one has a link with its own name, like the world.
+    """
+    bodies = [k for k, frame in enumerate(model.frames) if frame.type.name == "BODY"]
+    of_body = dict(zip(bodies, unique([model.frames[k].name for k in bodies], ["BODY"] * len(bodies)), strict=True))
+    at_joint: dict[int, str] = {}
+    for k, name in of_body.items():
+        frame = model.frames[k]
+        if frame.parentJoint and np.array_equal(frame.placement.homogeneous, np.eye(4)):
+            at_joint.setdefault(int(frame.parentJoint), name)
+    taken = list(of_body.values())
+    for joint in range(model.njoints):
+        if joint not in at_joint:
+            at_joint[joint] = unused(model.names[joint], taken)
+            taken.append(at_joint[joint])
+    return of_body, at_joint
+
+
+def _shape(
+    model: Any, shape: Any, of_body: Mapping[int, str], at_joint: Mapping[int, str], meshes: str, tol: float
+) -> Shape:
+    """Read a collision shape; it is placed in the frame of its joint."""
+    joint, frame = int(shape.parentJoint), int(shape.parentFrame)
+    if joint >= model.njoints:
+        raise InputError(f"geometry {shape.name!r}: expected a joint of the model, found joint {joint}")
+    link, T = at_joint[joint], shape.placement.homogeneous
+    if frame in of_body and int(model.frames[frame].parentJoint) == joint and of_body[frame] != link:
+        link, T = of_body[frame], in_frame(model.frames[frame].placement.homogeneous, T)
+    body = made_body(partial(_body, shape.geometry, meshes, tol), f"geometry {shape.name!r}")
+    return Shape(link, shape.name, body, T)
 
 
 # -- joints ---------------------------------------------------------------------------------------
@@ -147,7 +160,7 @@ def _mimicking(model: Any, joint: Any, name: str) -> Joint:
     turns = bool(axis.any())
     if turns and along.any() or not (turns or along.any()):
         raise InputError(f"joint {name!r}: expected a mimicking joint that turns or slides, found one of another kind")
-    kind = "revolute" if turns else "prismatic"
+    kind: JointKind = "revolute" if turns else "prismatic"
     return Joint(name, kind, "", "", axis=axis if turns else along, mimic=(followed, rule.scaling, rule.offset))
 
 

@@ -200,7 +200,7 @@ class Robot(KeepsReadOnly):
     _ruled: bool = field(repr=False)
     # Bodies that were added in the world, which the robot's pose does not move.
     _in_world: tuple[str, ...] = field(repr=False)
-    # How the values correspond to those of the model that the robot was made of.
+    # The order of values in the model from which the robot was made.
     _layout: Layout | None = field(repr=False)
 
     @classmethod
@@ -435,7 +435,7 @@ class Robot(KeepsReadOnly):
         ----------
         model : mujoco.MjModel
         data : mujoco.MjData, optional
-            Has the poses of mocap bodies, and tells which constraints are active. Default: those of the model.
+            Has the poses of mocap bodies and the active constraints. Default: as in the model.
         couplings : bool
             Let joints follow others if an active equality couples them linearly. If it is False, or there are none, a
             configuration equals `qpos`, entry by entry.
@@ -527,7 +527,7 @@ class Robot(KeepsReadOnly):
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
-            If a joint, a mimicking joint or a pair names what does not exist, or there is no such kind of joint.
+            If a joint, a mimicking joint or a pair has a name that does not exist, or there is no such kind of joint.
 
         Warns
         -----
@@ -579,8 +579,8 @@ class Robot(KeepsReadOnly):
             Finalized.
         scene_graph : pydrake.geometry.SceneGraph
         context : pydrake.systems.framework.Context, optional
-            Of the whole diagram: its geometry and filters, poses of frames, and locked joints, which become fixed.
-            Default: those of the model.
+            The context of the whole diagram, for geometry, filters, poses of frames, and locked joints, which become
+            fixed. Default: as in the model.
         mimic : mapping, optional
             Joints that follow others, since Drake's Python cannot read couplers: ``{joint: (other, gear ratio,
             offset)}``, in the names of the robot.
@@ -678,7 +678,7 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def exported(self, Q: ArrayLike) -> Floats:
-        """Return configurations as the model has them that this robot was made of: Drake, pinocchio or MuJoCo.
+        """Convert configurations to the order of this robot's model of Drake, pinocchio or MuJoCo.
 
         Parameters
         ----------
@@ -703,7 +703,7 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def imported(self, q: ArrayLike, *, tolerance: float = 1e-6) -> Floats:
-        """Return configurations of this robot for those of the model that it was made of; see `exported`.
+        """Convert configurations of this robot's model to the robot's own order; see `exported`.
 
         Parameters
         ----------
@@ -1615,7 +1615,7 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
 
 
 def exported_rates(robot: Robot, rates: Floats) -> Floats:
-    """Return rates of the values of a model, for those of the robot that was made of it; see `Robot.exported`."""
+    """Convert rates of a robot's values to the order of its model; see `Robot.exported`."""
     if not robot.runs_straight or len(robot._known_layout.turning):
         raise InputError("robot: expected joints of one value each, found quaternions, or cosines and sines")
     return robot._known_layout.exported_rates(rates)

@@ -303,7 +303,7 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
 def parents_first(
     fault: Callable[[str, str], NoReturn], links: list[str], joint_above: Mapping[str, Joint]
 ) -> list[str]:
-    """Order links depth first from the root, which must be unique; a fault is given what was expected and found."""
+    """Order links depth first from the root, which must be unique; `fault` raises an error about it."""
     tops = [name for name in links if name not in joint_above]
     if len(tops) > 1:
         fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")
