@@ -115,8 +115,8 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
         np.minimum(joint.acceleration_upper_limits(), -joint.acceleration_lower_limits()),
     )
 
-    def single(suffix: str, kind: Any, axis: Floats, at: int) -> tuple[Joint, tuple[int, ...]]:
-        velocity, acceleration = (float(most[at]) if 0 < most[at] < math.inf else None for most in rates)
+    def single(suffix: str, kind: Any, axis: Floats, at: int, *, rated: bool = True) -> tuple[Joint, tuple[int, ...]]:
+        velocity, acceleration = (float(most[at]) if rated and 0 < most[at] < math.inf else None for most in rates)
         made = Joint(
             name + suffix, kind, "", "", axis=axis, lower=lower[at], upper=upper[at], velocity=velocity,
             acceleration=acceleration,
@@ -129,26 +129,20 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
         yield single("", "prismatic", joint.translation_axis(), 0)
     elif kind == "screw":
         axis = _screw_axis(plant, joint)
-        turn, at = single("", "revolute", axis, 0)
-        yield turn, at
+        yield single("", "revolute", axis, 0)
         pitch = joint.screw_pitch() / (2 * math.pi)
         yield Joint(f"{name}/slide", "prismatic", "", "", axis=axis, mimic=(name, pitch, 0.0)), ()
     elif kind == "planar":
-        yield from (
-            single("/x", "prismatic", X, 0),
-            single("/y", "prismatic", Y, 1),
-            single("/theta", "revolute", Z, 2),
-        )
+        yield from (single(f"/{'xy'[k]}", "prismatic", (X, Y)[k], k) for k in (0, 1))
+        yield single("/theta", "revolute", Z, 2)
     elif kind == "universal":
         yield from (single("/qx", "revolute", X, 0), single("/qy", "revolute", Y, 1))
-    elif kind in ("ball_rpy", "rpy_floating"):  # the rotation is Rz Ry Rx
+    elif kind in ("ball_rpy", "rpy_floating"):  # the rotation is Rz Ry Rx; limits are for the angular velocity
         if kind == "rpy_floating":
             yield from (single(f"/{'xyz'[k]}", "prismatic", axis, 3 + k) for k, axis in enumerate((X, Y, Z)))
-        yield from (single(f"/q{'xyz'[k]}", "revolute", (X, Y, Z)[k], k) for k in (2, 1, 0))
+        yield from (single(f"/q{'xyz'[k]}", "revolute", (X, Y, Z)[k], k, rated=False) for k in (2, 1, 0))
     elif kind == "quaternion_floating":
-        rotates = (0, 1, 2, 3)
-        made = Joint(name, "floating", "", "", lower=lower[4:], upper=upper[4:])
-        yield made, (4, 5, 6, *rotates)
+        yield Joint(name, "floating", "", "", lower=lower[4:], upper=upper[4:]), (4, 5, 6, 0, 1, 2, 3)
     else:
         raise InputError(f"joint {name!r}: expected a joint that a robot can have, found one of Drake's kind {kind!r}")
 
@@ -186,9 +180,8 @@ def _shapes(plant: Any, inspector: Any, links: Mapping[int, str], tol: float) ->
 
 def _body(inspector: Any, geometry: Any, tol: float) -> Body:
     """Make the body of one geometry; Drake collides with the convex hulls of meshes."""
-    shape = inspector.GetShape(geometry)
+    shape, hull = inspector.GetShape(geometry), inspector.GetConvexHull(geometry)
     kind = type(shape).__name__
-    hull = inspector.GetConvexHull(geometry)
     if kind == "Box":
         return Body.box(shape.size())
     if kind == "Sphere":
