@@ -382,5 +382,7 @@ def test_drake_refuses():
         Robot.from_drake(theirs.scene_graph, theirs.scene_graph)
     analysis = pytest.importorskip("pydrake.all")
     plant, scene_graph = analysis.AddMultibodyPlantSceneGraph(analysis.DiagramBuilder(), 0.001)
+    with pytest.raises(InputError, match="scene_graph: expected the one with which the plant is registered"):
+        Robot.from_drake(theirs.plant, scene_graph)
     with pytest.raises(InputError, match="plant: expected one that is finalized"):
         Robot.from_drake(plant, scene_graph)

@@ -33,6 +33,8 @@ def drake_model(
     if not isinstance(mimic, Mapping):
         raise InputError(f"mimic: expected a mapping from names of joints, found {type(mimic).__name__}")
     inspector, state = scene_graph.model_inspector(), plant.CreateDefaultContext()
+    if not plant.geometry_source_is_registered() or not inspector.SourceIsRegistered(plant.get_source_id()):
+        raise InputError("scene_graph: expected the one with which the plant is registered, found another one")
     if context is not None:
         try:
             state = plant.GetMyContextFromRoot(context)

@@ -101,9 +101,11 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
     kind, q = joint.shortname(), int(joint.idx_q)
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
 
-    def single(suffix: str, kind: Any, axis: Floats, at: int, *, limited: bool = True) -> tuple[Joint, tuple[int, ...]]:
+    def single(
+        suffix: str, kind: Any, axis: Floats, at: int, *, limited: bool = True, rated: bool = True
+    ) -> tuple[Joint, tuple[int, ...]]:
         low, high = (float(lower[q + at]), float(upper[q + at])) if limited else (-math.inf, math.inf)
-        rate = _velocity(model, int(joint.idx_v) + at)
+        rate = _velocity(model, int(joint.idx_v) + at) if rated else None
         return Joint(name + suffix, kind, "", "", axis=axis, lower=low, upper=high, velocity=rate), (q + at,)
 
     if kind == "JointModelMimic":
@@ -120,7 +122,8 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
     elif kind == "JointModelTranslation":
         yield from (single(f"/{'xyz'[k]}", "prismatic", axis, k) for k, axis in enumerate((X, Y, Z)))
     elif kind == "JointModelPlanar":
-        yield from (single(f"/{'xy'[k]}", "prismatic", axis, k) for k, axis in enumerate((X, Y)))
+        # Limits of its velocity are for the axes that turn with the child.
+        yield from (single(f"/{'xy'[k]}", "prismatic", axis, k, rated=False) for k, axis in enumerate((X, Y)))
         turn, _ = single("/theta", "revolute", Z, 2, limited=False)
         yield turn, (q + 2, q + 3)
     elif kind == "JointModelUniversal":

@@ -148,8 +148,8 @@ class Robot(KeepsReadOnly):
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. For a description given as a string, a placeholder name in the
-        current working directory.
+        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot that was made in
+        memory, a placeholder name in the current working directory.
     package_dirs : tuple of Path
         Additional folders that were searched for meshes.
 
