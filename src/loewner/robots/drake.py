@@ -85,8 +85,7 @@ def _joints(
     for element, name in zip(elements, _names(plant, elements), strict=True):
         parent, child = element.parent_body(), element.child_body()
         if child.index() == plant.world_body().index():
-            expected = "expected the world as parent, found it as child; exchange the two frames"
-            raise InputError(f"joint {name!r}: {expected}")
+            raise InputError(f"joint {name!r}: expected the world as parent, found it as child; exchange the frames")
         before, behind = (
             frame.CalcPoseInBodyFrame(state) for frame in (element.frame_on_parent(), element.frame_on_child())
         )
