@@ -336,7 +336,7 @@ def example(urdf, srdf=None):
     home = robots_folder()
     model = pin.buildModelFromUrdf(str(home / urdf))
     packages = [str(home.parent.parent), str(home.parent)]
-    geometry = pin.buildGeomFromUrdf(model, str(home / urdf), pin.GeometryType.COLLISION, packages)
+    geometry = pin.buildGeomFromUrdf(model, str(home / urdf), pin.GeometryType.COLLISION, package_dirs=packages)
     geometry.addAllCollisionPairs()
     if srdf is not None:
         pin.removeCollisionPairs(model, geometry, str(home / srdf))
