@@ -10,6 +10,7 @@ import trimesh
 
 DOCS = Path(__file__).parent.parent / "docs"
 CODE = r"^```python\n(.*?)^```"
+LARGE = {"import torch\n": "torch", "from pydrake.all import": "pydrake"}
 # test_docs.py runs the code of these.
 GUIDES = {"meshes.md", "motions.md", "pairs.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
 PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
@@ -26,8 +27,8 @@ def folder_with_mesh(tmp_path, monkeypatch):
 
 
 def needs_what_is_missing(block):
-    """Whether it imports PyTorch, which is too large to be there for the usual tests, and it is not."""
-    return "import torch\n" in block and find_spec("torch") is None
+    """Whether it imports PyTorch or Drake, which are too large to be there for the usual tests, and they are not."""
+    return any(text in block and find_spec(name) is None for text, name in LARGE.items())
 
 
 @pytest.mark.parametrize(

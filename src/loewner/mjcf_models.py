@@ -17,7 +17,7 @@ import numpy as np
 from loewner import _validate
 from loewner._plausible import warn
 from loewner._rotations import from_quaternion
-from loewner._validate import Floats, Ints, Pair
+from loewner._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
 from loewner.mjcf_limits import check_limits
@@ -45,6 +45,8 @@ class MjcfJoint:
         Limits of a hinge [rad] or slide [m]; infinite for joints without limits, and for balls and free joints.
     reference : float
         The value at which the body is at its pose: `ref` in the file.
+    mimic : tuple, optional
+        The joint that this one follows, a multiplier and an offset, if an equality couples them and it is read.
     """
 
     name: str
@@ -54,6 +56,7 @@ class MjcfJoint:
     lower: float
     upper: float
     reference: float
+    mimic: tuple[str, float, float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,22 +146,44 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
         margins of geoms, and limits of anything but joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
-    mujoco, model = _compiled(file)
-    unread = [f"{count} {what}" for what, count in _unread(mujoco, model).items() if count]
-    if unread:
-        warn(f"{file}: not read, although MuJoCo computes with it: {', '.join(unread)}")
+    return compiled_model(_compiled(file), None, file, tol, couplings=False)
+
+
+def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: bool) -> MjcfModel:
+    """Read a compiled model; see `read_mjcf`.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+    data : mujoco.MjData, optional
+        Has the poses of mocap bodies and the active constraints. Default: as in the model.
+    file : Path
+        For messages and names.
+    tol : float
+    couplings : bool
+        Whether joints follow others to which equalities couple them.
+    """
+    mujoco = _mujoco()
     names = _Names(mujoco, model)
+    active = np.asarray(model.eq_active0 if data is None else data.eq_active) != 0
+    mimics = _couplings(mujoco, model, names, active) if couplings else {}
+    unread = _unread(mujoco, model)
+    if couplings:
+        unread["constraints (equality)"] = int(np.count_nonzero(active)) - len(mimics)
+    found = [f"{count} {what}" for what, count in unread.items() if count]
+    if found:
+        warn(f"{file}: not read, although MuJoCo computes with it: {', '.join(found)}")
     classes = _classes(model)
     members = [_members(classes, body) for body in range(model.nbody)]
     part_names = {geoms: names.of_part(body, number, geoms) for body in range(model.nbody)
                   for number, geoms in enumerate(members[body])}  # fmt: skip
-    placed = _placed(mujoco, model)
+    placed = _placed(mujoco, model, data)
     bodies = tuple(
         MjcfBody(
             name=names.bodies[body],
             parent=int(model.body_parentid[body]),
-            T_parent_body=_pose(model.body_pos[body], model.body_quat[body]),
-            joints=_joints(model, names, body),
+            T_parent_body=_in_parent(model, data, body),
+            joints=_joints(model, names, body, mimics),
             parts=tuple(
                 MjcfPart(part_names[geoms], _union([_geom_body(mujoco, model, names, g, file, tol) for g in geoms]))
                 for geoms in members[body]
@@ -169,7 +194,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     )
     related, excluded = _left_out(mujoco, model, part_names, file)
     return MjcfModel(
-        name=str(model.names[: model.names.index(b"\0")], "utf-8") or file.stem,
+        name=name_of(model) or file.stem,
         path=file,
         bodies=bodies,
         related_pairs=related,
@@ -178,19 +203,30 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     )
 
 
-def _compiled(file: Path) -> tuple[Any, Any]:
-    """Return the MuJoCo module, and its compiled model of the file."""
+def name_of(model: Any) -> str:
+    """Return the name of a compiled model."""
+    return str(model.names[: model.names.index(b"\0")], "utf-8")
+
+
+def _mujoco() -> Any:
+    """Return the MuJoCo module."""
     try:
         import mujoco
     except ImportError:
         raise MissingExtraError(f"MJCF files need MuJoCo: {installing('mujoco')}") from None
+    return mujoco
+
+
+def _compiled(file: Path) -> Any:
+    """Return MuJoCo's compiled model of the file."""
+    mujoco = _mujoco()
     if check_limits(file) == "robot":
         warn(
             f"{file}: expected an MJCF file, found a URDF, of which MuJoCo reads neither <mimic> nor velocities; "
             "Robot.from_urdf reads them"
         )
     try:
-        return mujoco, mujoco.MjModel.from_xml_path(os.fspath(file))
+        return mujoco.MjModel.from_xml_path(os.fspath(file))
     except Exception as error:  # usually a ValueError, but its own code or a lack of memory may raise any error
         found = " ".join(str(error).split())
         raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
@@ -261,11 +297,21 @@ def _named(names: list[str], kind: str) -> list[str]:
     return found
 
 
-def _placed(mujoco: Any, model: Any) -> list[Floats]:
+def _placed(mujoco: Any, model: Any, data: Any) -> list[Floats]:
     """Compute the world poses of all bodies, with joints at their references."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    return [_pose(data.xpos[body], data.xquat[body]) for body in range(model.nbody)]
+    state = mujoco.MjData(model)
+    if data is not None:
+        state.mocap_pos[:], state.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    mujoco.mj_kinematics(model, state)
+    return [_pose(state.xpos[body], state.xquat[body]) for body in range(model.nbody)]
+
+
+def _in_parent(model: Any, data: Any, body: int) -> Floats:
+    """Return the pose of a body in its parent; for a mocap body it is in the data."""
+    mocap = int(model.body_mocapid[body])
+    if data is None or mocap < 0:
+        return _pose(model.body_pos[body], model.body_quat[body])
+    return _pose(data.mocap_pos[mocap], data.mocap_quat[mocap] / np.linalg.norm(data.mocap_quat[mocap]))
 
 
 def _pose(position: Floats, wxyz: Floats) -> Floats:
@@ -274,13 +320,33 @@ def _pose(position: Floats, wxyz: Floats) -> Floats:
     return T
 
 
-def _joints(model: Any, names: _Names, body: int) -> tuple[MjcfJoint, ...]:
+def _couplings(mujoco: Any, model: Any, names: _Names, active: Bools) -> dict[int, tuple[str, float, float]]:
+    """Return, by their numbers, the joints that an active equality lets follow another one linearly.
+
+    MuJoCo has y - y0 = c0 + c1 (x - x0) + ..., where y0 and x0 are the values at the references.
+    """
+    followed: dict[int, int] = {}
+    mimics = {}
+    for k in np.flatnonzero(active & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT)).tolist():
+        y, x, (c0, c1, *more) = int(model.eq_obj1id[k]), int(model.eq_obj2id[k]), model.eq_data[k, :5].tolist()
+        end = x
+        while end in followed:
+            end = followed[end]
+        if x < 0 or any(more) or y in followed or end == y:
+            continue
+        y0, x0 = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (y, x))
+        followed[y] = x
+        mimics[y] = names.joints[x], c1, y0 + c0 - c1 * x0
+    return mimics
+
+
+def _joints(model: Any, names: _Names, body: int, mimics: dict[int, tuple[str, float, float]]) -> tuple[MjcfJoint, ...]:
     """Read the joints of a body, in the order in which they move it."""
     first = int(model.body_jntadr[body])
-    return tuple(_joint(model, names, first + k) for k in range(int(model.body_jntnum[body])))
+    return tuple(_joint(model, names, first + k, mimics) for k in range(int(model.body_jntnum[body])))
 
 
-def _joint(model: Any, names: _Names, joint: int) -> MjcfJoint:
+def _joint(model: Any, names: _Names, joint: int, mimics: dict[int, tuple[str, float, float]]) -> MjcfJoint:
     kind = ("free", "ball", "slide", "hinge")[int(model.jnt_type[joint])]
     single = kind in ("slide", "hinge")
     lower, upper = (-np.inf, np.inf) if not (single and model.jnt_limited[joint]) else model.jnt_range[joint].tolist()
@@ -292,6 +358,7 @@ def _joint(model: Any, names: _Names, joint: int) -> MjcfJoint:
         lower=lower,
         upper=upper,
         reference=float(model.qpos0[model.jnt_qposadr[joint]]) if single else 0.0,
+        mimic=mimics.get(joint),
     )
 
 

@@ -26,8 +26,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import octomap
+import pinocchio
 import pytest
 
 import loewner
@@ -57,6 +59,7 @@ from loewner import viewer as viewing
 from loewner.pose_paths import path_of
 
 # Modules for frameworks that are there.
+OF_DRAKE = ("Robot.from_drake", "planners.Trajectory.to_drake")
 FRAMEWORKS = {name: module for name, module in {"jax": for_jax, "torch": for_torch}.items() if find_spec(name)}
 
 # -- bad values ----------------------------------------------------------------------------------------------------
@@ -972,6 +975,60 @@ CALLS: dict[str, Call] = {
         },
     ),
     "Robot.from_mjcf": Call(Robot.from_mjcf, {"path": arg("pole.xml"), "tol": TOL}),
+    "Joint": Call(
+        lambda **given: Robot.from_links({"a": None, "b": ball()}, [loewner.Joint(**given)]),
+        {
+            "name": arg("j", TEXTS),
+            "kind": choice("revolute"),
+            "parent": arg("a"),
+            "child": arg("b"),
+            "T_parent_joint": pose(),
+            "T_joint_child": pose(1.0),
+            "axis": array([0.0, 0.0, 1.0], FINITE),
+            "lower": arg(-1.0, NUMBERS, ZERO, NEGATIVE, "-inf"),
+            "upper": arg(np.inf, NUMBERS, ZERO, NEGATIVE, "inf"),
+            "velocity": positive(0.5, NONE),
+            "acceleration": positive(0.5, NONE),
+            "jerk": positive(0.5, NONE),
+            "mimic": arg(None, NONE),
+            "reference": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+        },
+    ),
+    "Robot.from_links": Call(
+        Robot.from_links,
+        {
+            "links": arg(lambda: {"a": None, "b": ball()}),
+            "joints": arg(lambda: [loewner.Joint("j", "ball", "a", "b")]),
+            "disabled": arg(lambda: [("a", "b")], NONE, NOTHING),
+            "name": arg("arm", TEXTS),
+        },
+    ),
+    "Robot.from_pinocchio": Call(
+        lambda **given: Robot.from_pinocchio(**given),
+        {
+            "model": arg(lambda: pinocchio.Model()),
+            "geometry_model": arg(lambda: pinocchio.GeometryModel()),
+            "meshes": choice("hull"),
+            "tol": TOL,
+        },
+    ),
+    "Robot.from_mujoco": Call(
+        Robot.from_mujoco,
+        {
+            "model": arg(lambda: mujoco.MjModel.from_xml_path("pole.xml")),
+            "data": arg(None, NONE),
+            "couplings": flag(),
+            "tol": TOL,
+        },
+    ),
+    "Robot.exported": Call(
+        on(lambda: Robot.from_mjcf("pole.xml"), "exported"), {"Q": array([[0.25], [0.5]], FINITE, BATCHES, "5 axes")}
+    ),
+    "Robot.imported": Call(
+        on(lambda: Robot.from_mjcf("pole.xml"), "imported"),
+        {"q": array([[0.25], [0.5]], FINITE, BATCHES, "5 axes"), "tolerance": margin()},
+    ),
+    "Robot.as_scene": Call(on(robot, "as_scene"), {"q": ONE}),
     "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
     "Robot.to_urdf": Call(
         on(robot, "to_urdf"), {"path": arg("out.urdf", NUMERAL), "mesh_prefix": arg("", TEXTS, "empty text")}
@@ -1024,6 +1081,8 @@ CALLS: dict[str, Call] = {
             "parent": arg("rod", NONE),
             "axis": array([0.0, 0.0, 1.0], FINITE),
             "limits": array([0.0, 1.0], FINITE),
+            "velocity": positive(0.5, NONE),
+            "mimic": arg(None, NONE),
         },
     ),
     "Robot.link_pairs": Call(
@@ -1777,7 +1836,11 @@ TABLES = "paper.tables"
 
 
 def public_callables() -> Iterator[tuple[str, list[str]]]:
-    """Names and parameters of all that a user may call."""
+    """Names and parameters of all that a user may call, but of Drake, which is too large to be there."""
+    return ((name, parameters) for name, parameters in _public_callables() if name not in OF_DRAKE)
+
+
+def _public_callables() -> Iterator[tuple[str, list[str]]]:
     groups: dict[str, Mapping[str, Any]] = {
         "planners.": {name: getattr(planners, name) for name in planners.__all__},
         "meshes.": _own(meshes),

@@ -29,7 +29,7 @@ from loewner._pictures import POINTS, curves, pictured
 from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats, Ints
-from loewner.errors import FileError, InputError, PlanningError
+from loewner.errors import FileError, InputError, MissingExtraError, PlanningError
 from loewner.planners import messages
 from loewner.planners.controllers import columns_of, expect_in_table, write
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited, shortest
@@ -40,6 +40,7 @@ from loewner.planners.straights import Straights, smallest
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
 from loewner.robots.edges import checked_path
+from loewner.robots.robot import exported_rates
 
 # A blend that is not proven is halved this many times; then the robot stops at the corner.
 HALVINGS = 5
@@ -321,6 +322,41 @@ class Trajectory(KeepsReadOnly):
         if not _validate.flag(full, "full"):
             return times, self.positions(times)
         return times, self.positions(times), self.velocities(times), self.accelerations(times)
+
+    def to_drake(self, robot: Robot) -> Any:
+        """Return the trajectory of a robot from `Robot.from_drake` in the order of the plant's positions.
+
+        Parameters
+        ----------
+        robot : Robot
+            Its joints have one value each.
+
+        Returns
+        -------
+        pydrake.trajectories.PiecewisePolynomial
+            Exact up to rounding. For other libraries, ``robot.exported(trajectory.positions(t))`` are configurations.
+
+        Raises
+        ------
+        InputError
+            If the trajectory is of another robot, the robot was made otherwise, or has quaternions.
+        MissingExtraError
+            If Drake is not installed.
+
+        Examples
+        --------
+        >>> polynomial = moved.to_drake(robot)  # doctest: +SKIP
+        """
+        if not isinstance(robot, Robot) or robot.configuration_names != self.names:
+            raise InputError(f"robot: expected the robot of the trajectory, found {_validate.short(robot)}")
+        rates, knots = exported_rates(robot, self.rates).T, robot.exported(self.knots).T
+        try:
+            from pydrake.trajectories import PiecewisePolynomial
+        except ImportError:
+            raise MissingExtraError("trajectories of Drake need pydrake: pip install drake") from None
+        if self.jumps:
+            return PiecewisePolynomial.FirstOrderHold(self.times, knots)
+        return PiecewisePolynomial.CubicHermite(self.times, knots, rates)
 
     def part(self, name: str) -> Trajectory:
         """Return the motion of one of the robots that `Robot.join` has joined, with its own names and the same times.

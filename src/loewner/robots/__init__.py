@@ -1,8 +1,9 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
-`robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read. Users call `checker`;
-`checked_pairs` and `problem` prepare its queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges`
-proves which pairs can ever collide, `sampling` guesses it. `written_proofs` writes proofs that other programs verify.
+`robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read; `links` takes them from memory,
+`drake` and `pinocchio` from models of other libraries. Users call `checker`; `checked_pairs` and `problem` prepare its
+queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges` proves which pairs can ever collide,
+`sampling` guesses it. `written_proofs` writes proofs that other programs verify.
 """
 
 from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401 - it answers methods of Robot
@@ -12,6 +13,7 @@ from loewner.robots.checker import CollisionChecker
 from loewner.robots.contact_times import TrajectoryContact
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
+from loewner.robots.links import Joint
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.pair_proofs import prove
 from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
@@ -26,6 +28,7 @@ __all__ = [
     "CertifiedTrajectory",
     "ClosestApproach",
     "CollisionChecker",
+    "Joint",
     "PairDistances",
     "PairVerdict",
     "Part",

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
-from loewner._matrices import lengths
 from loewner._validate import Floats, Named
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
+from loewner.robots.links import checked_mimic, unit_axis
 from loewner.robots.srdf import Semantics
 from loewner.robots.tree import constant_pose, placed_tree
-from loewner.robots.urdf import SHORTEST_AXIS, VALUES, Description, Joint
+from loewner.robots.urdf import VALUES, Description, Joint
 from loewner.robots.watch import Watch
 
 # A robot; its class is above this module.
@@ -225,6 +225,8 @@ def with_body(
     parent: str | None = None,
     axis: ArrayLike = (0.0, 0.0, 1.0),
     limits: tuple[float, float] | None = None,
+    velocity: float | None = None,
+    mimic: tuple[str, float, float] | None = None,
 ) -> R:
     """Return the same robot with a body as another link, on a joint of its own.
 
@@ -247,6 +249,11 @@ def with_body(
         Axis along which the joint slides or about which it turns.
     limits : (float, float), optional
         Least and greatest value, in metres or radians; required for a prismatic or a revolute joint.
+    velocity : float, optional
+        Largest rate of a joint of one value [rad/s or m/s], for trajectories. Default: none known.
+    mimic : (str, float, float), optional
+        Makes a joint of one value follow a joint of the robot: the other's name, a multiplier and an offset. The limits
+        of the other are narrowed to values at which this joint is within its own.
 
     Returns
     -------
@@ -256,11 +263,13 @@ def with_body(
     Raises
     ------
     InputError
-        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order.
+        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order; or
+        if there is a velocity or a mimic of a joint that has not one value, or no values are left to a joint that is to
+        be followed.
     PoseError
         If the pose is not a rigid motion.
     UnknownNameError
-        If there is no such kind of joint, or no such link.
+        If there is no such kind of joint, or no such link, or no joint to follow that has one value of its own.
 
     Examples
     --------
@@ -280,12 +289,7 @@ def with_body(
     if parent is not None and (not isinstance(parent, str) or parent not in robot.link_names):
         raise _validate.unknown_name("parent", parent, robot.link_names)
     T = _validate.pose(T_parent_joint, "T_parent_joint")
-    direction = _validate.finite_array(axis, "axis", (3,))
-    longest = float(np.abs(direction).max())
-    if longest < SHORTEST_AXIS:
-        raise InputError(f"axis: expected a direction, found {direction.tolist()}")
-    direction = direction / longest  # its squares do not overflow
-    made = _chain(self, f"{name}/world", [(name, joint, (direction / lengths(direction)).tolist())])
+    made = _chain(self, f"{name}/world", [(name, joint, unit_axis(axis, "axis").tolist())])
     if (limits is None) == (joint in LIMITED):
         expected = "two numbers for prismatic and revolute joints, and none for others"
         raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
@@ -295,11 +299,63 @@ def with_body(
             raise InputError(f"limits: expected a lower and an upper one, found {limits}")
         ends = np.array([low]), np.array([high])
         made = replace(made, lower=ends[0], upper=ends[1], hard_lower=ends[0], hard_upper=ends[1])
+    if velocity is not None:
+        fastest = np.full(made.dof, _validate.positive_scalar(velocity, "velocity"))
+        made = replace(made, velocity=fastest)
+    if mimic is not None:
+        mimic = checked_mimic(mimic, "mimic")
+    for what, given in (("velocity", velocity), ("mimic", mimic)):
+        if given is not None and made.dof != 1:
+            raise InputError(f"{what}: expected None for a {joint} joint, found {given}")
     made = replace(made, bodies={name: body}).placed(T)
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
     robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
+    if mimic is not None:
+        robot = replace(_coupled(robot, *mimic), _layout=cast(Any, self)._layout)
     in_world = (*robot._in_world, name) if parent is None else robot._in_world
     return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent, _in_world=in_world))
+
+
+def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any:
+    """Let the last joint, which has one value, follow another joint of one value."""
+    name = robot.joint_names[-1]
+    one_value = [joint for joint, at in robot._columns.items() if at.stop - at.start == 1 and joint != name]
+    if followed not in one_value:
+        raise _validate.unknown_name("joint of one value of its own in mimic", followed, one_value)
+    at, own = robot._columns[followed].start, robot.dof - 1
+    limits = {key: getattr(robot, key)[:-1].copy() for key in LIMITS}
+    if multiplier:
+        for prefix in ("", "hard_"):
+            lower, upper = limits[f"{prefix}lower"], limits[f"{prefix}upper"]
+            ends = [(float(getattr(robot, prefix + end)[own]) - offset) / multiplier for end in ("lower", "upper")]
+            least, most = max(lower[at], min(ends)), min(upper[at], max(ends))
+            if not prefix and least > most:
+                raise InputError(
+                    f"mimic: expected limits that leave {followed!r} values, found {lower[at]:g} .. {upper[at]:g} "
+                    f"with {min(ends):g} .. {max(ends):g}"
+                )
+            if not prefix:
+                lower[at], upper[at] = least, most
+        for key in ("velocity", "acceleration", "jerk"):
+            limits[key][at] = np.fmin(limits[key][at], getattr(robot, key)[own] / abs(multiplier))
+    for array in limits.values():
+        array.setflags(write=False)
+    tree, last = robot.tree, len(robot.link_names) - 1
+    tree = Tree(*(array.copy() for array in tree))
+    tree.column[last], tree.multiplier[last], tree.offset[last] = at, multiplier, offset
+    names, watch = robot.configuration_names[:-1], robot._watch
+    hard = limits["hard_lower"], limits["hard_upper"]
+    return replace(
+        robot,
+        joint_names=robot.joint_names[:-1],
+        configuration_names=names,
+        **limits,
+        mimics={**robot.mimics, name: (followed, multiplier)},
+        tree=tree,
+        _rooted=tree,
+        _columns={joint: columns for joint, columns in robot._columns.items() if joint != name},
+        _watch=Watch(robot.name, names, *hard, watch.turns[:-1], watch.free[:-1]),
+    )
 
 
 def with_moving_bodies(self: R, names: Sequence[str]) -> R:
@@ -417,6 +473,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
         _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
         _watch=Watch(name, configuration_names, limits["hard_lower"], limits["hard_upper"], turns, free),
         _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
+        _layout=robots[0]._layout if len(configuration_names) == robots[0].dof else None,
         _in_world=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._in_world)),
         _parts={
             p.prefix + key: _shifted(p, part, shift)

@@ -8,11 +8,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from loewner._matrices import product
+from loewner._plausible import warn
 from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.mjcf_models import MjcfBody, MjcfJoint, MjcfModel
 from loewner.robots.srdf import Semantics, State
-from loewner.robots.urdf import VALUES, Description, Joint
+from loewner.robots.urdf import VALUES, Description, Joint, Mimic, narrowed, without_chains
+from loewner.robots.xml_elements import some
+
+# Values of keyframes may deviate by this much from where couplings put a joint [rad or m].
+UNCOUPLED = 1e-6
 
 KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
 
@@ -38,6 +43,8 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
             if part.name != body.name:
                 above[part.name] = _fixed(body.name, part.name, np.eye(4))
                 order.append(part.name)
+    joints = narrowed(without_chains(joints, model.path), model.path)
+    above |= {joint.child: joint for joint in joints.values()}
     bodies = {part.name: part.body for body in model.bodies for part in body.parts}
     description = Description(
         name=model.name,
@@ -52,17 +59,31 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
     """Return keyframes as states, and the pairs of links that MuJoCo skips as disabled pairs."""
-    states = {}
+    states, theirs = {}, qpos_columns(robot)
+    uncoupled = []
     for name, qpos in model.keyframes.items():
         state: State = ("", {})
-        at = 0
-        for joint in robot.driven:
-            width = len(VALUES[robot.joints[joint].kind])
-            values = tuple(qpos[at : at + width].tolist())
-            state[1][joint] = values[0] if width == 1 else values
-            at += width
+        for joint, columns in theirs.items():
+            values = tuple(qpos[list(columns)].tolist())
+            rule = robot.joints[joint].mimic
+            if rule is None:
+                state[1][joint] = values[0] if len(values) == 1 else values
+            elif abs(rule.multiplier * qpos[theirs[rule.joint][0]] + rule.offset - values[0]) > UNCOUPLED:
+                uncoupled.append(f"{joint!r} in {name!r}")
         states[name] = state
+    if uncoupled:
+        warn(f"{model.path}: keyframes have values of joints that follow others, which are not used: {some(uncoupled)}")
     return Semantics(states=states, disabled_pairs=model.related_pairs | model.excluded_pairs, ruled=True)
+
+
+def qpos_columns(robot: Description) -> dict[str, tuple[int, ...]]:
+    """Return the columns of each joint in MuJoCo's qpos."""
+    columns, at = {}, 0
+    for name, joint in robot.joints.items():
+        width = len(VALUES[joint.kind])
+        columns[name] = tuple(range(at, at + width))
+        at += width
+    return columns
 
 
 def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
@@ -111,7 +132,7 @@ def _moving(joint: MjcfJoint, parent: str, child: str, origin: Floats) -> Joint:
         lower=joint.lower,
         upper=joint.upper,
         velocity=math.nan,
-        mimic=None,
+        mimic=None if joint.mimic is None else Mimic(*joint.mimic),
         line=0,
         reference=joint.reference,
     )

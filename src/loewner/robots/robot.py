@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,12 +28,17 @@ from loewner._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
 from loewner.bodies import Body, for_pictures, packed_of
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
-from loewner.mjcf_models import read_mjcf
+from loewner.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
 from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
+from loewner.robots.drake import drake_model
 from loewner.robots.link_bodies import MODELS, link_bodies
-from loewner.robots.mjcf import description_of, semantics_of
+from loewner.robots.links import Joint as LinkJoint
+from loewner.robots.links import described
+from loewner.robots.mjcf import description_of, qpos_columns, semantics_of
+from loewner.robots.other_models import Layout, Model, Order, expect, layout_of, warn_of_fixed_contacts, with_shapes
 from loewner.robots.pair_verdicts import ProvenPairs
+from loewner.robots.pinocchio import pinocchio_model
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, Joint, doubt_limits, read_urdf
@@ -143,8 +148,8 @@ class Robot(KeepsReadOnly):
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. For a description given as a string, a placeholder name in the
-        current working directory.
+        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot that was made in
+        memory, a placeholder name in the current working directory.
     package_dirs : tuple of Path
         Additional folders that were searched for meshes.
 
@@ -195,6 +200,8 @@ class Robot(KeepsReadOnly):
     _ruled: bool = field(repr=False)
     # Bodies that were added in the world, which the robot's pose does not move.
     _in_world: tuple[str, ...] = field(repr=False)
+    # The order of values in the model from which the robot was made.
+    _layout: Layout | None = field(repr=False)
 
     @classmethod
     @guarded
@@ -359,6 +366,7 @@ class Robot(KeepsReadOnly):
             _parts={},
             _ruled=semantics.ruled,
             _in_world=(),
+            _layout=None,
         )
 
     @classmethod
@@ -413,10 +421,350 @@ class Robot(KeepsReadOnly):
         >>> robot.link_names, robot.configuration_names
         (('world', 'floor', 'pole'), ('swing',))
         """
-        model = read_mjcf(path, checked_tolerance(tol))
+        return cls._of_mjcf(read_mjcf(path, checked_tolerance(tol)), "MJCF")
+
+    @classmethod
+    @guarded
+    def from_mujoco(cls, model: Any, data: Any = None, *, couplings: bool = True, tol: float = 1e-4) -> Robot:
+        """Read a robot, with the world around it, from a model of MuJoCo in memory.
+
+        As for `from_mjcf`, pairs that MuJoCo does not check are in `disabled_pairs`, and keyframes are in `states`.
+        `imported` and `exported` convert configurations from and to `qpos`.
+
+        Parameters
+        ----------
+        model : mujoco.MjModel
+        data : mujoco.MjData, optional
+            Has the poses of mocap bodies and the active constraints. Default: as in the model.
+        couplings : bool
+            Let joints follow others if an active equality couples them linearly. If it is False, or there are none, a
+            configuration equals `qpos`, entry by entry.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            As for `from_mjcf`.
+
+        Raises
+        ------
+        InputError
+            If `model` or `data` are not MuJoCo's, or of different models; if a geom that collides is a signed distance
+            field.
+        GeometryError
+            If a mesh that collides is flat.
+
+        Warns
+        -----
+        UserWarning
+            As for `from_mjcf`.
+
+        Examples
+        --------
+        >>> import mujoco
+        >>> model = mujoco.MjModel.from_xml_string('''
+        ... <mujoco model="gripper"><worldbody><body name="left"><joint name="open" type="slide" range="0 0.1"/>
+        ...   <geom size="0.1"/></body><body name="right" pos="0.5 0 0"><joint name="follow" type="slide"/>
+        ...   <geom size="0.1"/></body></worldbody>
+        ...   <equality><joint joint1="follow" joint2="open" polycoef="0 -1 0 0 0"/></equality></mujoco>''')
+        >>> robot = Robot.from_mujoco(model)
+        >>> robot.configuration_names, robot.exported([0.1])
+        (('open',), array([ 0.1, -0.1]))
+        """
+        expect(model, "MjModel", "model")
+        if data is not None:
+            expect(data, "MjData", "data")
+            if (len(data.qpos), len(data.mocap_pos), len(data.eq_active)) != (model.nq, model.nmocap, model.neq):
+                raise InputError("data: expected that of the model, found that of another one")
+        coupled, path = _validate.flag(couplings, "couplings"), Path(name_of(model) or "model")
+        return cls._of_mjcf(compiled_model(model, data, path, checked_tolerance(tol), couplings=coupled), "links")
+
+    @classmethod
+    def _of_mjcf(cls, model: MjcfModel, format: str) -> Robot:
+        """Make the robot of a model that MuJoCo has compiled."""
         robot, bodies = description_of(model)
         doubt_limits(robot.path, robot.joints)
-        return cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), "MJCF", None)
+        made = cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), format, None)
+        theirs = qpos_columns(robot)
+        order = Order("MuJoCo", sum(map(len, theirs.values())), theirs, {})
+        references = {joint.name: joint.reference for joint in robot.joints.values()}
+        return replace(made, _layout=layout_of(order, made._columns, joints_above(made), made.tree, references))
+
+    @classmethod
+    @guarded
+    def from_links(
+        cls,
+        links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]],
+        joints: Iterable[LinkJoint],
+        *,
+        disabled: Iterable[Pair] | None = None,
+        name: str = "robot",
+    ) -> Robot:
+        """Make a robot of links and joints in memory.
+
+        Parameters
+        ----------
+        links : mapping from str to Body, None, or list of (Body, pose)
+            The body of each link, in the frame of the link; None if it has none; or several bodies, each at its pose of
+            shape (4, 4) in the link, with translation in metres.
+        joints : iterable of Joint
+            They connect all links to one root. Their order is the order of the values of a configuration.
+        disabled : iterable of pairs of str, optional
+            Pairs of links that need no check; all others are checked. Default: adjacent pairs need no check, as for a
+            URDF without an SRDF.
+        name : str
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        InputError
+            If links and joints do not form a tree; if a name is used twice, limits are not in order, or something is
+            given for a joint of a kind that has none of it.
+        PoseError
+            If a pose is not a rigid motion.
+        UnknownNameError
+            If a joint, a mimicking joint or a pair has a name that does not exist, or there is no such kind of joint.
+
+        Warns
+        -----
+        UserWarning
+            If limits of a joint that mimics another would leave that one hardly any range; if the limits of revolute
+            joints are probably not in radians.
+
+        Examples
+        --------
+        >>> from loewner import Joint
+        >>> links = {"rail": Body.box([3, 0.2, 0.2]), "cart": Body.box([0.5, 0.5, 0.2])}
+        >>> on_top = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.21], [0, 0, 0, 1]]
+        >>> slide = Joint("slide", "prismatic", "rail", "cart", on_top, axis=[1, 0, 0], lower=-1, upper=1)
+        >>> Robot.from_links(links, [slide])
+        Robot('robot', 2 links, 2 with bodies, 1 joints, dof 1)
+        """
+        robot, bodies, bounds = described(links, joints, name)
+        doubt_limits(robot.path, robot.joints)
+        semantics = Semantics(ruled=disabled is not None)
+        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
+        for joint, ends in bounds.items():  # of joints of several values, which a file has no limits for
+            at = slice(made._columns[joint].start, made._columns[joint].start + len(ends[0]))
+            for limits, end in zip(("lower", "upper"), ends, strict=True):
+                changed = getattr(made, limits).copy()
+                changed[at] = end
+                changed.setflags(write=False)
+                made = replace(made, **{limits: changed, f"hard_{limits}": changed})
+        return made if disabled is None else made.disabling(disabled)
+
+    @classmethod
+    @guarded
+    def from_drake(
+        cls,
+        plant: Any,
+        scene_graph: Any,
+        context: Any = None,
+        *,
+        mimic: Mapping[str, tuple[str, float, float]] | None = None,
+        tol: float = 1e-4,
+    ) -> Robot:
+        """Read a robot, with the world around it, from a plant of Drake and its scene graph.
+
+        The pairs that Drake's collision filters exclude are in `disabled_pairs`. `imported` and `exported` convert
+        configurations. docs/howto/other-models.md lists the correspondences.
+
+        Parameters
+        ----------
+        plant : pydrake.multibody.plant.MultibodyPlant
+            Finalized.
+        scene_graph : pydrake.geometry.SceneGraph
+        context : pydrake.systems.framework.Context, optional
+            The context of the whole diagram, for geometry, filters, poses of frames, and locked joints, which become
+            fixed. Default: as in the model.
+        mimic : mapping, optional
+            Joints that follow others, since Drake's Python cannot read couplers: ``{joint: (other, gear ratio,
+            offset)}``, in the names of the robot.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            Every body of the plant is a link, by its name, or MODEL::NAME if several models have it. Each shape of the
+            world is a link of its own, and so are shapes of a body with other filters than its first one.
+
+        Raises
+        ------
+        InputError
+            If the plant is not finalized, a joint or a shape cannot be represented, or the context is not of the
+            diagram.
+        UnknownNameError
+            If `mimic` names a joint that does not exist.
+        GeometryError
+            If a mesh is flat.
+
+        Warns
+        -----
+        UserWarning
+            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not of the plant;
+            if bodies that are fixed to each other collide, which is not checked.
+
+        Examples
+        --------
+        >>> robot = Robot.from_drake(plant, scene_graph)  # doctest: +SKIP
+        >>> CollisionChecker(robot).collide(robot.imported(plant.GetPositions(context)))  # doctest: +SKIP
+        False
+        """
+        return cls._of_model(drake_model(plant, scene_graph, context, mimic or {}, checked_tolerance(tol)))
+
+    @classmethod
+    @guarded
+    def from_pinocchio(
+        cls,
+        model: Any,
+        geometry_model: Any,
+        *,
+        meshes: Literal["hull", "pieces", "surface"] = "surface",
+        tol: float = 1e-4,
+    ) -> Robot:
+        """Read a robot, with the world around it, from a model of pinocchio and its collision geometry.
+
+        The pairs of `geometry_model.collisionPairs` are checked; all others are in `disabled_pairs`. `imported`
+        and `exported` convert configurations. docs/howto/other-models.md lists the correspondences.
+
+        Parameters
+        ----------
+        model : pinocchio.Model
+        geometry_model : pinocchio.GeometryModel
+        meshes : {"hull", "pieces", "surface"}
+            Representation of meshes of triangles, as for `from_urdf`. The default, like Coal, is their triangles; the
+            space that a closed one encloses belongs to it as well.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            Every body frame is a link, by its name. Each shape of the universe is a link of its own, and so are shapes
+            of a link that are checked with other shapes than its first one.
+
+        Raises
+        ------
+        InputError
+            If a joint or a shape cannot be represented.
+        GeometryError
+            If a mesh is flat.
+
+        Warns
+        -----
+        UserWarning
+            If bodies that are fixed to each other collide, which is not checked.
+
+        Examples
+        --------
+        >>> robot = Robot.from_pinocchio(model, collision_model)  # doctest: +SKIP
+        >>> CollisionChecker(robot).collide(robot.imported(q))  # doctest: +SKIP
+        False
+        """
+        return cls._of_model(pinocchio_model(model, geometry_model, meshes, checked_tolerance(tol)))
+
+    @classmethod
+    def _of_model(cls, model: Model) -> Robot:
+        """Make the robot of another library's model."""
+        links, joints, disabled = with_shapes(model.links, model.joints, model.shapes, model.checked)
+        made = cls.from_links(links, joints, disabled=disabled, name=model.name)
+        warn_of_fixed_contacts(model, made.bodies, made.link_names, made.tree, made.disabled_pairs)
+        return replace(made, _layout=layout_of(model.order, made._columns, joints_above(made), made.tree, {}))
+
+    @guarded
+    def exported(self, Q: ArrayLike) -> Floats:
+        """Convert configurations to the order of this robot's model of Drake, pinocchio or MuJoCo.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        ndarray, shape (..., nq)
+            Positions of Drake's plant, q of pinocchio, or qpos of MuJoCo, with the values of joints that mimic others.
+
+        Raises
+        ------
+        InputError
+            If the robot was made otherwise, or has got values since, as by `join`; use the parts then.
+
+        Examples
+        --------
+        >>> robot.exported(plan.path)  # doctest: +SKIP
+        """
+        checked = self.checked(Q)
+        return self._known_layout.exported(checked)
+
+    @guarded
+    def imported(self, q: ArrayLike, *, tolerance: float = 1e-6) -> Floats:
+        """Convert configurations of this robot's model to the robot's own order; see `exported`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+        tolerance : float
+            Largest deviation [rad or m] of values that follow others, or do not change, from where the robot has them.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+
+        Raises
+        ------
+        InputError
+            If values deviate by more than the tolerance, are not finite, or the width is not the model's. As for
+            `exported`.
+
+        Examples
+        --------
+        >>> checker.collide(robot.imported(data.qpos))  # doctest: +SKIP
+        False
+        """
+        layout = self._known_layout
+        given = _validate.finite_array(q, "q", ("...", len(layout.source)))
+        return self.checked(layout.imported(given, _validate.positive_scalar(tolerance, "tolerance", zero=True)))
+
+    @property
+    def _known_layout(self) -> Layout:
+        if self._layout is None:
+            raise InputError(
+                "expected a robot with the values of a model of Drake, pinocchio or MuJoCo, found one that was made "
+                "otherwise, or has got others since"
+            )
+        return self._layout
+
+    @guarded
+    def as_scene(self, q: ArrayLike) -> Scene:
+        """Return the bodies where they are at a configuration as a scene, for other robots to avoid.
+
+        Parameters
+        ----------
+        q : array_like, shape (dof,)
+
+        Returns
+        -------
+        Scene
+            Bodies have the names of their links. Pairs that need no check of the robot may touch in the scene.
+
+        Examples
+        --------
+        >>> scene = Robot.from_urdf("arm.urdf").as_scene([1.0, 0.0])
+        >>> scene.names, scene.pose("cart")[:3, 3]
+        (('rail', 'cart', 'forearm'), array([1., 0., 0.]))
+        """
+        scene, poses = Scene(), link_poses(self, self.checked_one(q)[None])[0]
+        for name, body in self.bodies.items():
+            scene.add(name, body, poses[self.link_names.index(name)])
+        for a, b in sorted(self._usually_skipped):
+            if a in scene and b in scene:
+                scene.allow(a, b)
+        return scene
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
         """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.
@@ -1264,6 +1612,13 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
             f"{name}: expected shape (..., {robot.dof}), one column each for {', '.join(robot.configuration_names)}; "
             f"found {_validate.shape_text(shape)}"
         )
+
+
+def exported_rates(robot: Robot, rates: Floats) -> Floats:
+    """Convert rates of a robot's values to the order of its model; see `Robot.exported`."""
+    if not robot.runs_straight or len(robot._known_layout.turning):
+        raise InputError("robot: expected joints of one value each, found quaternions, or cosines and sines")
+    return robot._known_layout.exported_rates(rates)
 
 
 def joints_above(robot: Robot) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from itertools import combinations
 
 import numpy as np
@@ -35,29 +36,30 @@ def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
     return slices, at
 
 
-def adjacent_pairs(robot: Description) -> frozenset[Pair]:
-    """Find pairs of links with shapes that are joined by one joint, or over links without shapes.
+def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) -> frozenset[Pair]:
+    """Find pairs of links with bodies (default: shapes) that are joined by one joint, or over links without bodies.
 
-    The path over links without shapes may have at most one moving joint. MoveIt's setup assistant allows any number,
+    The path over links without bodies may have at most one moving joint. MoveIt's setup assistant allows any number,
     but links separated by two moving joints may well collide, and a collision of an unchecked pair is never found.
     """
-    # Rigidly joined links without shapes form one place, named by its topmost link. Fixed and moving joints lead from
-    # each place to links with shapes.
+    # Rigidly joined links without bodies form one place, named by its topmost link. Fixed and moving joints lead from
+    # each place to links with bodies.
+    shaped = {link for link, shapes in robot.shapes.items() if shapes} if bodies is None else bodies
     place = {name: name for name in robot.shapes}
     fixed: dict[str, set[str]] = {}
     moving: dict[str, set[str]] = {}
     between: list[Pair] = []  # places that a moving joint connects
     pairs = set()
-    for link, shapes in robot.shapes.items():
+    for link in robot.shapes:
         if link not in robot.joint_above:
             continue
         joint = robot.joint_above[link]
         parent, around = joint.parent, fixed if joint.kind == "fixed" else moving
-        if shapes and robot.shapes[parent]:
+        if link in shaped and parent in shaped:
             pairs.add((min(link, parent), max(link, parent)))
-        elif shapes:
+        elif link in shaped:
             around.setdefault(place[parent], set()).add(link)
-        elif robot.shapes[parent]:
+        elif parent in shaped:
             around.setdefault(link, set()).add(parent)
         elif joint.kind == "fixed":
             place[link] = place[parent]

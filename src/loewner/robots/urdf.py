@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -244,7 +244,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     if not links:
         root.fault("at least one <link>", "none")
     joints = {name: _joint(e, links, version) for name, e in by_name(root.all("joint")).items()}
-    joints = _narrowed(_without_chains(_with_known_mimics(joints, root.path), root.path), root.path)
+    joints = narrowed(without_chains(_with_known_mimics(joints, root.path), root.path), root.path)
     joint_above: dict[str, Joint] = {}
     for joint in joints.values():
         before = joint_above.setdefault(joint.child, joint)
@@ -253,7 +253,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
                 f"{root.path}, line {joint.line}: expected a tree, found link {joint.child!r} below two joints, "
                 f"{before.name!r} and {joint.name!r}"
             )
-    order = _parents_first(root, list(links), joint_above)
+    order = parents_first(root.fault, list(links), joint_above)
     shapes = {link: tuple(_shape(e, version) for e in links[link].all("collision")) for link in order}
     for link in links.values():
         if link.has("origin") and not np.array_equal(_origin(link, version), np.eye(4)):
@@ -300,11 +300,13 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
     return shapes, faults
 
 
-def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint]) -> list[str]:
-    """Order links depth first from the root, which must be unique."""
+def parents_first(
+    fault: Callable[[str, str], NoReturn], links: list[str], joint_above: Mapping[str, Joint]
+) -> list[str]:
+    """Order links depth first from the root, which must be unique; `fault` raises an error about it."""
     tops = [name for name in links if name not in joint_above]
     if len(tops) > 1:
-        root.fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")
+        fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")
     below: dict[str, list[str]] = {name: [] for name in links}
     for name in links:
         if name in joint_above:
@@ -317,7 +319,7 @@ def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint
     if len(order) < len(links):
         reached = set(order)
         lost = [name for name in links if name not in reached]
-        root.fault("a tree", f"a cycle: {some(lost)} do not hang on a root")
+        fault("a tree", f"a cycle: {some(lost)} do not hang on a root")
     return order
 
 
@@ -461,7 +463,7 @@ def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]
     return {name: replace(joint, mimic=None) if name in lost else joint for name, joint in joints.items()}
 
 
-def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+def without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
     """Let each mimicking joint follow the joint at the end of its chain."""
     found = {name: joint for name, joint in joints.items() if joint.mimic is None}
     for start in joints.values():
@@ -470,7 +472,7 @@ def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
         while at.name not in found:
             if at.name in chain:
                 raise InputError(
-                    f"{path}, line {start.line}: expected {start.name!r} to mimic a joint with a value of its own, "
+                    f"{place(path, start)}: expected {start.name!r} to mimic a joint with a value of its own, "
                     f"found a ring: {some(chain)}"
                 )
             chain[at.name] = at
@@ -486,7 +488,7 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
     assert own is not None
     if VALUES[followed.kind] != ("",):
         raise InputError(
-            f"{path}, line {joint.line}: expected a joint of one value for {joint.name!r} to mimic, "
+            f"{place(path, joint)}: expected a joint of one value for {joint.name!r} to mimic, "
             f"found {followed.name!r}, which is {followed.kind}"
         )
     if followed.mimic is None:
@@ -495,14 +497,14 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
     mimic = Mimic(end.joint, own.multiplier * end.multiplier, own.multiplier * end.offset + own.offset)
     if not (abs(mimic.multiplier) <= LARGEST and abs(mimic.offset) <= LARGEST):
         raise InputError(
-            f"{path}, line {joint.line}: expected {joint.name!r}, which mimics {followed.name!r}, which mimics "
+            f"{place(path, joint)}: expected {joint.name!r}, which mimics {followed.name!r}, which mimics "
             f"{end.joint!r}, to move by a finite multiple of it, found the multiplier {mimic.multiplier:g} and the "
             f"offset {mimic.offset:g} (the largest allowed is {LARGEST:g})"
         )
     return replace(joint, mimic=mimic)
 
 
-def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+def narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
     """Narrow the ranges of joints to values at which the joints that mimic them are within their limits."""
     ranges: dict[str, tuple[float, float]] = {}  # of joints whose ranges are narrowed
     faults = []
@@ -517,15 +519,20 @@ def _narrowed(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
             continue
         if new[0] >= new[1] or new[1] - new[0] < LEAST_LEFT * (high - low) < math.inf:
             faults.append(
-                f"line {joint.line}: expected limits of {joint.name!r} that leave {mimic.joint!r}, which it mimics, a "
-                f"range, found that {least:zg} .. {most:zg} is left of {low:zg} .. {high:zg}"
+                f"{place(path, joint)}: expected limits of {joint.name!r} that leave {mimic.joint!r}, which it mimics, "
+                f"a range, found that {least:zg} .. {most:zg} is left of {low:zg} .. {high:zg}"
             )
             continue
         ranges[mimic.joint] = new
     if faults:
         more = f" ({len(faults) - 1} more like it)" if len(faults) > 1 else ""
-        warn(f"{path}, {faults[0]}; its limits are not used{more}")
+        warn(f"{faults[0]}; its limits are not used{more}")
     return joints | {name: replace(joints[name], soft=soft) for name, soft in ranges.items()}
+
+
+def place(path: Path, joint: Joint) -> str:
+    """Return where a joint is described, for messages; a joint in memory has no line."""
+    return f"{path}, line {joint.line}" if joint.line else str(path)
 
 
 def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:
@@ -596,8 +603,7 @@ def doubt_limits(path: Path, joints: dict[str, Joint]) -> None:
     doubtful = [joint for joint, doubt in doubts.items() if doubt]
     if doubtful:
         joint, more = doubtful[0], f" ({len(doubtful) - 1} more like it)" if len(doubtful) > 1 else ""
-        line = f", line {joint.line}" if joint.line else ""
-        warn(f"{path}{line}: joint {joint.name!r}: expected {doubts[joint]}{more}")
+        warn(f"{place(path, joint)}: joint {joint.name!r}: expected {doubts[joint]}{more}")
 
 
 def _origin(element: Element, version: tuple[int, int]) -> Floats:

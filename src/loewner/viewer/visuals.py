@@ -30,6 +30,8 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     meshes: dict[str, Mesh] = {}
     faults: list[str] = []
     for source in sources_of(robot):
+        if source.format == "links":
+            continue
         if source.format != "URDF":
             faults.append(f"{source.path}: of an MJCF file, what looks only is not read")
             continue
