@@ -17,6 +17,7 @@ from loewner._validate import Floats, Progress
 from loewner.cli.output import progress_bar
 from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
+from loewner.robots import link_bodies
 
 # Largest file with a pose in bytes: a matrix in text takes a few hundred.
 MOST_POSE_BYTES = 2**20
@@ -96,7 +97,9 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
         default=[],
         help="folder of packages; repeatable",
     )
-    command.add_argument("--model", choices=MODELS, help="representation of meshes (hull)")
+    command.add_argument(
+        "--model", choices=link_bodies.MODELS, help=f"representation of meshes ({link_bodies.USUAL_MODEL})"
+    )
     command.add_argument("--decompose", action="store_true", help="the same as --model pieces")
 
 
@@ -213,7 +216,7 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
             options.urdf,
             srdf=options.srdf,
             package_dirs=options.package_dir,
-            meshes="pieces" if options.decompose else options.model or "hull",
+            meshes="pieces" if options.decompose else options.model or link_bodies.USUAL_MODEL,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     return robot

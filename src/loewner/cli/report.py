@@ -30,6 +30,7 @@ from loewner.cli import configurations, inputs
 from loewner.cli.info import installed
 from loewner.cli.output import COLLIDING, FREE, new_table, print_table
 from loewner.errors import ConvergenceError, FileError, InputError, LoewnerError, MissingExtraError
+from loewner.robots import link_bodies
 from loewner.robots.link_bodies import mesh_file
 from loewner.robots.urdf import read_urdf
 from loewner.robots.xml_elements import Element, read_xml
@@ -231,8 +232,9 @@ def _fault(document: Any) -> str:
     for key in ("options", "versions", "answers"):
         if not isinstance(document.get(key), dict):
             return f"{key}: expected an object, found {found[key]}"
+    models = link_bodies.MODELS if query == "robot" else inputs.MODELS
     for name, value in document["options"].items():
-        if type(value) is not OPTIONS[query].get(name) or (name == "model" and value not in inputs.MODELS):
+        if type(value) is not OPTIONS[query].get(name) or (name == "model" and value not in models):
             return f"expected the options of loewner report {query}, found {name[:40]!r}: {_validate.short(value)}"
     return ""
 
