@@ -2,7 +2,9 @@
 
 import logging
 import pickle
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import links
 import loewner
 from families import translation
 from loewner import Body, CollisionChecker, InputError, Robot, cli
@@ -240,3 +245,17 @@ def test_hulls_that_always_collide_are_told(folder, capsys):
         .collide(checker.robot.random_configurations(9))
         .any()
     )
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("name", ["talos", "pr2", "baxter"])
+def test_solids_agree_with_coals_triangles(name):
+    """Where triangles meet, by pinocchio and Coal, links meet, and their hulls too; solids add next to nothing."""
+    files = links.robots(None)[name]
+    checkers = [CollisionChecker(files.read(meshes)) for meshes in ("auto", "hull")]
+    Q = checkers[0].robot.random_configurations(300, 5)
+    auto, hull = (checker.collide(Q) for checker in checkers)
+    coal = links.coal_answers(files, checkers[0], Q)
+    assert not (coal & ~auto).any()
+    assert not (auto & ~hull).any()
+    assert (auto & ~coal).sum() <= 1 < (hull & ~coal).sum()

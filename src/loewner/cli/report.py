@@ -31,7 +31,6 @@ from loewner.cli.info import installed
 from loewner.cli.output import COLLIDING, FREE, new_table, print_table
 from loewner.errors import ConvergenceError, FileError, InputError, LoewnerError, MissingExtraError
 from loewner.robots import link_bodies
-from loewner.robots.link_bodies import mesh_file
 from loewner.robots.urdf import read_urdf
 from loewner.robots.xml_elements import Element, read_xml
 
@@ -160,7 +159,7 @@ def _pack_robot(options: argparse.Namespace, folder: Path) -> None:
     names: dict[str, str] = {}  # members by the names of meshes in the URDF
     for link, shapes in read_urdf(options.urdf).shapes.items():
         for shape in (shape for shape in shapes if shape.kind == "mesh" and shape.file_name not in names):
-            file = mesh_file(shape, link, options.urdf, options.package_dir)
+            file = link_bodies.mesh_file(shape, link, options.urdf, options.package_dir)
             names[shape.file_name] = _copy(file, folder / f"mesh_{len(names)}", "a mesh file")
     root = read_xml(options.urdf, "a URDF")
     root.children = [child for child in root.children if child.tag in ("link", "joint")]
