@@ -38,6 +38,9 @@ OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 
 
+POSE_HELP = '"x y z", "x y z qw qx qy qz" (metres; the quaternion\'s scalar first), or a file'
+
+
 def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     """Add the options of commands that take meshes; `default` is the default model."""
     command.add_argument(
@@ -184,11 +187,37 @@ def pose(text: str | None, name: str) -> Floats | None:
         raise PoseError(f"{wanted} ({error})") from None
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
         raise PoseError(wanted)
+    return _pose_of(numbers, name)
+
+
+def _pose_of(numbers: Sequence[float], name: str) -> Floats:
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     if len(numbers) == 7:
         T[:3, :3] = from_quaternion(numbers[3:], name)
     return T
+
+
+def poses(path: Path) -> Floats:
+    """Read the poses of a motion from a file: a line of numbers for each, or matrices."""
+    data = read_regular(path, "a file of poses", MOST_POSE_BYTES)
+    if path.suffix.lower() == ".npy":
+        Ts = _archives.numbers(data, str(path), "4x4 matrices of numbers")
+        if np.ndim(Ts) != 3 or Ts.shape[1:] != (4, 4) or len(Ts) < 2:
+            raise PoseError(f"{path}: expected shape (n, 4, 4) with n of 2 or more, found {np.shape(Ts)}")
+        return np.asarray(Ts)
+    rows = _tables.table(data, str(path))
+    if rows.shape[1] not in (3, 7) or len(rows) < 2:
+        raise PoseError(
+            f'{path}: expected two lines "x y z" or "x y z qw qx qy qz" or more, found {rows.shape[0]} of '
+            f"{rows.shape[1]} numbers"
+        )
+    return np.array([_pose_of(row, f"{path}, pose {k}") for k, row in enumerate(rows.tolist())])
+
+
+def numbers(vector: Sequence[float] | Floats) -> str:
+    """Write the coordinates of a point or a direction for people."""
+    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
 
 
 def _pose_file(path: Path) -> Floats:
