@@ -44,7 +44,7 @@ EXAMPLES = """examples:
 bodies: with a second file, both are saved bodies (.npz) or meshes, and the second one moves: from --pose-b to --to, or
   through the poses of --motion, straight and turning at a constant rate between two poses. Times are the numbers of
   the poses, from 0 on. FREE: proven at all times. COLLIDING: they touch or come within the margin, and are proven free
-  until just before. AMBIGUOUS: neither is proven.
+  until just before. AMBIGUOUS: neither is proven. Meshes are taken as they are unless --model is given.
 
 pairs: those that are checked, unless --between, --exempt or --all chooses others. Adjacent links are exempt if there is
   no SRDF.

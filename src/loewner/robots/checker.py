@@ -832,10 +832,10 @@ class CollisionChecker:
             shapes = "".join(f" ({name!r}: {'; '.join(words)})" for name, words in known if words)
             warn(
                 f"{self._robot.name}: {a!r} and {b!r} collide in each of {self._seen + SUSPECTED} configurations, "
-                f"{SUSPECTED} of them random; if the links' shapes are larger than the links, read them as solids "
-                "where hulls stick out (meshes='auto'), as pieces (meshes='pieces') or as they are (meshes='surface')"
-                f"{shapes}; if they may touch, disable the pair in an SRDF, or by allowed= or Scene.allow; otherwise "
-                "move what stands there (this is said once)"
+                f"{SUSPECTED} of them random{shapes}; if the links' shapes are larger than the links, read them as "
+                "solids where hulls stick out (meshes='auto'), as pieces (meshes='pieces') or as they are "
+                "(meshes='surface'); if they may touch, disable the pair in an SRDF, or by allowed= or Scene.allow; "
+                "otherwise move what stands there (this is said once)"
             )
 
     def _keep(self, ready: Problem) -> None:

@@ -149,7 +149,7 @@ def link_bodies(
 def _described(body: Body) -> str:
     """Describe in a few words the body that a mesh has become; the words before the first comma are its kind."""
     first, covering = body.pieces[0], body.covering
-    if first.triangles is not None and (first.kind == "surface" or first.kind == "solid"):
+    if first.triangles is not None and first.kind in ("surface", "solid"):
         kind = "surface without an inside" if first.kind == "surface" else "solid" if covering is None else CAPPED
         return f"{kind}, {len(first.triangles):,} triangles"
     if covering is None:

@@ -53,7 +53,7 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
         return "open", (vertices, triangles), edges
     hull = Polytope.from_points(vertices)
     far = hull.vertices[lengths(hull.vertices - hull.vertices[0]).argmax()]
-    diameter = float(lengths(hull.vertices - far).max())  # or slightly less, which is on the safe side
+    diameter = float(lengths(hull.vertices - far).max())  # or somewhat less, which is on the safe side
     if not all(_has_inside(vertices, part, NO_INSIDE * diameter**3) for part in parts):
         return "open", (vertices, triangles), edges
     triangles = np.concatenate([part.triangles for part in parts])
