@@ -908,7 +908,7 @@ def test_links_are_where_pinocchio_sees_them(name):
 def without_bodies(path: Path) -> Robot:
     """A robot whose meshes are left alone: only where its links are is asked."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("loewner.robots.robot.link_bodies", lambda *a, **k: {})
+        patch.setattr("loewner.robots.robot.link_bodies", lambda *a, **k: ({}, {}))
         return Robot.from_urdf(path)
 
 

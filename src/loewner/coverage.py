@@ -33,7 +33,8 @@ class Covering:
     ----------
     kind : str
         ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
-        ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh.
+        ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh. ``"solid"``: the
+        mesh is not closed, and triangles that close its holes were added.
     exact : bool
         Whether the union of the pieces contains the whole surface of the mesh, up to rounding, which `max_uncovered`
         then bounds. If so, FREE also applies to the mesh.
@@ -52,7 +53,7 @@ class Covering:
         closed mesh this is the distance to the enclosed solid (all points with a nonzero winding number), for any other
         mesh the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the diagonal of
         the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body was loaded
-        from a file written before this value existed.
+        from a file written before this value existed, or made for a link from a mesh without an inside.
 
     Examples
     --------

@@ -356,7 +356,7 @@ def convex_polytopes(
     _validate.callback(progress, "progress")
     name = name_of(source)
     vertices, triangles = scaled_mesh(source, scale)
-    vertices, triangles = _welded(vertices, triangles)
+    vertices, triangles = welded(vertices, triangles)
     parts = closed_parts(vertices, triangles) or []  # empty for a mesh that is not closed
     if parts:
         triangles = np.concatenate([part.triangles for part in parts])  # with outward orientation
@@ -470,7 +470,7 @@ def _size(vertices: Floats) -> float:
     return float(np.linalg.norm(np.ptp(vertices, axis=0)))
 
 
-def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
+def welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
     """Merge equal vertices; drop unused vertices, and triangles that have thereby lost a corner."""
     vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles]

@@ -115,7 +115,7 @@ class Solid:
         only the side of the point counts.
         """
         answers = np.zeros(len(points), dtype=bool)
-        if self.closed and not self._turned_alike:
+        if len(points) == 0 or self.closed and not self._turned_alike:
             return answers
         asked = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
         memory, near = workspace(entries.points_memory()), np.empty((len(self.triangles), 3))

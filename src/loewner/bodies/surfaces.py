@@ -60,7 +60,7 @@ def surface_pieces(
     elif solid is None:
         edges = _open_edges(len(vertices), triangles)
         solid = len(edges) == 0
-        if not solid and _nearly_closed(vertices, triangles, len(edges)):
+        if not solid and nearly_closed(vertices, triangles, len(edges)):
             warn(
                 f"{name}: nearly closed, but for {_told(vertices, edges)}. So it has no inside: what lies wholly "
                 "within it counts as free. Close it, or say solid=False if it is meant so"
@@ -134,7 +134,7 @@ def _told(vertices: Floats, edges: Ints) -> str:
     )
 
 
-def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
+def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
     """Return whether a mesh with open edges was probably meant to be closed.
 
     Few of its edges are open, and the area vectors of its triangles nearly cancel, as in a closed mesh.

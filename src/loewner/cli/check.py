@@ -8,14 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import loewner
-from loewner._validate import Floats
 from loewner.cli import inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text, is_surface, model_text
 
 # Share of the mesh's volume by which pieces may exceed it without a note.
 WORTH_TELLING = 0.01
-
-POSE_HELP = '"x y z", "x y z qw qx qy qz" (metres; the quaternion\'s scalar first), or a file (the origin)'
 
 EXAMPLES = """examples:
   loewner check cup.stl spoon.stl --pose-b "0 0 0.02"            the meshes themselves
@@ -35,8 +32,8 @@ def add(commands: Any) -> None:
     check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES)
     check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
     check.add_argument("b", metavar="B", type=Path, help="the other one")
-    check.add_argument("--pose-a", metavar="POSE", help=f"pose of A: {POSE_HELP}")
-    check.add_argument("--pose-b", metavar="POSE", help=f"pose of B: {POSE_HELP}")
+    check.add_argument("--pose-a", metavar="POSE", help=f"pose of A: {inputs.POSE_HELP} (the origin)")
+    check.add_argument("--pose-b", metavar="POSE", help=f"pose of B: {inputs.POSE_HELP} (the origin)")
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
     check.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
     check.add_argument("--json", action="store_true", help="print JSON")
@@ -105,9 +102,9 @@ def _print_answer(
     print(f"distance    {found.lower:z.6g} .. {found.upper:z.6g} m, from the ellipsoids")
     if found.distance is not None:
         print(f"            {found.distance:z.9g} m, {_kind_of_distance(a, b, found.distance)}")
-        print(f"on A        {_numbers(found.witness_a)}")
-        print(f"on B        {_numbers(found.witness_b)}")
-        print(f"normal      {_numbers(found.normal)}, from A to B")
+        print(f"on A        {inputs.numbers(found.witness_a)}")
+        print(f"on B        {inputs.numbers(found.witness_b)}")
+        print(f"normal      {inputs.numbers(found.normal)}, from A to B")
     if verdict == loewner.Verdict.AMBIGUOUS:
         print("            --method exact decides it")
     for name, body in ((options.a, a), (options.b, b)):
@@ -126,7 +123,3 @@ def _kind_of_distance(a: Any, b: Any, distance: float) -> str:
         return "at least so deep; the way apart may be longer"
     several = len(a.pieces) > 1 or len(b.pieces) > 1
     return f"exact (penetration depth{' of the deepest two pieces' if several else ''})"
-
-
-def _numbers(vector: Floats) -> str:
-    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)

@@ -1,9 +1,10 @@
-"""``loewner clash``: which parts of a mechanism can ever collide, over the whole ranges of its joints."""
+"""``loewner clash``: which parts of a mechanism can ever collide, and whether a body collides on a given motion."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,23 @@ import numpy as np
 import loewner
 from loewner import plots
 from loewner._files import shown
+from loewner._rotations import quaternions_of
 from loewner._validate import Floats, Pair
 from loewner.cli import configurations, inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, progress_bar, remove_older_proof
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, model_text, progress_bar, remove_older_proof
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import FileError, InputError
+from loewner.pose_paths import path_of
 from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 
 DRAWN = (".png", ".svg")
+
+# Options of robots only, and of two bodies only, by their names in the parser.
+OF_ROBOTS = (
+    "srdf", "package_dir", "decompose", "scene", "between", "exempt", "all", "limits", "boxes", "largest", "at",
+    "write_srdf", "narrower", "proof",
+)  # fmt: skip
+OF_BODIES = ("to", "motion", "pose_a", "pose_b", "scale")
 
 EXAMPLES = """examples:
   loewner clash mechanism.urdf
@@ -28,6 +38,13 @@ EXAMPLES = """examples:
   loewner clash panda.urdf --srdf panda.srdf --exempt --write-srdf panda.srdf
   loewner clash mechanism.urdf --largest crank --at "0.1,0,0"
   loewner clash mechanism.urdf --between crank housing --margin 0.001 --proof never.proof
+  loewner clash housing.stl plug.stl --scale 0.001 --pose-b "0 0 0.05" --to "0 0 0.012" --margin 1e-5
+  loewner clash housing.stl plug.stl --motion insertion.csv
+
+bodies: with a second file, both are saved bodies (.npz) or meshes, and the second one moves: from --pose-b to --to, or
+  through the poses of --motion, straight and turning at a constant rate between two poses. Times are the numbers of
+  the poses, from 0 on. FREE: proven at all times. COLLIDING: they touch or come within the margin, and are proven free
+  until just before. AMBIGUOUS: neither is proven. Meshes are taken as they are unless --model is given.
 
 pairs: those that are checked, unless --between, --exempt or --all chooses others. Adjacent links are exempt if there is
   no SRDF.
@@ -41,7 +58,7 @@ proof: all pairs in question have to be NEVER; otherwise the first other one is 
   verify checks the file, with --robot against a robot and a scene.
 
 exit status: 0 all pairs are proven never to collide, 1 a pair can collide, 2 error, 3 no contact was found, but a pair
-  is open; with --largest: 0 a range was found
+  is open; with --largest: 0 a range was found; with two bodies: 0 free, 1 colliding, 2 error, 3 ambiguous
 """
 
 
@@ -49,6 +66,16 @@ def add(commands: Any) -> None:
     """Add the command."""
     clash = inputs.command(commands, "clash", "which parts of a mechanism can ever collide", EXAMPLES)
     inputs.add_robot_options(clash)
+    clash.add_argument("moving", nargs="?", type=Path, metavar="B", help="a body that moves past the first one")
+    end = clash.add_mutually_exclusive_group()
+    end.add_argument("--to", metavar="POSE", help=f"pose of B at the end: {inputs.POSE_HELP}")
+    end.add_argument(
+        "--motion", type=Path, metavar="FILE",
+        help="poses of B: a line for each, or a .npy file of shape (n, 4, 4)",
+    )  # fmt: skip
+    clash.add_argument("--pose-a", metavar="POSE", help="pose of the first body, which is at rest (the origin)")
+    clash.add_argument("--pose-b", metavar="POSE", help="pose of B at the beginning (the origin)")
+    clash.add_argument("--scale", type=float, default=1.0, help="factor for all lengths of two meshes (1)")
     clash.add_argument("--scene", type=Path, metavar="FILE", help="bodies at rest, and attached ones (.yaml)")
     which = clash.add_mutually_exclusive_group()
     which.add_argument(
@@ -78,12 +105,21 @@ def add(commands: Any) -> None:
     )
     clash.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of all pairs, for loewner verify")
     clash.add_argument("--json", action="store_true", help="print JSON")
-    clash.set_defaults(run=_run)
+    clash.set_defaults(run=_run, usual_model="surface", hull=False)
+    clash.set_defaults(**dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
+    clash.set_defaults(usual={name: clash.get_default(name) for name in (*OF_ROBOTS, *OF_BODIES)})
 
 
 def _run(options: argparse.Namespace) -> int:
+    alone = options.moving is None
+    for name in OF_BODIES if alone else OF_ROBOTS:
+        if getattr(options, name) != options.usual[name]:
+            wanted = "two bodies with it, found one file" if alone else "a robot alone with it, found two files"
+            raise InputError(f"--{name.replace('_', '-')}: expected {wanted}")
     if options.out is not None and options.out.suffix.lower() not in DRAWN:
         raise FileError(f"--out: expected a .png or .svg file, found {options.out}")
+    if options.moving is not None:
+        return _run_motion(options)
     if options.at is not None and not options.largest:
         raise InputError("--at: expected --largest with it, found none")
     if options.largest and not options.out is options.write_srdf is options.proof is None:
@@ -127,6 +163,77 @@ def _run(options: argparse.Namespace) -> int:
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
         return COLLIDING
     return AMBIGUOUS if PairVerdict.OPEN in verdicts else FREE
+
+
+def _run_motion(options: argparse.Namespace) -> int:
+    """Find the first contact of a body at rest and a second body that moves."""
+    if options.model == "auto":
+        raise InputError("--model: expected surface, pieces or hull for bodies, found auto, which is for robots")
+    poses = _motion(options)
+    path = path_of(np.arange(float(len(poses))), poses, False)
+    Ta = inputs.pose(options.pose_a, "--pose-a")
+    a, b = inputs.bodies((options.urdf, options.moving), options)
+    found = loewner.first_contact(a, Ta, b, (poses[:-1], poses[1:]), margin=options.margin)
+    verdict, free_until, at = _first(*map(np.asarray, (found.verdict, found.free_until, found.touching_at)))
+    answer: dict[str, Any] = {"verdict": verdict.name, "margin": options.margin, "times": [0, len(poses) - 1]}
+    answer |= {"free_until": free_until, "touching_at": at}
+    if at is not None:
+        answer["pose"] = path.poses(at).tolist()
+        near = loewner.distance(a, Ta, b, answer["pose"], exact=True)
+        answer["distance"] = near.distance
+        answer |= {name: np.asarray(getattr(near, name)).tolist() for name in ("witness_a", "witness_b", "normal")}
+    answer |= {"a_model": model_text(a), "b_model": model_text(b)}
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        _print_contact(answer, options.urdf, options.moving)
+    if options.out is not None and at is not None:
+        ax = plots.pair(a, Ta, b, answer["pose"])
+        ax.set_title(f"{options.urdf.stem} and {options.moving.stem}: {verdict.name} at {at:.6g}")
+        plots.save(ax.figure, options.out)
+    elif options.out is not None:
+        print(f"note: {shown(options.out)} is not written, since no contact is known", file=sys.stderr)
+    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[verdict.name]
+
+
+def _motion(options: argparse.Namespace) -> Floats:
+    """Return the poses of the second body, shape (n, 4, 4)."""
+    if options.to is None and options.motion is None:
+        raise InputError("expected --to or --motion with two bodies, found none; loewner check is for bodies at rest")
+    if options.to is not None:
+        start = inputs.pose(options.pose_b, "--pose-b")
+        return np.array([np.eye(4) if start is None else start, inputs.pose(options.to, "--to")])
+    if options.pose_b is not None:
+        raise InputError("--pose-b: expected it with --to only, found --motion, whose first pose is the beginning")
+    return inputs.poses(options.motion)
+
+
+def _first(verdicts: Any, free_until: Floats, touching: Floats) -> tuple[loewner.Verdict, float | None, float | None]:
+    """Combine the answers of successive motions; the time of each runs from its number to the next one."""
+    for first in np.flatnonzero(verdicts != loewner.Verdict.FREE)[:1]:
+        # Contact in a later motion is certain, even if the first one is AMBIGUOUS.
+        hit = next(iter(np.flatnonzero(verdicts == loewner.Verdict.COLLIDING)), first)
+        at = float(hit + touching[hit])
+        known = None if np.isinf(at) else at
+        return loewner.Verdict(int(verdicts[hit])), float(first + free_until[first]), known
+    return loewner.Verdict.FREE, None, None
+
+
+def _print_contact(answer: dict[str, Any], a: Path, b: Path) -> None:
+    keep = f" with a margin of {answer['margin']:g} m" if answer["margin"] else ""
+    print(f"{answer['verdict']}{keep}  ({a.name} and {b.name}, times from 0 to {answer['times'][1]})")
+    if answer["free_until"] is not None:
+        print(f"free until  {answer['free_until']:.9g}, proven")
+    if answer["touching_at"] is not None:
+        T = np.array(answer["pose"])
+        turn = " ".join(f"{x:.9g}" for x in quaternions_of(T[None, :3, :3])[0] + 0.0)
+        print(f"touching at {answer['touching_at']:.9g}, with a distance of {answer['distance']:z.3g} m")
+        print(f"pose of B   {inputs.numbers(T[:3, 3])} {turn}")
+        print(f"on A        {inputs.numbers(answer['witness_a'])}")
+        print(f"on B        {inputs.numbers(answer['witness_b'])}")
+        print(f"normal      {inputs.numbers(answer['normal'])}, from A to B")
+    for path, model in ((a, answer["a_model"]), (b, answer["b_model"])):
+        print(f"model       {path.name}: {model}")
 
 
 def _limits(text: str) -> tuple[str, tuple[float, float]]:

@@ -17,6 +17,7 @@ from loewner._validate import Floats, Progress
 from loewner.cli.output import progress_bar
 from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
+from loewner.robots import link_bodies
 
 # Largest file with a pose in bytes: a matrix in text takes a few hundred.
 MOST_POSE_BYTES = 2**20
@@ -35,6 +36,9 @@ MODELS = ("surface", "pieces", "hull")
 # Options of pieces and of surfaces, by their names in the library.
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
+
+
+POSE_HELP = '"x y z", "x y z qw qx qy qz" (metres; the quaternion\'s scalar first), or a file'
 
 
 def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
@@ -96,7 +100,9 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
         default=[],
         help="folder of packages; repeatable",
     )
-    command.add_argument("--model", choices=MODELS, help="representation of meshes (hull)")
+    command.add_argument(
+        "--model", choices=link_bodies.MODELS, help=f"representation of meshes ({link_bodies.USUAL_MODEL})"
+    )
     command.add_argument("--decompose", action="store_true", help="the same as --model pieces")
 
 
@@ -181,11 +187,37 @@ def pose(text: str | None, name: str) -> Floats | None:
         raise PoseError(f"{wanted} ({error})") from None
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
         raise PoseError(wanted)
+    return _pose_of(numbers, name)
+
+
+def _pose_of(numbers: Sequence[float], name: str) -> Floats:
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     if len(numbers) == 7:
         T[:3, :3] = from_quaternion(numbers[3:], name)
     return T
+
+
+def poses(path: Path) -> Floats:
+    """Read the poses of a motion from a file: a line of numbers for each, or matrices."""
+    data = read_regular(path, "a file of poses", MOST_POSE_BYTES)
+    if path.suffix.lower() == ".npy":
+        Ts = _archives.numbers(data, str(path), "4x4 matrices of numbers")
+        if np.ndim(Ts) != 3 or Ts.shape[1:] != (4, 4) or len(Ts) < 2:
+            raise PoseError(f"{path}: expected shape (n, 4, 4) with n of 2 or more, found {np.shape(Ts)}")
+        return np.asarray(Ts)
+    rows = _tables.table(data, str(path))
+    if rows.shape[1] not in (3, 7) or len(rows) < 2:
+        raise PoseError(
+            f'{path}: expected two lines "x y z" or "x y z qw qx qy qz" or more, found {rows.shape[0]} of '
+            f"{rows.shape[1]} numbers"
+        )
+    return np.array([_pose_of(row, f"{path}, pose {k}") for k, row in enumerate(rows.tolist())])
+
+
+def numbers(vector: Sequence[float] | Floats) -> str:
+    """Write the coordinates of a point or a direction for people."""
+    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
 
 
 def _pose_file(path: Path) -> Floats:
@@ -213,7 +245,7 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
             options.urdf,
             srdf=options.srdf,
             package_dirs=options.package_dir,
-            meshes="pieces" if options.decompose else options.model or "hull",
+            meshes="pieces" if options.decompose else options.model or link_bodies.USUAL_MODEL,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     return robot

@@ -30,7 +30,7 @@ from loewner.cli import configurations, inputs
 from loewner.cli.info import installed
 from loewner.cli.output import COLLIDING, FREE, new_table, print_table
 from loewner.errors import ConvergenceError, FileError, InputError, LoewnerError, MissingExtraError
-from loewner.robots.link_bodies import mesh_file
+from loewner.robots import link_bodies
 from loewner.robots.urdf import read_urdf
 from loewner.robots.xml_elements import Element, read_xml
 
@@ -159,7 +159,7 @@ def _pack_robot(options: argparse.Namespace, folder: Path) -> None:
     names: dict[str, str] = {}  # members by the names of meshes in the URDF
     for link, shapes in read_urdf(options.urdf).shapes.items():
         for shape in (shape for shape in shapes if shape.kind == "mesh" and shape.file_name not in names):
-            file = mesh_file(shape, link, options.urdf, options.package_dir)
+            file = link_bodies.mesh_file(shape, link, options.urdf, options.package_dir)
             names[shape.file_name] = _copy(file, folder / f"mesh_{len(names)}", "a mesh file")
     root = read_xml(options.urdf, "a URDF")
     root.children = [child for child in root.children if child.tag in ("link", "joint")]
@@ -231,8 +231,9 @@ def _fault(document: Any) -> str:
     for key in ("options", "versions", "answers"):
         if not isinstance(document.get(key), dict):
             return f"{key}: expected an object, found {found[key]}"
+    models = link_bodies.MODELS if query == "robot" else inputs.MODELS
     for name, value in document["options"].items():
-        if type(value) is not OPTIONS[query].get(name) or (name == "model" and value not in inputs.MODELS):
+        if type(value) is not OPTIONS[query].get(name) or (name == "model" and value not in models):
             return f"expected the options of loewner report {query}, found {name[:40]!r}: {_validate.short(value)}"
     return ""
 

@@ -7,6 +7,7 @@ import json
 import time
 from collections import Counter
 from dataclasses import asdict
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import loewner
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, model_text, new_table, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, new_table, print_table, progress_bar
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
@@ -26,6 +27,9 @@ LISTED = 20
 
 # Boxes of configurations to examine for the exempt pairs: some seconds.
 BOXES = 200_000
+
+# Random configurations in which pairs that always collide do so.
+TRIED = 64
 
 # Rates are not computed from shorter times [s]: the first large batch takes about 10 ms more to start.
 LEAST_TIMED = 0.1
@@ -76,9 +80,13 @@ def add(commands: Any) -> None:
 
 def _info(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
-    links = new_table("link", "pieces", "vertices", "gap", "mesh", title=f"{robot.name}: {len(robot.link_names)} links")
+    links = new_table(
+        "link", "pieces", "vertices", "gap", "shapes", title=f"{robot.name}: {len(robot.link_names)} links"
+    )
     for name in robot.link_names:
-        links.add_row(name, *(_link_row(robot.bodies[name]) if name in robot.bodies else ("-",) * 4))
+        links.add_row(
+            name, *(_link_row(robot.bodies[name], robot.shapes[name]) if name in robot.bodies else ("-",) * 4)
+        )
     limits, heads = [robot.lower, robot.upper], ["lower", "upper"]
     if (robot.lower != robot.hard_lower).any() or (robot.upper != robot.hard_upper).any():
         limits, heads = [*limits, robot.hard_lower, robot.hard_upper], [*heads, "hard lower", "hard upper"]
@@ -88,8 +96,9 @@ def _info(options: argparse.Namespace) -> int:
     print_table(links)
     print_table(columns)
     count = len(robot.bodies)
-    checked = len(loewner.CollisionChecker(robot).checked_pairs) if count else 0
-    print(f"pairs     {count * (count - 1) // 2} of links with bodies, {checked} checked")
+    checker = loewner.CollisionChecker(robot) if count else None
+    checked = checker.checked_pairs if checker is not None else ()
+    print(f"pairs     {count * (count - 1) // 2} of links with bodies, {len(checked)} checked")
     disabled = f"{len(robot.disabled_pairs)} disabled by the SRDF" if options.srdf is not None else "no SRDF"
     print(f"          {disabled}, {len(robot.adjacent_pairs)} adjacent")
     exempt = robot.disabled_pairs or robot.adjacent_pairs
@@ -97,15 +106,22 @@ def _info(options: argparse.Namespace) -> int:
         print("exempt pairs, over the whole ranges of the joints between them:")
         known = [pair for pair in exempt if all(link in robot.bodies for link in pair)]
         print_pairs(robot.prove_pairs(known, boxes=BOXES), robot)
+    if checker is not None and checked:
+        always = np.all(checker.collide_by_pair(robot.random_configurations(TRIED)), axis=0)
+        for a, b in compress(checked, always.tolist()):
+            print(
+                f"note: {a} and {b} collide in each of {TRIED} random configurations; if their shapes above are larger "
+                "than the links: --model auto"
+            )
     if options.srdf is not None:
         print(f"groups    {', '.join(f'{name} ({len(joints)})' for name, joints in robot.groups.items()) or '-'}")
         print(f"states    {', '.join(robot.states) or '-'}")
     return 0
 
 
-def _link_row(body: loewner.Body) -> tuple[str, ...]:
+def _link_row(body: loewner.Body, shapes: tuple[str, ...]) -> tuple[str, ...]:
     vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
-    return str(len(body.pieces)), str(vertices), f"{body.gaps.max():.1e}", model_text(body)
+    return str(len(body.pieces)), str(vertices), f"{body.gaps.max():.1e}", "; ".join(shapes)
 
 
 def _check(options: argparse.Namespace) -> int:

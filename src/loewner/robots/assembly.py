@@ -455,6 +455,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
         configuration_names=configuration_names,
         **limits,
         bodies=named("link with a body", lambda p: p.robot.bodies),
+        shapes=named("link with shapes of a URDF", lambda p: p.robot.shapes),
         groups=named("group", lambda p: {g: _prefixed(p.prefix, joints) for g, joints in p.robot.groups.items()}),
         states=named("state", _states),
         disabled_pairs=pairs("disabled_pairs"),

@@ -828,11 +828,14 @@ class CollisionChecker:
         tried = self._robot.random_configurations(SUSPECTED)
         for pair in np.flatnonzero(verdicts.always(ready, tried))[:1]:
             a, b = (ready.names[n] for n in ready.pairs[pair])
+            known = [(name, self._robot.shapes.get(name)) for name in (a, b)]
+            shapes = "".join(f" ({name!r}: {'; '.join(words)})" for name, words in known if words)
             warn(
                 f"{self._robot.name}: {a!r} and {b!r} collide in each of {self._seen + SUSPECTED} configurations, "
-                f"{SUSPECTED} of them random; if the links' shapes are larger than the links, read them as pieces "
-                "(meshes='pieces') or as they are (meshes='surface'); if they may touch, disable the pair in an SRDF, "
-                "or by allowed= or Scene.allow; otherwise move what stands there (this is said once)"
+                f"{SUSPECTED} of them random{shapes}; if the links' shapes are larger than the links, read them as "
+                "solids where hulls stick out (meshes='auto'), as pieces (meshes='pieces') or as they are "
+                "(meshes='surface'); if they may touch, disable the pair in an SRDF, or by allowed= or Scene.allow; "
+                "otherwise move what stands there (this is said once)"
             )
 
     def _keep(self, ready: Problem) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -32,7 +33,7 @@ from loewner.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
 from loewner.robots import assembly, reaching
 from loewner.robots.assembly import Part, Source
 from loewner.robots.drake import drake_model
-from loewner.robots.link_bodies import MODELS, link_bodies
+from loewner.robots.link_bodies import MODELS, PRIMITIVES, USUAL_MODEL, MeshModel, link_bodies
 from loewner.robots.links import Joint as LinkJoint
 from loewner.robots.links import described
 from loewner.robots.mjcf import description_of, qpos_columns, semantics_of
@@ -97,8 +98,8 @@ def _model(meshes: str, decompose: bool) -> str:
     _validate.choice(meshes, "meshes", MODELS)
     if not _validate.flag(decompose, "decompose"):
         return meshes
-    if meshes == "surface":
-        raise InputError("decompose: expected False with meshes='surface', found True; surfaces are not split")
+    if meshes in ("surface", "auto") and meshes != USUAL_MODEL:
+        raise InputError(f"decompose: expected False with meshes={meshes!r}, found True; surfaces are not split")
     return "pieces"
 
 
@@ -131,8 +132,13 @@ class Robot(KeepsReadOnly):
         otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
         Only URDF 1.2 has limits of accelerations and jerk.
     bodies : dict
-        Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next two
+        Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next three
         attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
+    shapes : dict
+        Link name to a description of the body of each collision shape of a URDF, in the order of the file: "box",
+        "hull, sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles",
+        "surface without an inside, 96 triangles", "solid of a nearly closed mesh, 804 triangles", "hull of an open
+        mesh".
     groups : dict
         Group name to joint names, from the SRDF.
     states : dict
@@ -177,6 +183,7 @@ class Robot(KeepsReadOnly):
     acceleration: Floats
     jerk: Floats
     bodies: dict[str, Body]
+    shapes: dict[str, tuple[str, ...]]
     groups: dict[str, tuple[str, ...]]
     states: dict[str, State]
     disabled_pairs: frozenset[Pair]
@@ -213,7 +220,7 @@ class Robot(KeepsReadOnly):
         xacro_args: Mapping[str, str | float | bool] | None = None,
         srdf: str | os.PathLike[str] | None = None,
         package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
-        meshes: Literal["hull", "pieces", "surface"] = "hull",
+        meshes: MeshModel = USUAL_MODEL,
         decompose: bool = False,
         pairs: Literal["adjacent", "proven"] | None = None,
         tol: float = 1e-4,
@@ -239,10 +246,13 @@ class Robot(KeepsReadOnly):
         package_dirs : path or iterable of paths
             Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
             environment, and the folders above the URDF, are also searched.
-        meshes : {"hull", "pieces", "surface"}
+        meshes : {"hull", "pieces", "surface", "auto"}
             Representation of each collision mesh. "hull": its convex hull, which contains it. "pieces": convex pieces
             (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
-            (`Body.from_surface`), including the enclosed space if the mesh is closed.
+            (`Body.from_surface`), including the enclosed space if the mesh is closed. "auto": the hull
+            of a closed mesh if it is proven to stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of
+            the two counts), and otherwise the solid that the mesh encloses. Holes of a nearly closed mesh are closed
+            first; of any other mesh, the hull is taken. `shapes` has the results.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
@@ -277,6 +287,7 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
+            If meshes are not closed, with "auto"; one warning names them all.
             If the URDF or the SRDF has parts that its format does not define (docs/robots.md); if limits of a joint
             that mimics another would leave that one hardly any range. If the SRDF names links or joints that the robot
             does not have, or none that it has; if it names a different robot, or has passive joints, or a base that
@@ -305,8 +316,8 @@ class Robot(KeepsReadOnly):
         refuse_unused(xacro_args or {}, used)
         robot = read_urdf("URDF text" if path is None else path, text)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
-        bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
-        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
+        bodies, shapes = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
+        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text, shapes)
         if pairs != "proven" or not made.bodies:
             return made
         others = [pair for pair in combinations(sorted(made.bodies), 2) if pair not in made.adjacent_pairs]
@@ -322,6 +333,7 @@ class Robot(KeepsReadOnly):
         places: Iterable[Path],
         format: str,
         text: str | None,
+        shapes: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Robot:
         """Build the robot from the parsed files."""
         columns, dof = columns_of(robot)
@@ -349,6 +361,7 @@ class Robot(KeepsReadOnly):
             hard_upper=hard_upper,
             **rates,
             bodies=Named("link with a body", bodies),
+            shapes=Named("link with shapes of a URDF", shapes or {}),
             groups=Named("group", semantics.groups),
             states=Named("state", semantics.states),
             disabled_pairs=semantics.disabled_pairs,
@@ -822,9 +835,13 @@ class Robot(KeepsReadOnly):
         return len(self.configuration_names)
 
     def __repr__(self) -> str:
+        kinds = Counter(words.partition(",")[0] for shapes in self.shapes.values() for words in shapes)
+        models = {kind: count for kind, count in kinds.items() if kind not in PRIMITIVES}
+        told = ", ".join(f"{kind} {count}" for kind, count in models.items()) if set(models) - {"hull"} else ""
         return (
             f"Robot({self.name!r}, {len(self.link_names)} links, {len(self.bodies)} with bodies, "
-            f"{len(self.joint_names)} joints, dof {self.dof}{', quaternions wxyz' if self._quaternions else ''})"
+            f"{len(self.joint_names)} joints, dof {self.dof}{', quaternions wxyz' if self._quaternions else ''}"
+            f"{told and f', meshes: {told}'})"
         )
 
     @pictured
