@@ -558,7 +558,7 @@ class Body(_Bodies):
         -------
         Body
             With a radius, one piece with a tree over the points; with voxels, boxes as in `from_voxels`. FREE is proven
-            for the exact union. Proofs of motions replace the points by boxes around up to 128 parts of the cloud.
+            for the exact union.
 
         Raises
         ------

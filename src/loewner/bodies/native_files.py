@@ -85,8 +85,8 @@ def write(
     arrays : dict
         Arrays by their names in `BEFORE`; missing ones are empty.
     packs : sequence of Packed
-        The bodies; and if there are surfaces that can be cut, once more with all of them in parts, and with those of
-        static bodies without solids in small parts.
+        The bodies; and if there are surfaces that can be cut, once more with all of them in parts, and once more with
+        only static bodies without solids in small parts.
     counts : tuple of int
         Values of a configuration, links, and moving bodies.
 

@@ -18,7 +18,7 @@ from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
 from loewner.errors import GeometryError
 from loewner.polytopes import Polytope
 
-# Parts of a surface. Where hulls of these meet, proofs of motions go on with triangles.
+# Parts of a surface. Where their hulls meet, proofs of motions go on with triangles.
 PARTS = 6
 
 # Limits on the parts of a surface, and of all surfaces of a problem together, where only the parts count.
@@ -154,7 +154,7 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
 def _hull_around(points: Floats, box: Floats) -> Floats:
     """Make few points whose hull certainly contains all of those given.
 
-    They are vertices of the hull of all points, or of those that are farthest in `WAYS` if there are many, moved away
+    They are vertices of the hull of all points, or only of the farthest ones in `WAYS` if there are many, moved away
     from their middle c by a relative amount. A point p lies in the hull of the moved vertices v if n·(p - c) is at most
     the least n·(v - c) over the vertices of each face with normal n, by the lemma of docs/containment.md. The corners
     of the box around the points are taken instead if many points are in a plane, which has no faces.

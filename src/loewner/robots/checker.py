@@ -428,9 +428,9 @@ class CollisionChecker:
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
         `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
-        motion, and an interval without such a plane is halved. docs/certified.md derives it. Each static surface or
-        cloud is replaced by boxes around up to 128 of its parts; a motion that comes nearer than these boxes allow is
-        AMBIGUOUS. The first call with a new surface takes longer, since it makes the parts.
+        motion, and an interval without such a plane is halved. docs/certified.md derives it. Surfaces and clouds
+        are replaced by convex hulls of a few parts, and where these meet, by their triangles or points. The first call
+        with a new surface takes longer, since it makes the parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
         end. A contact at the start gets deeper along the motion by no more than the tolerance; a contact at the end is
@@ -720,7 +720,7 @@ class CollisionChecker:
         n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed distance,
         and analytic except where centers coincide. The result is -softness log Σ exp(-g / softness) over the gaps g
         between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each static surface or cloud
-        contributes up to 128 ellipsoids around its parts, unless one of the surfaces is a solid. Where the centers of
+        contributes up to 128 ellipsoids around its parts, unless it is a solid. Where the centers of
         two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient
         is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
 

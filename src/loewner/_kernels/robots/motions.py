@@ -332,9 +332,9 @@ def _triangles_apart(motion, near, back, width, poses, first, last, still, fixed
     width : float
         Length of the interval.
     poses, first, last :
-        Poses in the world, and the rows of those of piece i at both ends.
+        Poses in the world, and the rows with the pose of the body of i at both ends.
     still, fixed_first, fixed_last :
-        Likewise of piece j.
+        Likewise for j.
     """
     pieces, i, j, to = pieces_of(motion.pack), near.i, near.j, _relative_of(motion)
     bend, speed, stands = near.bend, near.speed, problem_of(motion.problem).pairs[near.pair, 1] >= motion.counts.moving
@@ -587,7 +587,7 @@ def _halve(motion, near, back, low, high, n, tally):
     t : float
         Fraction at which it is COLLIDING or AMBIGUOUS.
     by_triangles : bool
-        Whether it is FREE since all triangles of the surfaces are apart, also those of other parts.
+        Whether it is FREE since all triangles of the surfaces are apart, in other parts, too.
     """
     problem, by_triangles = problem_of(motion.problem), True
     stands = problem.pairs[near.pair, 1] >= motion.counts.moving
