@@ -124,13 +124,15 @@ def scene_of(boxes: Boxes) -> Scene:
 
 
 def free_problems(robot: Robot, arm: Arm, count: int) -> tuple[Boxes, np.ndarray]:
-    """Place fourteen boxes around the robot's start, and find free configurations among them."""
+    """Place up to fourteen boxes around the robot's start, and find free configurations among them."""
     rng, boxes = np.random.default_rng(0), Boxes()
     start = robot.configuration()
     for _ in range(14):
         angle, distance = rng.uniform(0, 2 * np.pi), rng.uniform(arm.near, arm.far)
         center = np.array([distance * np.cos(angle), distance * np.sin(angle), rng.uniform(arm.low, arm.high)])
-        boxes.append((center, rng.uniform(0.3, 1.0, 3) * arm.size))
+        edges = rng.uniform(0.3, 1.0, 3) * arm.size
+        if all((abs(center - other) > (edges + sides) / 2).any() for other, sides in boxes):  # roboplan tests them, too
+            boxes.append((center, edges))
     checker = CollisionChecker(robot, scene_of(boxes))
     # Boxes that touch links that do not move would make every configuration collide.
     columns = [robot.configuration_names.index(joint) for joint in arm.joints]
@@ -181,7 +183,7 @@ def by_roboplan(
             short = core.PathShortcutter(scene, shortcuts).shortcut(path)
             rows = np.tile(q, (len(short.positions), 1))
             rows[:, columns] = np.array([list(row) for row in short.positions])
-        except Exception:
+        except RuntimeError:
             rows = None
         found.append((rows, time.process_time() - begun))
     return found

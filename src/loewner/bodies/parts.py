@@ -152,7 +152,7 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
 
 
 def _hull_around(points: Floats, box: Floats) -> Floats:
-    """Make few points whose hull certainly contains all of those given.
+    """Make few points whose hull certainly contains the given ones.
 
     They are vertices of the hull of all points, or only of the farthest ones in `WAYS` if there are many, moved away
     from their middle c by a relative amount. A point p lies in the hull of the moved vertices v if n·(p - c) is at most
