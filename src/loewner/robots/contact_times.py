@@ -104,8 +104,8 @@ def first_contact(
     Notes
     -----
     The first piece that is not proven free is cut into eight parts, again and again, until the pair is near enough
-    where the proof ends. Two things end the proof earlier. Many triangles of two surfaces may come near each
-    other at the same time. Rounding takes about 1e-11 of the lengths involved, and 2e-14 of the times, in the way of the bodies then.
+    where the proof ends. Two things end the proof earlier: many triangles of two surfaces that come near each other at
+    the same time; and rounding, about 1e-11 of the lengths involved, and 2e-14 of the times.
 
     Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that gets
     deeper than its rule allows is reported from where it begins.

@@ -7,7 +7,7 @@ through the trees of triangles finds a plane for each triangle, or each pair of 
 from loewner._kernels._jit import apart, inline
 from loewner._kernels.codes import APART
 from loewner._kernels.columns import KIND, ROUNDING, SURFACE
-from loewner._kernels.linalg3 import apply_transposed, dot, minus, plus
+from loewner._kernels.linalg3 import apply_transposed, dot, minus, plus, scaled
 from loewner._kernels.narrow import gjk_swept
 from loewner._kernels.narrow import surface_boxes as boxes
 from loewner._kernels.narrow import surface_walk as walk
@@ -18,10 +18,13 @@ from loewner._kernels.narrow.surface_walk import PLANES
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, next_lane
-from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
+from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
 # Searches for one interval, and pairs of leaves, at most: more take longer than halving the interval.
 MOST_SEARCHES, MOST_LEAVES = 256, 512
+
+# An entry of the stack is the number of a box, shifted by so many bits, plus ALL, or plus one of the leaf's triangles.
+ENTRY, ALL = 4, 15
 
 
 @apart
@@ -67,31 +70,40 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
     a, b, about = surface_of(A), surface_of(first), relation(A, first, shift, size, far + travel)
     W, result, places = walk.vertices_of(memory), walk.result_of(memory), walk.placed_of(memory)
     stack, planes, n = walk.stack_of(memory), walk.parting_of(memory), walk.ORIGIN
-    height, searches, leaves, beyond = walk.begun(memory), 0, 0, far + 4.0 * walk.CORNER_ERROR * size
-    slack = far + boxes.ROUNDINGS * size
+    height, searches, leaves, beyond = 1, 0, 0, far + 4.0 * walk.CORNER_ERROR * size
+    stack[0, 0], stack[0, 1], slack = ALL, ALL, far + boxes.ROUNDINGS * size
     while True:
-        child_a, child_b, height = _next_pair(about, a, b, planes, min(searches, PLANES), slack, stack, height)
+        child_a, child_b, left, lanes_b, height = _next_pair(
+            about, a, b, planes, min(searches, PLANES), slack, stack, height
+        )
         if child_a >= 0:
             return True
         leaves += 1
         if leaves > MOST_LEAVES:
             return False
-        leaf_b = leaf_of(child_b)
-        b_first = walk.placed_corners(first, b.blocks, leaf_b, shift)
-        b_last = walk.placed_corners(last, b.blocks, leaf_b, shift_last)
+        leaf_b, is_swept = leaf_of(child_b), False
         of_a = walk.placed_corners(A, a.blocks, leaf_of(child_a), walk.ORIGIN)
+        b_first = walk.placed_corners(first, b.blocks, leaf_b, shift)
+        b_last = b_first
         walk.store_corners(places, 0, of_a)
-        walk.store_corners(places, BLOCK, b_first)
-        walk.store_corners(places, 2 * BLOCK, b_last)
-        left = (1 << size_of(child_a)) - 1
-        for k in range(min(searches, PLANES)):
-            n = planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2]
-            left &= ~_beyond(of_a, b_first, b_last, n, beyond)
         while left != 0:
             lane_a, left = next_lane(left)
             one = walk.corners_at(places, 0, lane_a)
-            near_it = _near_along(one, b_first, b_last, beyond, 0) & _near_along(one, b_first, b_last, beyond, 1)
-            bits = walk.lanes_in(child_b, near_it & _near_along(one, b_first, b_last, beyond, 2))
+            bits = movemask(_near(one, b_first, b_first, beyond + travel)) & lanes_b
+            if bits == 0:
+                continue
+            if not is_swept:
+                is_swept, b_last = True, walk.placed_corners(last, b.blocks, leaf_b, shift_last)
+                walk.store_corners(places, BLOCK, b_first)
+                walk.store_corners(places, 2 * BLOCK, b_last)
+                out = 0
+                for k in range(min(searches, PLANES)):
+                    n = planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2]
+                    out |= _beyond(of_a, b_first, b_last, n, beyond)
+                left &= ~out
+                if (out >> lane_a) & 1 != 0:
+                    continue
+            bits &= movemask(_near(one, b_first, b_last, beyond))
             while bits != 0:
                 lane_b, bits = next_lane(bits)
                 begin, end = walk.corners_at(places, BLOCK, lane_b), walk.corners_at(places, 2 * BLOCK, lane_b)
@@ -111,32 +123,92 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
 
 @inline
 def _next_pair(about, a, b, planes, count, slack, stack, height):
-    """`surface_walk.next_meeting`, without pairs of boxes that one of the planes parts."""
+    """The next two leaves that may be near, their triangles as bits, and the height of the stack; 0 at the end.
+
+    Compare `surface_walk.next_meeting`. An entry of the stack is a box, or one of the triangles of a leaf: large
+    triangles next to small ones are taken one by one, since a leaf of them fills much space.
+    """
     while height > 0:
         height -= 1
-        slot_a, slot_b = stack[height, 0], stack[height, 1]
-        if _parted(a, b, slot_a, slot_b, planes, count, slack):
+        one, other = stack[height, 0], stack[height, 1]
+        if _parted(a, b, one, other, planes, count, slack):
             continue
-        child_a, child_b = a.children[slot_a], b.children[slot_b]
-        if child_a < 0 and child_b < 0:
-            return child_a, child_b, height
-        height = walk.push_meeting(about, a, b, slot_a, slot_b, stack, height)
-    return 0, 0, 0
+        child_a, child_b = a.children[one >> ENTRY], b.children[other >> ENTRY]
+        opens_a, opens_b = child_a >= 0, child_b >= 0
+        if not (opens_a or opens_b):
+            return child_a, child_b, _lanes(child_a, one), _lanes(child_b, other), height
+        middle_a, half_a = _box(a, one)
+        middle_b, half_b = _box(b, other)
+        a_is_larger = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
+        if a_is_larger and not opens_a and one & ALL == ALL:
+            for lane in range(size_of(child_a)):
+                stack[height, 0], stack[height, 1] = one - ALL + lane, other
+                height += 1
+        elif not (a_is_larger or opens_b) and other & ALL == ALL:
+            for lane in range(size_of(child_b)):
+                stack[height, 0], stack[height, 1] = one, other - ALL + lane
+                height += 1
+        elif opens_a and (a_is_larger or not opens_b):
+            middles, halves = boxes.boxes_of(a.boxes, child_a)
+            bits = boxes.meeting(about, boxes.between(about, middles, middle_b), halves, half_b)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0], stack[height, 1] = (child_a * WIDE + lane << ENTRY) + ALL, other
+                height += 1
+        else:
+            middles, halves = boxes.boxes_of(b.boxes, child_b)
+            bits = boxes.meeting(about, boxes.between(about, middle_a, middles), half_a, halves)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0], stack[height, 1] = one, (child_b * WIDE + lane << ENTRY) + ALL
+                height += 1
+    return 0, 0, 0, 0, 0
 
 
 @inline
-def _parted(a, b, slot_a, slot_b, planes, count, slack):
-    """Whether one of the planes parts two boxes, the second one at both poses."""
-    middle_a, half_a = boxes.box_at(a.boxes, slot_a)
-    middle_b, half_b = boxes.box_at(b.boxes, slot_b)
+def _lanes(child, entry):
+    """The triangles of a leaf that an entry stands for, as bits."""
+    return (1 << size_of(child)) - 1 if entry & ALL == ALL else 1 << (entry & ALL)
+
+
+@inline
+def _triangle(tree, entry):
+    return walk.corners_at(tree.blocks, leaf_of(tree.children[entry >> ENTRY]) * BLOCK, entry & ALL)
+
+
+@inline
+def _box(tree, entry):
+    """Middle and half widths of the box of an entry, in single precision."""
+    if entry & ALL == ALL:
+        return boxes.box_at(tree.boxes, entry >> ENTRY)
+    p, q, r = _triangle(tree, entry)
+    low = min(p[0], min(q[0], r[0])), min(p[1], min(q[1], r[1])), min(p[2], min(q[2], r[2]))
+    high = max(p[0], max(q[0], r[0])), max(p[1], max(q[1], r[1])), max(p[2], max(q[2], r[2]))
+    return boxes.singles(scaled(0.5, plus(low, high))), boxes.singles(scaled(0.5, minus(high, low)))
+
+
+@inline
+def _parted(a, b, one, other, planes, count, slack):
+    """Whether one of the planes parts two entries, the second one at both poses."""
     for k in range(count):
         at = PLANE * k
-        above = _along(planes, at + 3, middle_a) + _across(planes, at + 3, half_a) + slack
-        low = _along(planes, at + 6, middle_b) - _across(planes, at + 6, half_b) + planes[at + 12]
-        low_last = _along(planes, at + 9, middle_b) - _across(planes, at + 9, half_b) + planes[at + 13]
-        if above < min(low, low_last):
+        above = _reach(a, one, planes, at + 3, 1.0) + slack
+        low = planes[at + 12] - _reach(b, other, planes, at + 6, -1.0)
+        if above < low and above < planes[at + 13] - _reach(b, other, planes, at + 9, -1.0):
             return True
     return False
+
+
+@inline
+def _reach(tree, entry, planes, at, sign):
+    """How far an entry goes along a normal, or in the opposite direction."""
+    if entry & ALL == ALL:
+        middle, half = boxes.box_at(tree.boxes, entry >> ENTRY)
+        return sign * _along(planes, at, middle) + _across(planes, at, half)
+    p, q, r = _triangle(tree, entry)
+    return max(
+        sign * _along(planes, at, p), max(sign * _along(planes, at, q), sign * _along(planes, at, r))
+    )  # fmt: skip
 
 
 @inline
@@ -175,8 +247,17 @@ def _lowest(corners, n):
 
 
 @inline
+def _near(one, first, last, reach):
+    """Where the box of a triangle and the boxes around eight at two poses come within `reach` along all axes."""
+    return (
+        _near_along(one, first, last, reach, 0)
+        & _near_along(one, first, last, reach, 1)
+        & _near_along(one, first, last, reach, 2)
+    )
+
+
+@inline
 def _near_along(one, first, last, reach, axis):
-    """Where the box of a triangle and the boxes around eight at two poses come within `reach` along an axis."""
     low = minimum(walk.low(first, axis), walk.low(last, axis))
     high = maximum(walk.high(first, axis), walk.high(last, axis))
     return (low <= walk.high(one, axis) + reach) & (high >= walk.low(one, axis) - reach)

@@ -123,32 +123,23 @@ def next_meeting(about, a, b, memory, height):
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
             return child_a, child_b, height
-        height = push_meeting(about, a, b, slot_a, slot_b, stack, height)
+        if boxes.opens_first(a, b, slot_a, slot_b):
+            middle, half = boxes.box_at(b.boxes, slot_b)
+            middles, halves = boxes.boxes_of(a.boxes, child_a)
+            bits = boxes.meeting(about, boxes.between(about, middles, middle), halves, half)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0], stack[height, 1] = child_a * WIDE + lane, slot_b
+                height += 1
+        else:
+            middle, half = boxes.box_at(a.boxes, slot_a)
+            middles, halves = boxes.boxes_of(b.boxes, child_b)
+            bits = boxes.meeting(about, boxes.between(about, middle, middles), half, halves)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0], stack[height, 1] = slot_a, child_b * WIDE + lane
+                height += 1
     return 0, 0, 0
-
-
-@inline
-def push_meeting(about, a, b, slot_a, slot_b, stack, height):
-    """Open one of two boxes, and put the pairs that are not proven apart on the stack."""
-    if boxes.opens_first(a, b, slot_a, slot_b):
-        child = a.children[slot_a]
-        middle, half = boxes.box_at(b.boxes, slot_b)
-        middles, halves = boxes.boxes_of(a.boxes, child)
-        bits = boxes.meeting(about, boxes.between(about, middles, middle), halves, half)
-        while bits != 0:
-            lane, bits = next_lane(bits)
-            stack[height, 0], stack[height, 1] = child * WIDE + lane, slot_b
-            height += 1
-    else:
-        child = b.children[slot_b]
-        middle, half = boxes.box_at(a.boxes, slot_a)
-        middles, halves = boxes.boxes_of(b.boxes, child)
-        bits = boxes.meeting(about, boxes.between(about, middle, middles), half, halves)
-        while bits != 0:
-            lane, bits = next_lane(bits)
-            stack[height, 0], stack[height, 1] = slot_a, child * WIDE + lane
-            height += 1
-    return height
 
 
 @inline

@@ -301,7 +301,7 @@ def _row_of_answers(motion, near):
 
     All parts of a surface have the same answers, since these are sought with all its triangles. A row has the pair of
     bodies, the two surfaces or pieces, the intervals of the block that are settled, and the configurations that have
-    been tested, the latter two as bits.
+    been tested, the latter two as bits. Another bit of the intervals tells whether all have been tried as one.
     """
     layout = pieces_of(motion.pack).layout
     i_is, j_is = layout[near.i, KIND] <= SURFACE, layout[near.j, KIND] <= SURFACE
@@ -727,14 +727,7 @@ def _halve_waiting(motion, count, found, tally):
             left = _open_between(motion, near, times[k], times[k + 1], n)
         if proven or left == 0:
             continue
-        still, b, moves = swept.poses, other * LANES + k, other < motion.counts.moving
-        if not moves:
-            still, b = _standing_poses(problem), other - motion.counts.moving
-        width, at = times[k + 1] - times[k], one * LANES + k
-        if row >= 0 and _triangles_apart(motion, near, back, width, swept.poses, at, at + 1, still, b, b + moves):
-            answers[row, 3] |= 1 << k
-            continue
-        if _moved(near, width) <= _enough(motion, near):
+        if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
             continue
         low, high = times[k], times[k + 1]
@@ -751,6 +744,34 @@ def _halve_waiting(motion, count, found, tally):
         if _hit(found):
             break
     return found
+
+
+@apart
+def _settled_by_triangles(motion, near, k, is_first):
+    """The intervals of the block, as bits, in which the triangles of two pieces are proven apart: of all or of k.
+
+    All intervals are tried as a single one if `is_first`, and this is marked by a further bit.
+    """
+    mark = 1 << INTERVALS if is_first else 0
+    if is_first and _apart_in_block(motion, near, 0, INTERVALS):
+        return EVERY | mark
+    return mark | (_apart_in_block(motion, near, k, k + 1) << k)
+
+
+@inline
+def _apart_in_block(motion, near, first, last):
+    """`_triangles_apart` between two configurations of the block."""
+    problem, swept, times = problem_of(motion.problem), _swept_of(motion), _times_of(motion)
+    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
+    moves = other < motion.counts.moving
+    back = _ways(motion, False, other, problem.link[other] if moves else -1, problem.link[one])
+    a, still, b, step = one * LANES, _standing_poses(problem), other - motion.counts.moving, 0
+    if moves:
+        still, b, step = swept.poses, other * LANES, 1
+    return _triangles_apart(
+        motion, near, back, times[last] - times[first], swept.poses, a + first, a + last, still, b + first * step,
+        b + last * step,
+    )  # fmt: skip
 
 
 @inline
@@ -843,8 +864,16 @@ def _search(motion, e, found, waiting_count, tally):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
+            if row >= 0 and end == k + 1:
+                answers[row, 4] |= 1 << end
+                answers[row, 3] |= _settled_by_triangles(motion, near, k, (answers[row, 3] >> INTERVALS) == 0)
+                live &= ~answers[row, 3]
+                if (answers[row, 3] >> k) & 1 != 0:
+                    break
+        if row >= 0 and (answers[row, 3] >> k) & 1 != 0:
+            continue
         if row >= 0:
-            answers[row, 4] |= 3 << k
+            answers[row, 4] |= 1 << k
         waiting[waiting_count, 0], waiting[waiting_count, 1], waiting[waiting_count, 2] = e, k, undecided
         normals[waiting_count, 0], normals[waiting_count, 1], normals[waiting_count, 2] = n
         waiting_count += 1
@@ -912,7 +941,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     """
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)
-    listed, ways = _listed_of(motion), _listed_ways_of(motion)
+    listed, ways, answers = _listed_of(motion), _listed_ways_of(motion), _answers_of(motion)
     one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin(motion, pair)
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
     width = times[1] - times[0]
@@ -948,9 +977,13 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
             if deepest >= 0:
                 n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
                 near = _listed_pair(motion, count)
-                found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
-                if _hit(found):
-                    return found, count
+                row = _row_of_answers(motion, near)
+                if row < 0 or answers[row, 4] == 0:  # of parts of surfaces only the first ones
+                    found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
+                    if _hit(found):
+                        return found, count
+                    if row >= 0:
+                        answers[row, 4] = listed[count, 4]
             count += 1
             if count == LISTED:
                 found, count = _settle_listed(motion, count, found, tally), 0
