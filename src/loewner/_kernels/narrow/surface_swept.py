@@ -20,8 +20,8 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
-# Searches for one interval, and pairs of leaves, at most: more take longer than halving the interval.
-MOST_SEARCHES, MOST_LEAVES = 256, 512
+# Searches for one interval, and steps of the walk, at most: more take longer than halving the interval.
+MOST_SEARCHES, MOST_STEPS = 256, 1024
 
 # An entry of the stack is the number of a box, shifted by so many bits, plus ALL, or plus one of the leaf's triangles.
 ENTRY, ALL = 4, 15
@@ -70,17 +70,14 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
     a, b, about = surface_of(A), surface_of(first), relation(A, first, shift, size, far + travel)
     W, result, places = walk.vertices_of(memory), walk.result_of(memory), walk.placed_of(memory)
     stack, planes, n = walk.stack_of(memory), walk.parting_of(memory), walk.ORIGIN
-    height, searches, leaves, beyond = 1, 0, 0, far + 4.0 * walk.CORNER_ERROR * size
+    height, searches, steps, beyond = 1, 0, 0, far + 4.0 * walk.CORNER_ERROR * size
     stack[0, 0], stack[0, 1], slack = ALL, ALL, far + boxes.ROUNDINGS * size
     while True:
-        child_a, child_b, left, lanes_b, height = _next_pair(
-            about, a, b, planes, min(searches, PLANES), slack, stack, height
+        child_a, child_b, left, lanes_b, height, steps = _next_pair(
+            about, a, b, planes, min(searches, PLANES), slack, stack, height, steps
         )
         if child_a >= 0:
-            return True
-        leaves += 1
-        if leaves > MOST_LEAVES:
-            return False
+            return steps < MOST_STEPS
         leaf_b, is_swept = leaf_of(child_b), False
         of_a = walk.placed_corners(A, a.blocks, leaf_of(child_a), walk.ORIGIN)
         b_first = walk.placed_corners(first, b.blocks, leaf_b, shift)
@@ -122,21 +119,24 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
 
 
 @inline
-def _next_pair(about, a, b, planes, count, slack, stack, height):
-    """The next two leaves that may be near, their triangles as bits, and the height of the stack; 0 at the end.
+def _next_pair(about, a, b, planes, count, slack, stack, height, steps):
+    """The next two leaves that may be near, their triangles as bits, the height of the stack, and all steps so far.
+
+    Zeros instead of leaves at the end of the walk, and after too many steps.
 
     Compare `surface_walk.next_meeting`. An entry of the stack is a box, or one of the triangles of a leaf: large
     triangles next to small ones are taken one by one, since a leaf of them fills much space.
     """
-    while height > 0:
+    while height > 0 and steps < MOST_STEPS:
         height -= 1
+        steps += 1
         one, other = stack[height, 0], stack[height, 1]
         if _parted(a, b, one, other, planes, count, slack):
             continue
         child_a, child_b = a.children[one >> ENTRY], b.children[other >> ENTRY]
         opens_a, opens_b = child_a >= 0, child_b >= 0
         if not (opens_a or opens_b):
-            return child_a, child_b, _lanes(child_a, one), _lanes(child_b, other), height
+            return child_a, child_b, _lanes(child_a, one), _lanes(child_b, other), height, steps
         middle_a, half_a = _box(a, one)
         middle_b, half_b = _box(b, other)
         a_is_larger = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
@@ -162,7 +162,7 @@ def _next_pair(about, a, b, planes, count, slack, stack, height):
                 lane, bits = next_lane(bits)
                 stack[height, 0], stack[height, 1] = one, (child_b * WIDE + lane << ENTRY) + ALL
                 height += 1
-    return 0, 0, 0, 0, 0
+    return 0, 0, 0, 0, 0, steps
 
 
 @inline

@@ -567,6 +567,22 @@ def _write_ends(motion, near, W, first, last):
     _copy_pair(motion, near, W, last, _ends_of(motion), 1, 3)
 
 
+@apart
+def _test_middle(motion, near, width, poses, row, other_row, toward, tally):
+    """Test two pieces exactly in the middle of an interval: FREE, or the verdict for it.
+
+    AMBIGUOUS if they come within the tolerance where points move by less than that.
+    """
+    tally[1] += 1
+    hit = _collides(motion, near.i, poses, row, near.j, poses, other_row, near.margin, toward)
+    if hit == FREE and _off(near, width) <= motion.tolerance:
+        tally[1] += 1
+        wide = near.margin + motion.tolerance
+        if _collides(motion, near.i, poses, row, near.j, poses, other_row, wide, toward) != FREE:
+            return AMBIGUOUS
+    return hit
+
+
 @njit()
 def _halve(motion, near, back, low, high, n, tally):
     """Settle an interval, whose poses at both ends have been written, which no plane between its ends proves.
@@ -589,7 +605,7 @@ def _halve(motion, near, back, low, high, n, tally):
     by_triangles : bool
         Whether it is FREE since all triangles of the surfaces are apart, in other parts, too.
     """
-    problem, by_triangles = problem_of(motion.problem), True
+    problem, by_triangles, has_surface = problem_of(motion.problem), True, _row_of_answers(motion, near) >= 0
     stands = problem.pairs[near.pair, 1] >= motion.counts.moving
     times, poses, part, ends = (
         _cut_times_of(motion), _cut_poses_of(motion), _part_times_of(motion), _ends_of(motion),
@@ -619,15 +635,12 @@ def _halve(motion, near, back, low, high, n, tally):
         middle = (first + last) // 2
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
-        tally[1] += 1
-        hit = _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward)
-        if hit != FREE:
-            return hit, t, False
-        if _off(near, width) <= motion.tolerance:
-            wide = near.margin + motion.tolerance
-            tally[1] += 1
-            if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, wide, toward) != FREE:
-                return AMBIGUOUS, t, False
+        # The exact test of surfaces takes longer than planes, so it waits until these fail.
+        waits = has_surface
+        if not waits:
+            hit = _test_middle(motion, near, width, poses, at + middle, both + middle, toward, tally)
+            if hit != FREE:
+                return hit, t, False
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
@@ -661,6 +674,11 @@ def _halve(motion, near, back, low, high, n, tally):
                 continue
             if _triangles_apart(motion, near, back, w, poses, at + a, at + b, poses, both + a, both + b):
                 continue
+            if waits:
+                waits = False
+                hit = _test_middle(motion, near, width, poses, at + middle, both + middle, toward, tally)
+                if hit != FREE:
+                    return hit, t, False
             if _moved(near, w) <= enough:
                 return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b]), False
             if left != EVERY:
