@@ -23,7 +23,7 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, siz
 # Searches for one interval, and steps of the walk, at most: more take longer than halving the interval.
 MOST_SEARCHES, MOST_STEPS = 256, 1024
 
-# An entry of the stack is the number of a box, shifted by so many bits, plus ALL, or plus one of the leaf's triangles.
+# An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL, or plus one of the leaf's triangles.
 ENTRY, ALL = 4, 15
 
 

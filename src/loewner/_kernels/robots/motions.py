@@ -301,7 +301,7 @@ def _row_of_answers(motion, near):
 
     All parts of a surface have the same answers, since these are sought with all its triangles. A row has the pair of
     bodies, the two surfaces or pieces, the intervals of the block that are settled, and the configurations that have
-    been tested, the latter two as bits. Another bit of the intervals tells whether all have been tried as one.
+    been tested, the latter two as bits. A further bit of the intervals marks that all have been tried as one.
     """
     layout = pieces_of(motion.pack).layout
     i_is, j_is = layout[near.i, KIND] <= SURFACE, layout[near.j, KIND] <= SURFACE
