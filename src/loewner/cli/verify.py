@@ -105,8 +105,10 @@ def _claim(report: verify.Report) -> str:
         return f"COLLIDING, {' and '.join(report.common)} have a common point"
     if report.ranges:
         return "FREE, the pairs above are farther apart than their margins, at all values in the ranges above"
+    inside = " and ".join(verify._shown(name) for name in report.uncovered)
+    starts = f" if nothing begins inside {inside}" if inside else ""
     contacts = f" except in {len(report.stretches)} contacts, which are listed above" if report.contacts else ""
-    return f"FREE, all pairs are farther apart than their margins, at every time{contacts}"
+    return f"FREE{starts}, all pairs are farther apart than their margins, at every time{contacts}"
 
 
 def _entry(report: verify.Report, faults: list[str]) -> dict[str, Any]:
