@@ -1,6 +1,7 @@
 """Surfaces in parts: proofs of motions among clouds, surfaces and solids, and what stays inside a solid all the way."""
 
 from fractions import Fraction
+from itertools import product
 from operator import is_
 
 import numpy as np
@@ -16,6 +17,7 @@ from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Sc
 from loewner.bodies import layout, parts
 from loewner.bodies.flat_faces import flat_faces
 from loewner.planners.judge import Judge
+from loewner.polytopes import Polytope
 from motion_oracle import assert_true, steps
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
@@ -268,6 +270,26 @@ def test_boxes_and_ellipsoids_hold_their_points(cloud, rng):
             assert -10 * rounding <= along.min() <= along.max() <= length + 10 * rounding
         reach = np.linalg.norm(np.linalg.solve(cut.outer_factor[i], (vertices - cut.outer_center[i]).T), axis=0)
         assert reach.max() < 1.0
+
+
+@pytest.mark.parametrize("shape", ["box", "ball", "thin", "flat", "edge", "far away", "needle"])
+def test_hulls_of_parts_hold_their_corners(shape, rng):
+    """None is outside the hull of the points that stand for its part, and these are few."""
+    points = rng.normal(size=(400, 3))
+    if shape != "box":
+        points /= np.linalg.norm(points, axis=1)[:, None]
+    widths = {"thin": [1.0, 1.0, 1e-6], "flat": [1.0, 1.0, 0.0], "edge": [1.0, 0.0, 0.0], "needle": [1.0, 1e-3, 1e-3]}
+    points *= widths.get(shape, [1.0, 0.7, 0.4])
+    turned = points @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + 1e3 * (shape == "far away")
+    box = np.array(list(product(*zip(turned.min(axis=0), turned.max(axis=0), strict=True))))
+    found = parts._hull_around(turned, box)
+    assert len(found) <= len(parts.WAYS)
+    if shape in ("flat", "edge"):
+        assert found is box
+        return
+    hull = Polytope.from_points(found)
+    beyond = (turned @ hull.normals.T - hull.offsets).max()
+    assert -1e-9 < beyond < 4 * np.spacing(np.abs(turned).max())
 
 
 def test_no_part_holds_points_of_two_walls(rng):
