@@ -510,3 +510,19 @@ def test_clouds_above_floors_that_turn():
             assert found.free_until <= first <= found.touching_at + 1.1 * t[1]
             assert (low[t < found.free_until] > 0).all()
             assert abs(np.interp(found.free_until, t, low)) <= 2e-4
+
+
+@pytest.mark.parametrize("solid", [True, False])
+def test_parallel_faces_of_a_hull_and_a_surface(solid):
+    """A mesh that comes down on a hull, face to face, touches it when their distance is covered."""
+    trimesh = pytest.importorskip("trimesh")
+    rim = trimesh.creation.cylinder(0.009, 0.01, sections=24).vertices
+    hull, cube = Body.from_points(rim), Body.from_surface(trimesh.creation.box((0.008, 0.008, 0.01)), solid=solid)
+    for height in np.linspace(0.0105, 0.0295, 12):
+        above, below = translation(z=height), translation(z=0.001)
+        for found in (
+            first_contact(hull, None, cube, (above, below)), first_contact(cube, (above, below), hull, None),
+        ):  # fmt: skip
+            contact = (height - 0.01) / (height - 0.001)
+            assert found.free_until <= contact <= found.touching_at
+            assert found.touching_at - found.free_until < 1e-3

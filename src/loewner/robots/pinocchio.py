@@ -12,6 +12,7 @@ import numpy as np
 
 from loewner import _validate
 from loewner._matrices import in_frame
+from loewner._plausible import warn
 from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.robots.coal_shapes import coal_body
@@ -49,6 +50,11 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
     for pair in geometry_model.collisionPairs:
         a, b = int(pair.first), int(pair.second)
         checked[a, b] = checked[b, a] = enabled[a] and enabled[b] and a != b
+    if len(shapes) > 1 and not checked.any():
+        warn(
+            f"geometry_model: expected collisionPairs, found none for {len(shapes)} shapes, so nothing will be checked "
+            "among them; addAllCollisionPairs() lists all"
+        )
     return Model(
         name=model.name or "model",
         links=tuple(dict.fromkeys([at_joint[0], *(joint.child for joint in joints)])),

@@ -242,11 +242,14 @@ def _look_at_surface(A, B, n, margin, far, memory):
         return verdict == COLLIDING, n, -np.inf, np.inf, n, n
     size, error = lengths(A, B, shift), rounding_error(A, B, shift)
     value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
-    # The verdict for a distance slightly below proves it.
-    keep = min(value, 2.0 * size) * (1.0 - NEAR) - 4.0 * error
-    if not keep > far:
-        return False, n, -np.inf, value - margin - radii, n, n
-    verdict, _ = surface_pair(A, B, keep, keep, work, work, 0)
+    # The verdict for a distance slightly below proves it, or farther below where faces are parallel.
+    share, keep, verdict = NEAR, 0.0, AMBIGUOUS
+    while verdict != FREE and share < 1.0:
+        keep = min(value, 2.0 * size) * (1.0 - share) - 4.0 * error
+        if not keep > far:
+            return False, n, -np.inf, value - margin - radii, n, n
+        verdict, _ = surface_pair(A, B, keep, keep, work, work, 0)
+        share *= 1000.0
     b = minus((result[6], result[7], result[8]), shift)
     above = value - margin - radii
     return False, _three(result, 0), keep - far if verdict == FREE else -np.inf, above, _three(result, 3), b
