@@ -7,10 +7,11 @@ import trimesh
 import capi
 from checker_oracle import robot_of
 from families import translation
-from loewner import Body, CollisionChecker, LoewnerError, Scene, Verdict, planners
+from loewner import Body, CollisionChecker, Joint, LoewnerError, Robot, Scene, Verdict, planners
+from loewner._kernels import columns
 from loewner.bodies import parts
 from loewner.robots.problem import Problem
-from moving_surfaces import SLIDES, Case, inverted
+from moving_surfaces import SLIDES, Case, inverted, joined
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
@@ -220,3 +221,55 @@ def test_clearances_keep_clouds_in_parts_beside_solids(tmp_path):
     np.testing.assert_allclose(capi.Checker(tmp_path / "cell.lwn").clearance(Q)[0], bounds, rtol=1e-12)
     scene.move("solid", translation(0.0, 0.0, 0.0))
     assert checker.clearance(Q).max() < 0
+
+
+def test_a_ball_in_a_tube_is_proven(tmp_path):
+    """However fine the ball, with a hundredfold of the tolerance as play, over long and short ways."""
+    tube = Body.from_surface(trimesh.creation.annulus(0.05, 0.07, 1.0, sections=64))
+    for finer in (1, 3):
+        ball = Body.from_surface(trimesh.creation.icosphere(finer, 0.05 * np.cos(np.pi / 64) - 1e-3))
+        scene = Scene()
+        scene.add("tube", tube)
+        checker = CollisionChecker(robot_of(tmp_path, [("prismatic", 0, SLIDES[2])], {"l1": ball}), scene)
+        found = checker.certify_edges([[-0.4], [0.0], [0.0]], [[0.4], [0.01], [1e-4]])
+        assert (found.verdict == FREE).all()
+
+
+def test_rounding_is_bounded_for_all_triangles(monkeypatch):
+    """Shells near the origin, whose parts no plane parts, and far away cubes, two of which collide at a skew pose.
+
+    If the bounds on rounding are for the parts alone, which are near, this contact is overlooked.
+    """
+    scale, far, depth, beside, skew = 0.01, 1000.3, 2e-4, 1e-4, 4.9e-7
+    bowl = trimesh.creation.icosphere(3, 3.0)
+    one = [trimesh.Trimesh(bowl.vertices, bowl.faces[bowl.triangles_center[:, 2] < 0.3], process=False)]
+    other = [trimesh.creation.icosphere(3, 2.4).apply_translation([0, 0, -0.591])]
+    for k in range(30):
+        at, low = np.array([0.2 * (k % 6), 0.2 * (k // 6), far]), 0.015 * (k > 0)
+        one.append(trimesh.creation.box((0.05,) * 3).apply_translation(at - [0, 0, 0.025 + low]))
+        above = at + [0, 0, 0.025 - depth * (k == 0) - beside]
+        other.append(trimesh.creation.box((0.04, 0.04, 0.05)).apply_translation(above))
+    (a, faces), (b, others) = joined(*one), joined(*other)
+    robot = Robot.from_links(
+        {"base": None, "arm": Body.from_surface((b * scale, others), solid=False)},
+        [Joint("s", "prismatic", "base", "arm", translation(z=beside * scale), axis=[1, 0, 0], lower=-1, upper=1)],
+    )
+    made = parts.kernel_of_parts
+
+    def with_own_reaches(p, tree, around, _):
+        kernel = made(p, tree, around, 0.0)
+        for k, corners in enumerate(around):
+            kernel.table[k, columns.REACH] = kernel.hot[k, columns.REACH] = np.linalg.norm(corners, axis=1).max()
+        return kernel
+
+    for forgetful in (False, True):
+        if forgetful:
+            monkeypatch.setattr(parts, "kernel_of_parts", with_own_reaches)
+            parts._known.clear()
+        surface = Body.from_surface((a * scale / [1, 1, 1 + skew], faces), solid=False)
+        scene = Scene()
+        scene.add("standing", surface, np.diag([1.0, 1.0, 1.0 + skew, 1.0]))
+        checker = CollisionChecker(robot, scene)
+        assert checker.collide([0.0])
+        assert checker.certify_edges([0.0], [1e-3 * scale]).verdict == (FREE if forgetful else COLLIDING)
+    parts._known.clear()

@@ -168,7 +168,7 @@ def one_body(kernel: records.Pieces) -> records.Pieces:
     return kernel._replace(piece_start=start, groups=groups, children=children, roots=roots)
 
 
-def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats]) -> records.Pieces:
+def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats], reach: float) -> records.Pieces:
     """Make the kernels' arrays of one body, the parts of a surface.
 
     An exact search on a part is answered by the whole surface's tree: it may find a collision with another part, which
@@ -181,8 +181,11 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats])
         The whole surface's tree.
     around : sequence of ndarray, shape (k, 3)
         For each part, points whose convex hull contains its triangles, without the radius.
+    reach : float
+        Reach of the whole surface: bounds on rounding have to hold for all triangles of the tree.
     """
     table, count = _table(p), len(around)
+    table[:, columns.REACH] = reach
     hot, number = np.ascontiguousarray(table[:, : columns.HOT]), np.arange(count)
     blocks = [_in_blocks(points) for points in around]
     single, points = _single(hot), _end_to_end([block.ravel() for block in blocks])

@@ -148,7 +148,7 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
     if not single:
         parts = (np.unique(triangles[order[start[k] : start[k + 1]]]) for k in range(count))
         around = [_hull_around(vertices[part], box) for part, box in zip(parts, around, strict=True)]
-    return Packed.with_kernel(made, kernel_of_parts(pieces, tree, around))
+    return Packed.with_kernel(made, kernel_of_parts(pieces, tree, around, float(packed.kernel.table[i, columns.REACH])))
 
 
 def _hull_around(points: Floats, box: Floats) -> Floats:

@@ -358,10 +358,15 @@ class Problem:
     @kept
     def open_cut(self) -> Problem | None:
         """The problem with surfaces of static bodies without solids in small parts, if there are any."""
+        return self._of_parts(in_open_parts(self.packs, self._stand))
+
+    @property
+    def _stand(self) -> Bools:
+        """Mark the bodies that have the same pose at all configurations."""
         stand = np.ones(len(self.packs), dtype=bool)
         rigid = rigid_with(self.robot)
         stand[: len(self.link)] = rigid[self.link] == rigid[0]
-        return self._of_parts(in_open_parts(self.packs, stand))
+        return stand
 
     @property
     def in_open_parts(self) -> Problem:

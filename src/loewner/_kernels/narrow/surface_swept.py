@@ -20,7 +20,8 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
-# Searches for one interval, and steps of the walk, at most: more take longer than halving the interval.
+# Searches for one interval, and steps of the walk, at most: more take longer than halving the interval. They are
+# multiplied for short intervals, in which as many triangles may come near as in the next shorter ones.
 MOST_SEARCHES, MOST_STEPS = 256, 1024
 
 # An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL, or plus one of the leaf's triangles.
@@ -28,7 +29,7 @@ ENTRY, ALL = 4, 15
 
 
 @apart
-def triangles_apart(A, first, last, keep, stretch, travel, gjk, memory):
+def triangles_apart(A, first, last, keep, stretch, travel, times, gjk, memory):
     """Whether a surface and another piece are proven farther apart than `keep` between two poses of the latter.
 
     Each triangle of the surface is parted at both poses by a plane from the other piece, or from each of its triangles,
@@ -44,6 +45,8 @@ def triangles_apart(A, first, last, keep, stretch, travel, gjk, memory):
         Amount by which poses between the two may stretch radii more than these poses do.
     travel : float
         Upper bound on the distance of any point's second place from its first one.
+    times : int
+        Multiple of the searches and steps that are allowed.
     gjk, memory : int
         Addresses of `gjk_fast.MEMORY` and `surface_walk.MEMORY`.
     """
@@ -54,12 +57,12 @@ def triangles_apart(A, first, last, keep, stretch, travel, gjk, memory):
     if radii > 0.0:
         far += max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
     if is_surface(first):
-        return _two_surfaces(A, first, last, keep + radii, far, travel, memory)
-    return _surface_and_piece(A, first, last, keep, far, stretch, travel, gjk, memory)
+        return _two_surfaces(A, first, last, keep + radii, far, travel, times, memory)
+    return _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, memory)
 
 
 @inline
-def _two_surfaces(A, first, last, near, far, travel, memory):
+def _two_surfaces(A, first, last, near, far, travel, times, memory):
     """Part the triangles of two surfaces; cores that come within `near` meet, and are to be proven `far` apart.
 
     A plane that parts two triangles mostly parts those around them, too, so the last few are tried on boxes and leaves.
@@ -74,10 +77,10 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
     stack[0, 0], stack[0, 1], slack = ALL, ALL, far + boxes.ROUNDINGS * size
     while True:
         child_a, child_b, left, lanes_b, height, steps = _next_pair(
-            about, a, b, planes, min(searches, PLANES), slack, stack, height, steps
+            about, a, b, planes, min(searches, PLANES), slack, stack, height, steps, times * MOST_STEPS
         )
         if child_a >= 0:
-            return steps < MOST_STEPS
+            return steps < times * MOST_STEPS
         leaf_b, is_swept = leaf_of(child_b), False
         of_a = walk.placed_corners(A, a.blocks, leaf_of(child_a), walk.ORIGIN)
         b_first = walk.placed_corners(first, b.blocks, leaf_b, shift)
@@ -108,7 +111,7 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
                 _write_two(W, 3 * LEAF, begin, end)
                 n = walk.nonzero(minus(plus(plus(begin[0], begin[1]), begin[2]), plus(plus(one[0], one[1]), one[2])))
                 status, _, _, n = walk.measured(A, first, shift, W, (LEAF, 2 * LEAF), n, error, near, far, result)
-                if status != APART or searches == MOST_SEARCHES:
+                if status != APART or searches >= times * MOST_SEARCHES:
                     return False
                 _keep_parting(A, first, last, shift, shift_last, n, planes, searches % PLANES)
                 searches += 1
@@ -119,7 +122,7 @@ def _two_surfaces(A, first, last, near, far, travel, memory):
 
 
 @inline
-def _next_pair(about, a, b, planes, count, slack, stack, height, steps):
+def _next_pair(about, a, b, planes, count, slack, stack, height, steps, most):
     """The next two leaves that may be near, their triangles as bits, the height of the stack, and all steps so far.
 
     Zeros instead of leaves at the end of the walk, and after too many steps.
@@ -127,7 +130,7 @@ def _next_pair(about, a, b, planes, count, slack, stack, height, steps):
     Compare `surface_walk.next_meeting`. An entry of the stack is a box, or one of the triangles of a leaf: large
     triangles next to small ones are taken one by one, since a leaf of them fills much space.
     """
-    while height > 0 and steps < MOST_STEPS:
+    while height > 0 and steps < most:
         height -= 1
         steps += 1
         one, other = stack[height, 0], stack[height, 1]
@@ -273,7 +276,7 @@ def _write_two(W, at, first, last):
 
 
 @inline
-def _surface_and_piece(A, first, last, keep, far, stretch, travel, gjk, memory):
+def _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, memory):
     """Part the triangles of a surface A from a convex piece; planes that were found are tried on other triangles."""
     shift, shift_last = shift_between(A, first), shift_between(A, last)
     size = max(lengths(A, first, shift), lengths(A, last, shift_last))
@@ -293,7 +296,7 @@ def _surface_and_piece(A, first, last, keep, far, stretch, travel, gjk, memory):
             piece = walk.triangle_piece(A, leaf * LEAF + lane, A.table[A.piece, ROUNDING], walk.first_of(memory))
             piece.layout[0, KIND] = SURFACE  # a polytope has no radius
             proven, n, _ = gjk_swept.separated(piece, first, last, walk.nonzero(n), keep, keep, stretch, gjk)
-            if not proven or searches == MOST_SEARCHES:
+            if not proven or searches >= times * MOST_SEARCHES:
                 return False
             k = searches % walk.PLANES
             searches += 1

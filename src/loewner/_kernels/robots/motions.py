@@ -107,6 +107,10 @@ FIRST_PAIRS = 4
 DEEP = 0.7
 
 PARTS = 8  # parts into which an interval is cut at a time
+
+# Multiple of the work for triangles that is allowed after a cut, and after two, or where nothing is left to be cut.
+MORE, MOST_MORE = 8, 64
+
 # A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
 # ends.
 DEPTH = 19
@@ -321,7 +325,7 @@ def _row_of_answers(motion, near):
 
 
 @apart
-def _triangles_apart(motion, near, back, width, poses, first, last, still, fixed_first, fixed_last):
+def _triangles_apart(motion, near, back, width, times, poses, first, last, still, fixed_first, fixed_last):
     """Whether two pieces, if one of them is a surface or a part of one, are proven apart in an interval.
 
     Parameters
@@ -331,6 +335,8 @@ def _triangles_apart(motion, near, back, width, poses, first, last, still, fixed
         `Ways` of j relative to i.
     width : float
         Length of the interval.
+    times : int
+        As for `triangles_apart`.
     poses, first, last :
         Poses in the world, and the rows with the pose of the body of i at both ends.
     still, fixed_first, fixed_last :
@@ -350,7 +356,7 @@ def _triangles_apart(motion, near, back, width, poses, first, last, still, fixed
     return triangles_apart(
         placed(pieces, j, still, fixed_first), placed(pieces, i, poses, first), placed(pieces, i, poses, last),
         near.margin + near.slack + bend * width * width / 8.0, 2.0 * motion_tables_of(motion.tables).chain[2],
-        speed * width, _gjk_of(motion), _exact_of(motion),
+        speed * width, times, _gjk_of(motion), _exact_of(motion),
     )  # fmt: skip
 
 
@@ -672,7 +678,8 @@ def _halve(motion, near, back, low, high, n, tally):
             if found:
                 by_triangles = False
                 continue
-            if _triangles_apart(motion, near, back, w, poses, at + a, at + b, poses, both + a, both + b):
+            more = MOST_MORE if depth > 1 or _moved(near, w) <= enough else MORE**depth
+            if _triangles_apart(motion, near, back, w, more, poses, at + a, at + b, poses, both + a, both + b):
                 continue
             if waits:
                 waits = False
@@ -746,6 +753,9 @@ def _halve_waiting(motion, count, found, tally):
         if proven or left == 0:
             continue
         if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
+            if row >= 0 and _apart_in_block(motion, near, k, k + 1, MOST_MORE):
+                answers[row, 3] |= 1 << k
+                continue
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
             continue
         low, high = times[k], times[k + 1]
@@ -771,13 +781,13 @@ def _settled_by_triangles(motion, near, k, is_first):
     All intervals are tried as a single one if `is_first`, and this is marked by a further bit.
     """
     mark = 1 << INTERVALS if is_first else 0
-    if is_first and _apart_in_block(motion, near, 0, INTERVALS):
+    if is_first and _apart_in_block(motion, near, 0, INTERVALS, 1):
         return EVERY | mark
-    return mark | (_apart_in_block(motion, near, k, k + 1) << k)
+    return mark | (_apart_in_block(motion, near, k, k + 1, 1) << k)
 
 
 @inline
-def _apart_in_block(motion, near, first, last):
+def _apart_in_block(motion, near, first, last, more):
     """`_triangles_apart` between two configurations of the block."""
     problem, swept, times = problem_of(motion.problem), _swept_of(motion), _times_of(motion)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
@@ -787,7 +797,7 @@ def _apart_in_block(motion, near, first, last):
     if moves:
         still, b, step = swept.poses, other * LANES, 1
     return _triangles_apart(
-        motion, near, back, times[last] - times[first], swept.poses, a + first, a + last, still, b + first * step,
+        motion, near, back, times[last] - times[first], more, swept.poses, a + first, a + last, still, b + first * step,
         b + last * step,
     )  # fmt: skip
 
