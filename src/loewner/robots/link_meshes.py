@@ -38,8 +38,8 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
         "hull": the mesh is closed, and it is proven that its hull sticks out by at most `NEAR`, or by at most
         `NEAR_SHARE`. "solid": the mesh is closed, and this is not proven. "open": it has no inside.
     mesh : tuple of ndarray
-        Vertices and triangles, closed if it was nearly closed, and with each closed part turned outward: two
-        overlapping parts that are turned differently would have a hollow in common.
+        Vertices and triangles, closed if it was nearly closed, and with each closed part turned outward, unless all
+        points of it that were tried lie in a larger part: then it is a cavity of that part.
     edges : int
         The number of edges at which the mesh was open.
     """
