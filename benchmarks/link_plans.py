@@ -36,6 +36,7 @@ class Arm(NamedTuple):
     low: float  # their heights
     high: float
     size: float  # longest edge [m]
+    state: str | None = None  # of the SRDF, for all other joints
 
 
 ARMS = {
@@ -60,7 +61,7 @@ ARMS = {
     ),
     "Talos": Arm(
         "talos_data/robots/talos_full_v2.urdf", "talos_data/srdf/talos.srdf",
-        tuple(f"arm_left_{k}_joint" for k in range(1, 8)), 0.35, 0.8, 0.0, 0.8, 0.25,
+        tuple(f"arm_left_{k}_joint" for k in range(1, 8)), 0.35, 0.8, 0.0, 0.8, 0.25, "half_sitting",
     ),
 }  # fmt: skip
 
@@ -126,7 +127,7 @@ def scene_of(boxes: Boxes) -> Scene:
 def free_problems(robot: Robot, arm: Arm, count: int) -> tuple[Boxes, np.ndarray]:
     """Place up to fourteen boxes around the robot's start, and find free configurations among them."""
     rng, boxes = np.random.default_rng(0), Boxes()
-    start = robot.configuration()
+    start = robot.configuration(arm.state)
     for _ in range(14):
         angle, distance = rng.uniform(0, 2 * np.pi), rng.uniform(arm.near, arm.far)
         center = np.array([distance * np.cos(angle), distance * np.sin(angle), rng.uniform(arm.low, arm.high)])
