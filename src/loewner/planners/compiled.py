@@ -260,11 +260,8 @@ def _what_is_between(growth: Growth) -> str:
     return f"Of {len(a)} motions between the trees, {', and '.join(parts)}. " if parts else ""
 
 
-def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int, until: float = np.inf) -> Floats:
-    """Return a shorter path with the same ends; the judge has found all motions of both paths free.
-
-    Nothing more is tried after `until` by the monotonic clock.
-    """
+def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
+    """Return a shorter path with the same ends; the judge has found all motions of both paths free."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     asked = judge.asked()
@@ -274,9 +271,8 @@ def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int, unt
     rows[:count] = path
     state[RANDOM] = seed
     ends, points = np.empty((2, path.shape[1])), np.empty((2, path.shape[1]))
-    done, portion = -1, AT_A_TIME if until == np.inf else 1
-    while done < max_iterations and count > 2 and done != state[ITERATION] and time.monotonic() < until:
-        done, called = int(state[ITERATION]), time.monotonic()
-        count = entries.shorten_path(count, min(done + portion, max_iterations), *asked, rows, state, ends, points)
-        portion = min(2 * portion, AT_A_TIME) if time.monotonic() - called < A_WHILE else max(portion // 2, 1)
+    done = -1
+    while done < max_iterations and count > 2 and done != state[ITERATION]:
+        done = int(state[ITERATION])
+        count = entries.shorten_path(count, min(done + AT_A_TIME, max_iterations), *asked, rows, state, ends, points)
     return rows[:count].copy()

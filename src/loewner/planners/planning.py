@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, Literal, TypedDict, Unpack, overload
@@ -128,8 +127,8 @@ def plan(
         Number of random configurations that the compiled planner draws before it gives up. Default: no limit, so that
         only the timeout ends the search.
     timeout : float
-        Time limit of the search and of simplifying, in seconds. OMPL planners that seek a shortest path always use the
-        whole time, and simplifying their paths takes additional time.
+        Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
+        always use the whole time.
     simplify : bool
         Shorten the path. Paths of OMPL planners are also smoothed, by OMPL's path simplifier.
     seed : int
@@ -275,13 +274,13 @@ def plan(
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
         goals = kept.checked(robot, q, goals)
-    rounds, clearing, until = 0, None, time.monotonic() + timeout
+    rounds, clearing = 0, None
     if make is not None:
         found = ompl_planners.search(space, make, q, goals, timeout, resolution, judge, simplify, seed)
     else:
         found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
         if simplify:
-            found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed, until=until)
+            found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
         if better is not None:
             clearing = better.clearing(judge)
             found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
