@@ -133,6 +133,28 @@ def test_closed_meshes_are_solid_unlike_in_coal():
     agreed(Pinocchio(model, geometry, hollow=True))
 
 
+@pytest.mark.parametrize(("hole", "kind"), [(False, "solid"), (True, "polytope")])
+def test_meshes_of_pinocchio_become_hulls_or_solids(hole, kind):
+    """As those of a URDF: an L-shaped mesh stays hollow between its arms, and an open one becomes its hull, told."""
+    coal, trimesh = pytest.importorskip("coal"), pytest.importorskip("trimesh")
+    pytest.importorskip("pinocchio")
+    outline = np.array([[0, 0], [1, 0], [1, 0.1], [0.1, 0.1], [0.1, 1], [0, 1.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+    corner = trimesh.creation.extrude_triangulation(outline, faces, height=0.1)
+    triangles = corner.triangles[(4 if hole else 0) :]
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), 3 * len(triangles))
+    for triangle in triangles:
+        mesh.addTriangle(*triangle)
+    mesh.endModel()
+    model, geometry = free_body(coal.Sphere(0.05), mesh)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        robot = Robot.from_pinocchio(model, geometry, meshes="auto")
+    assert kind in {piece.kind for body in robot.bodies.values() for piece in body.pieces}
+    assert any("open, whose hulls were taken" in str(warning.message) for warning in told) == hole
+
+
 def test_pinocchio_pairs():
     """The listed pairs are checked, but of shapes that are disabled; pairs on one link are told if they collide."""
     coal, pin = pytest.importorskip("coal"), pytest.importorskip("pinocchio")
@@ -151,6 +173,9 @@ def test_pinocchio_pairs():
     assert len(robot.bodies["j"].pieces) == 2  # c and d are checked alike
     found = {frozenset(pair) for pair in CollisionChecker(robot).checked_pairs}
     assert found == {frozenset(pair) for pair in (("i", "j"), ("j/e", "i/b"))}
+    geometry.removeAllCollisionPairs()
+    with pytest.warns(UserWarning, match="expected collisionPairs, found none for 6 shapes"):
+        Robot.from_pinocchio(model, geometry)
 
 
 def test_pinocchio_refuses():

@@ -257,7 +257,7 @@ enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
 /* Take over changes of the scene, and prepare a workspace. */
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
 
-/* The set of bodies of which motions are proven. */
+/* The bodies with some of their surfaces cut, or whole where there is nothing to cut. */
 const Half *half_of(const loewner_checker *checker, Cutting cutting);
 
 loewner_status check_configurations(const loewner_checker *checker, const double *configurations, size_t n,

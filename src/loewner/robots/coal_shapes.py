@@ -8,6 +8,7 @@ import numpy as np
 
 from loewner.bodies import Body
 from loewner.errors import InputError
+from loewner.robots.link_meshes import mesh_body
 
 # Terrain of Coal may have no thickness at its lowest points; here it has this one [m].
 LEAST_DEPTH = 1e-6
@@ -47,9 +48,7 @@ def coal_body(shape: Any, meshes: str, tol: float) -> Body:
     if kind.startswith("BVHModel"):
         corners = [[shape.tri_indices(k)[i] for i in range(3)] for k in range(shape.num_tris)]
         mesh = np.array(shape.vertices()), np.array(corners, dtype=np.int64).reshape(-1, 3)
-        if meshes == "surface":
-            return Body.from_surface(mesh)
-        return Body.from_mesh(mesh, decompose=meshes == "pieces", tol=tol)
+        return mesh_body(mesh, meshes, tol)
     if kind.startswith("HeightField"):
         return _terrain(shape)
     if kind == "OcTree":

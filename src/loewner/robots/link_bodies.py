@@ -25,21 +25,17 @@ from loewner._validate import Floats, Progress
 from loewner.bodies import Body, packed_of
 from loewner.coverage import Covering
 from loewner.errors import ConvergenceError, FileError, InputError
-from loewner.robots.link_meshes import hull_or_solid
+from loewner.robots.link_meshes import described, mesh_body, warn_of_open_meshes
 from loewner.robots.urdf import Description, Shape
 
 # glTF files may keep their points in other files, so their own bytes do not determine their content.
 NOT_CACHED = (".gltf", ".glb")
 
 # Representations of a link's mesh: its convex hull, convex pieces, the triangles themselves, or its hull or the solid
-# that it encloses, as `hull_or_solid` chooses; and the default.
+# that it encloses, as `link_meshes.hull_or_solid` chooses; and the default.
 MeshModel = Literal["hull", "pieces", "surface", "auto"]
 MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
 USUAL_MODEL: Final = "hull"
-
-# Bodies of meshes that are not closed, as `Robot.shapes` and the warning describe them.
-OPEN_HULL, CAPPED = "hull of an open mesh", "solid of a nearly closed mesh"
-OPENED = {CAPPED: "nearly closed, whose holes were closed", OPEN_HULL: "open, whose hulls were taken"}
 
 # Modules that make a body from a mesh file, apart from the kernels.
 _MAKERS = (
@@ -133,47 +129,24 @@ def link_bodies(
         if parts:
             made[link] = parts[0] if len(parts) == 1 else _union(parts)
             told[link] = tuple(
-                _described(part) if shape.kind == "mesh" else shape.kind
+                described(part) if shape.kind == "mesh" else shape.kind
                 for shape, part in zip(shapes, parts, strict=True)
             )
             if model == "auto":
                 log.info("%s, link %r: %s", robot.path, link, "; ".join(told[link]))
     if model == "auto":
-        _warn_of_open_meshes(robot, told)
+        warn_of_open_meshes(
+            robot.path,
+            [
+                (f"{PurePosixPath(shape.file_name).name} of {link!r}", word)
+                for link, words in told.items() for shape, word in zip(robot.shapes[link], words, strict=True)
+            ],
+            "meshes='surface' (--model surface)",
+        )  # fmt: skip
     doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(made) if doubt)
     for first in islice(doubts, 1):
         warn(first)
     return made, told
-
-
-def _described(body: Body) -> str:
-    """Describe in a few words the body that a mesh has become; the words before the first comma are its kind."""
-    first, covering = body.pieces[0], body.covering
-    if first.triangles is not None and first.kind in ("surface", "solid"):
-        kind = "surface without an inside" if first.kind == "surface" else "solid" if covering is None else CAPPED
-        return f"{kind}, {len(first.triangles):,} triangles"
-    if covering is None:
-        return first.kind
-    reach = f"out by up to {1e3 * covering.max_protrusion:.3g} mm"
-    if covering.kind == "decomposition" or len(body.pieces) > 1:
-        return f"pieces, {len(body.pieces)} that stick {reach}"
-    return OPEN_HULL if np.isnan(covering.excess_volume) else f"hull, sticks {reach}"
-
-
-def _warn_of_open_meshes(robot: Description, told: dict[str, tuple[str, ...]]) -> None:
-    """Name all meshes that have no inside as they are, in one warning."""
-    found: dict[str, list[str]] = {kind: [] for kind in OPENED}
-    for link, words in told.items():
-        for shape, word in zip(robot.shapes[link], words, strict=True):
-            name = PurePosixPath(shape.file_name).name
-            found.get(word.partition(",")[0], []).append(f"{name} of {link!r}")
-    groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in found.items() if names]
-    if groups:
-        warn(
-            f"{robot.path}: expected closed meshes, found {' and '.join(groups)}; a surface with a hole has no inside, "
-            "so that a part wholly within it would count as free; meshes='surface' (--model surface) takes the "
-            "triangles as they are"
-        )
 
 
 def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
@@ -235,20 +208,7 @@ def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
 
 
 def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
-    mesh = _Mesh(*placed_mesh(file, shape))
-    if model == "surface":
-        return Body.from_surface(mesh)
-    if model != "auto":
-        return Body.from_mesh(mesh, decompose=model == "pieces", tol=tol)
-    choice, closed, edges = hull_or_solid(*meshes.load((mesh.vertices, mesh.faces)))
-    if choice == "hull":
-        return Body.from_mesh(closed, decompose=False, tol=tol)
-    body = Body.from_surface(closed, solid=True) if choice == "solid" else Body.from_points(closed[0], tol=tol)
-    if choice == "solid" and edges == 0:
-        return body
-    # The distance by which a body sticks out of a surface without an inside is of little use, and slow to compute.
-    kind = "solid" if choice == "solid" else "hull"
-    return Body(packed_of(body), Covering(kind, True, 0.0, excess_volume=np.nan, samples=len(closed[0])))
+    return mesh_body(_Mesh(*placed_mesh(file, shape)), model, tol)
 
 
 @cache

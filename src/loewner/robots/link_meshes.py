@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Iterable
+from typing import Any, Literal
 
 import numpy as np
 
 from loewner import meshes
 from loewner._matrices import lengths
+from loewner._plausible import warn
 from loewner._validate import Floats, Ints
+from loewner.bodies import Body, packed_of
 from loewner.bodies.surfaces import nearly_closed
 from loewner.closed_parts import ClosedPart, closed_parts
+from loewner.coverage import Covering
 from loewner.errors import GeometryError
 from loewner.polytopes import Polytope
 from loewner.protrusion import Solid, protrusions
@@ -21,7 +25,65 @@ NEAR, NEAR_SHARE = 1e-3, 0.01
 # A part that encloses less than this share of the cube of the mesh's diameter has no inside: far above rounding.
 NO_INSIDE = 1e-12
 
+# Bodies of meshes that are not closed, as `described` and the warning name them.
+OPEN_HULL, CAPPED = "hull of an open mesh", "solid of a nearly closed mesh"
+OPENED = {CAPPED: "nearly closed, whose holes were closed", OPEN_HULL: "open, whose hulls were taken"}
+
 Choice = Literal["hull", "solid", "open"]
+
+
+def mesh_body(mesh: Any, model: str, tol: float) -> Body:
+    """Make the body of a mesh, as `Body.from_mesh` takes it, in one of the representations `link_bodies.MODELS`."""
+    if model == "surface":
+        return Body.from_surface(mesh)
+    if model != "auto":
+        return Body.from_mesh(mesh, decompose=model == "pieces", tol=tol)
+    choice, closed, edges = hull_or_solid(*meshes.load(mesh))
+    if choice == "hull":
+        return Body.from_mesh(closed, decompose=False, tol=tol)
+    body = Body.from_surface(closed, solid=True) if choice == "solid" else Body.from_points(closed[0], tol=tol)
+    if choice == "solid" and edges == 0:
+        return body
+    # The distance by which a body sticks out of a surface without an inside is of little use, and slow to compute.
+    kind = "solid" if choice == "solid" else "hull"
+    return Body(packed_of(body), Covering(kind, True, 0.0, excess_volume=np.nan, samples=len(closed[0])))
+
+
+def described(body: Body) -> str:
+    """Describe in a few words the body that a mesh has become; the words before the first comma are its kind."""
+    first, covering = body.pieces[0], body.covering
+    if first.triangles is not None and first.kind in ("surface", "solid"):
+        kind = "surface without an inside" if first.kind == "surface" else "solid" if covering is None else CAPPED
+        return f"{kind}, {len(first.triangles):,} triangles"
+    if covering is None:
+        return first.kind
+    reach = f"out by up to {1e3 * covering.max_protrusion:.3g} mm"
+    if covering.kind == "decomposition" or len(body.pieces) > 1:
+        return f"pieces, {len(body.pieces)} that stick {reach}"
+    return OPEN_HULL if np.isnan(covering.excess_volume) else f"hull, sticks {reach}"
+
+
+def warn_of_open_meshes(title: object, told: Iterable[tuple[str, str]], instead: str) -> None:
+    """Name all meshes that have no inside as they are, in one warning.
+
+    Parameters
+    ----------
+    title : object
+        The file or the model, for the message.
+    told : iterable of (str, str)
+        Names of meshes, and the results of `described`.
+    instead : str
+        The option that takes triangles as they are.
+    """
+    found: dict[str, list[str]] = {kind: [] for kind in OPENED}
+    for name, words in told:
+        found.get(words.partition(",")[0], []).append(name)
+    groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in found.items() if names]
+    if groups:
+        warn(
+            f"{title}: expected closed meshes, found {' and '.join(groups)}; a surface with a hole has no inside, so "
+            f"that a part wholly within it would count as free; {instead} takes the triangles as they are"
+        )
 
 
 def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floats, Ints], int]:

@@ -17,6 +17,7 @@ from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.robots.coal_shapes import coal_body
 from loewner.robots.link_bodies import MODELS
+from loewner.robots.link_meshes import described, warn_of_open_meshes
 from loewner.robots.links import Joint, JointKind, unused
 from loewner.robots.other_models import Model, Order, Shape, chained, expect, made_body, unique
 
@@ -45,6 +46,12 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
         if on != name:
             joints.append(Joint(f"{name} fixed", "fixed", on, name, frame.placement.homogeneous))
     shapes = [_shape(model, shape, of_body, at_joint, meshes, tol) for shape in geometry_model.geometryObjects]
+    if meshes == "auto":
+        are_meshes = (type(shape.geometry).__name__.startswith("BVHModel") for shape in geometry_model.geometryObjects)
+        told = [
+            (shape.name, described(shape.body)) for shape, is_mesh in zip(shapes, are_meshes, strict=True) if is_mesh
+        ]
+        warn_of_open_meshes(model.name or "model", told, "meshes='surface'")
     checked = np.zeros((len(shapes), len(shapes)), dtype=bool)
     enabled = [not shape.disableCollision for shape in geometry_model.geometryObjects]
     for pair in geometry_model.collisionPairs:

@@ -637,7 +637,7 @@ class Robot(KeepsReadOnly):
         model: Any,
         geometry_model: Any,
         *,
-        meshes: Literal["hull", "pieces", "surface"] = "surface",
+        meshes: MeshModel = "surface",
         tol: float = 1e-4,
     ) -> Robot:
         """Read a robot, with the world around it, from a model of pinocchio and its collision geometry.
@@ -649,7 +649,7 @@ class Robot(KeepsReadOnly):
         ----------
         model : pinocchio.Model
         geometry_model : pinocchio.GeometryModel
-        meshes : {"hull", "pieces", "surface"}
+        meshes : {"hull", "pieces", "surface", "auto"}
             Representation of meshes of triangles, as for `from_urdf`. The default, like Coal, is their triangles; the
             space that a closed one encloses belongs to it as well.
         tol : float
@@ -671,7 +671,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If bodies that are fixed to each other collide, which is not checked.
+            If bodies that are fixed to each other collide, which is not checked; if there are shapes but no pairs; or
+            if meshes are not closed, with "auto".
 
         Examples
         --------
