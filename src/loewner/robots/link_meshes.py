@@ -63,20 +63,20 @@ def described(body: Body) -> str:
     return OPEN_HULL if np.isnan(covering.excess_volume) else f"hull, sticks {reach}"
 
 
-def warn_of_open_meshes(title: object, told: Iterable[tuple[str, str]], instead: str) -> None:
+def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead: str) -> None:
     """Name all meshes that have no inside as they are, in one warning.
 
     Parameters
     ----------
     title : object
         The file or the model, for the message.
-    told : iterable of (str, str)
+    named : iterable of (str, str)
         Names of meshes, and the results of `described`.
     instead : str
         The option that takes triangles as they are.
     """
     found: dict[str, list[str]] = {kind: [] for kind in OPENED}
-    for name, words in told:
+    for name, words in named:
         found.get(words.partition(",")[0], []).append(name)
     groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in found.items() if names]
     if groups:
