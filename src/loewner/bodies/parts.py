@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from loewner._kernels import columns
-from loewner._matrices import dot
+from loewner._matrices import dot, product
 from loewner._native import entries
 from loewner._validate import Bools, Floats
 from loewner.bodies.flat_faces import flat_faces
@@ -24,10 +24,10 @@ PARTS = 6
 # Limits on the parts of a surface, and of all surfaces of a problem together, where only the parts count.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Directions, spread evenly, in which corners of large parts are farthest: more corners take longer to search.
-_HEIGHTS, _ANGLES = (2 * np.arange(64) + 1) / 64 - 1, np.pi * (3 - np.sqrt(5)) * np.arange(64)
-WAYS = np.sqrt(1 - _HEIGHTS**2)[:, None] * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), 0 * _ANGLES])
-WAYS[:, 2] = _HEIGHTS
+# Directions in which corners of large parts are farthest, since more corners take longer to search: 74 short vectors of
+# whole numbers, which are the same on all processors.
+_SHORT = np.indices((5, 5, 5)).reshape(3, -1).T - 2
+WAYS = _SHORT[np.isin((_SHORT**2).sum(axis=1), (1, 2, 3, 5, 6))].astype(float)
 
 # Step in which the vertices of a hull are moved outward, relative to its size; more than the rounding of their places.
 ROUNDED = 1e-12
@@ -164,7 +164,7 @@ def _hull_around(points: Floats, box: Floats) -> Floats:
     chosen = points
     if len(points) > len(WAYS):
         sides = np.ptp(points, axis=0)
-        chosen = points[np.unique((points @ (WAYS / np.where(sides > 0, sides, 1.0)).T).argmax(axis=0))]
+        chosen = points[np.unique(product(points, (WAYS / np.where(sides > 0, sides, 1.0)).T).argmax(axis=0))]
     try:
         hull = Polytope.from_points(chosen)
     except GeometryError:
@@ -177,5 +177,5 @@ def _hull_around(points: Floats, box: Floats) -> Floats:
         return box
     rows, away = hull.normals / heights[:, None], (points - center).T
     each = max(1, AT_ONCE // len(points))
-    farthest = max(float((rows[k : k + each] @ away).max()) for k in range(0, len(rows), each))
+    farthest = max(float(product(rows[k : k + each], away).max()) for k in range(0, len(rows), each))
     return np.asarray(center + (hull.vertices - center) * (1 + ROUNDED * (np.rint((farthest - 1) / ROUNDED) + 2)))
