@@ -19,7 +19,7 @@ from loewner._kernels.linalg3 import apply, apply_transposed, dot, plus, product
 from loewner._kernels.narrow.gjk_robust import off_orthonormal
 from loewner._kernels.pieces.shapes import placed_support, rotation_of
 from loewner._kernels.simd.memory import reader, record_kind
-from loewner._kernels.simd.vectors import absolute, load_single, maximum, movemask
+from loewner._kernels.simd.vectors import absolute, load_single, maximum, minimum, movemask
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
@@ -175,6 +175,36 @@ def meeting(relation, t, g, h):
         & (absolute(t[1] * m[2] - t[0] * m[5]) <= (g[0] * z[5] + g[1] * z[2] + e) + (h[0] * z[7] + h[1] * z[6]))
     )
     return bits & movemask(mask)
+
+
+@inline
+def meeting_between(first, last, middle_a, middle_b, g, h):
+    """Bits of the lanes whose boxes are not proven apart, along a's axes, on the straight way between two places of b.
+
+    Parameters
+    ----------
+    first, last : Relation
+        To b at both places.
+    middle_a, middle_b, g, h
+        Middles of the boxes, and half widths.
+    """
+    t, s, y, z = between(first, middle_a, middle_b), between(last, middle_a, middle_b), first.size, last.size
+    e = max(first.slack, last.slack)
+    return movemask(
+        _touching(t[0], s[0], (g[0] + e) + (y[0] * h[0] + y[1] * h[1] + y[2] * h[2]),
+                  (g[0] + e) + (z[0] * h[0] + z[1] * h[1] + z[2] * h[2]))
+        & _touching(t[1], s[1], (g[1] + e) + (y[3] * h[0] + y[4] * h[1] + y[5] * h[2]),
+                    (g[1] + e) + (z[3] * h[0] + z[4] * h[1] + z[5] * h[2]))
+        & _touching(t[2], s[2], (g[2] + e) + (y[6] * h[0] + y[7] * h[1] + y[8] * h[2]),
+                    (g[2] + e) + (z[6] * h[0] + z[7] * h[1] + z[8] * h[2]))
+    )  # fmt: skip
+
+
+@inline
+def _touching(first, last, reach_first, reach_last):
+    """Where what lies around `first` and `last` along an axis, so far, leaves no side of 0 free."""
+    above = minimum(first - reach_first, last - reach_last)
+    return (above <= np.float32(0.0)) & (maximum(first + reach_first, last + reach_last) >= np.float32(0.0))
 
 
 @inline

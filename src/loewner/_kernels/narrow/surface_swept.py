@@ -71,13 +71,14 @@ def _two_surfaces(A, first, last, near, far, travel, times, memory):
     size = max(lengths(A, first, shift), lengths(A, last, shift_last))
     error = max(rounding_error(A, first, shift), rounding_error(A, last, shift_last))
     a, b, about = surface_of(A), surface_of(first), relation(A, first, shift, size, far + travel)
+    to_first, to_last = relation(A, first, shift, size, far), relation(A, last, shift_last, size, far)
     W, result, places = walk.vertices_of(memory), walk.result_of(memory), walk.placed_of(memory)
     stack, planes, n = walk.stack_of(memory), walk.parting_of(memory), walk.ORIGIN
     height, searches, steps, beyond = 1, 0, 0, far + 4.0 * walk.CORNER_ERROR * size
     stack[0, 0], stack[0, 1], slack = ALL, ALL, far + boxes.ROUNDINGS * size
     while True:
         child_a, child_b, left, lanes_b, height, steps = _next_pair(
-            about, a, b, planes, min(searches, PLANES), slack, stack, height, steps, times * MOST_STEPS
+            (about, to_first, to_last), a, b, planes, min(searches, PLANES), slack, stack, height, steps, times * MOST_STEPS
         )
         if child_a >= 0:
             return steps < times * MOST_STEPS
@@ -122,7 +123,7 @@ def _two_surfaces(A, first, last, near, far, travel, times, memory):
 
 
 @inline
-def _next_pair(about, a, b, planes, count, slack, stack, height, steps, most):
+def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most):
     """The next two leaves that may be near, their triangles as bits, the height of the stack, and all steps so far.
 
     Zeros instead of leaves at the end of the walk, and after too many steps.
@@ -130,6 +131,7 @@ def _next_pair(about, a, b, planes, count, slack, stack, height, steps, most):
     Compare `surface_walk.next_meeting`. An entry of the stack is a box, or one of the triangles of a leaf: large
     triangles next to small ones are taken one by one, since a leaf of them fills much space.
     """
+    about, to_first, to_last = relations
     while height > 0 and steps < most:
         height -= 1
         steps += 1
@@ -153,14 +155,18 @@ def _next_pair(about, a, b, planes, count, slack, stack, height, steps, most):
                 height += 1
         elif opens_a and (a_is_larger or not opens_b):
             middles, halves = boxes.boxes_of(a.boxes, child_a)
-            bits = boxes.meeting(about, boxes.between(about, middles, middle_b), halves, half_b)
+            bits = boxes.meeting_between(to_first, to_last, middles, middle_b, halves, half_b)
+            if bits != 0:
+                bits &= boxes.meeting(about, boxes.between(about, middles, middle_b), halves, half_b)
             while bits != 0:
                 lane, bits = next_lane(bits)
                 stack[height, 0], stack[height, 1] = (child_a * WIDE + lane << ENTRY) + ALL, other
                 height += 1
         else:
             middles, halves = boxes.boxes_of(b.boxes, child_b)
-            bits = boxes.meeting(about, boxes.between(about, middle_a, middles), half_a, halves)
+            bits = boxes.meeting_between(to_first, to_last, middle_a, middles, half_a, halves)
+            if bits != 0:
+                bits &= boxes.meeting(about, boxes.between(about, middle_a, middles), half_a, halves)
             while bits != 0:
                 lane, bits = next_lane(bits)
                 stack[height, 0], stack[height, 1] = one, (child_b * WIDE + lane << ENTRY) + ALL
