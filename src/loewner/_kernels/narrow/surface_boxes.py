@@ -232,7 +232,7 @@ def in_box(boxes, node, query):
     for k in range(count):
         if bits == 0:
             break
-        bits &= ~movemask(_farthest(middles, halves, planes, k) <= np.float32(planes[4 * k + 3] - far))
+        bits &= ~movemask(farthest(middles, halves, planes, 4 * k, 1.0) <= np.float32(planes[4 * k + 3] - far))
     return bits
 
 
@@ -240,17 +240,17 @@ def in_box(boxes, node, query):
 def plane_gaps(middles, halves, planes, count, gaps):
     """Squared lower bounds on distances from what lies above planes, where they are larger than those in `gaps`."""
     for k in range(count):
-        gap = np.float32(planes[4 * k + 3]) - _farthest(middles, halves, planes, k)
+        gap = np.float32(planes[4 * k + 3]) - farthest(middles, halves, planes, 4 * k, 1.0)
         gap = maximum(gap, np.float32(0.0))
         gaps = maximum(gaps, gap * gap)
     return gaps
 
 
 @inline
-def _farthest(middles, halves, planes, k):
-    """How far boxes go along the normal of a plane."""
+def farthest(middles, halves, planes, at, sign):
+    """How far boxes go along a normal at an entry of `planes`, or in the opposite direction, in single precision."""
     f = np.float32
-    x, y, z = f(planes[4 * k]), f(planes[4 * k + 1]), f(planes[4 * k + 2])
+    x, y, z = f(sign * planes[at]), f(sign * planes[at + 1]), f(sign * planes[at + 2])
     return (middles[0] * x + middles[1] * y + middles[2] * z) + (
         halves[0] * abs(x) + halves[1] * abs(y) + halves[2] * abs(z)
     )

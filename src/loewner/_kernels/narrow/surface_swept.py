@@ -4,6 +4,8 @@ Proofs of motions replace a surface by convex parts. Where the parts meet althou
 through the trees of triangles finds a plane for each triangle, or each pair of triangles, that comes near.
 """
 
+import numpy as np
+
 from loewner._kernels._jit import apart, inline
 from loewner._kernels.codes import APART
 from loewner._kernels.columns import KIND, ROUNDING, SURFACE
@@ -22,7 +24,7 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, siz
 
 # Searches for one interval, and steps of the walk, at most: more take longer than halving the interval. They are
 # multiplied for short intervals, in which as many triangles may come near as in the next shorter ones.
-MOST_SEARCHES, MOST_STEPS = 256, 1024
+MOST_SEARCHES, MOST_STEPS = 256, 4096
 
 # An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL, or plus one of the leaf's triangles.
 ENTRY, ALL = 4, 15
@@ -70,15 +72,19 @@ def _two_surfaces(A, first, last, near, far, travel, times, memory):
     shift, shift_last = shift_between(A, first), shift_between(A, last)
     size = max(lengths(A, first, shift), lengths(A, last, shift_last))
     error = max(rounding_error(A, first, shift), rounding_error(A, last, shift_last))
-    a, b, about = surface_of(A), surface_of(first), relation(A, first, shift, size, far + travel)
-    to_first, to_last = relation(A, first, shift, size, far), relation(A, last, shift_last, size, far)
+    a, b = surface_of(A), surface_of(first)
+    relations = (
+        relation(A, first, shift, size, far + travel), relation(A, first, shift, size, far),
+        relation(A, last, shift_last, size, far),
+    )  # fmt: skip
     W, result, places = walk.vertices_of(memory), walk.result_of(memory), walk.placed_of(memory)
     stack, planes, n = walk.stack_of(memory), walk.parting_of(memory), walk.ORIGIN
     height, searches, steps, beyond = 1, 0, 0, far + 4.0 * walk.CORNER_ERROR * size
     stack[0, 0], stack[0, 1], slack = ALL, ALL, far + boxes.ROUNDINGS * size
     while True:
+        count = min(searches, PLANES)
         child_a, child_b, left, lanes_b, height, steps = _next_pair(
-            (about, to_first, to_last), a, b, planes, min(searches, PLANES), slack, stack, height, steps, times * MOST_STEPS
+            relations, a, b, planes, count, slack, stack, height, steps, times * MOST_STEPS
         )
         if child_a >= 0:
             return steps < times * MOST_STEPS
@@ -131,7 +137,6 @@ def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most
     Compare `surface_walk.next_meeting`. An entry of the stack is a box, or one of the triangles of a leaf: large
     triangles next to small ones are taken one by one, since a leaf of them fills much space.
     """
-    about, to_first, to_last = relations
     while height > 0 and steps < most:
         height -= 1
         steps += 1
@@ -155,18 +160,18 @@ def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most
                 height += 1
         elif opens_a and (a_is_larger or not opens_b):
             middles, halves = boxes.boxes_of(a.boxes, child_a)
-            bits = boxes.meeting_between(to_first, to_last, middles, middle_b, halves, half_b)
-            if bits != 0:
-                bits &= boxes.meeting(about, boxes.between(about, middles, middle_b), halves, half_b)
+            bits = _meeting(relations, middles, middle_b, halves, half_b)
+            for k in range(count if bits != 0 else 0):
+                bits &= ~_parted_from_b(b, other, planes, PLANE * k, slack, middles, halves)
             while bits != 0:
                 lane, bits = next_lane(bits)
                 stack[height, 0], stack[height, 1] = (child_a * WIDE + lane << ENTRY) + ALL, other
                 height += 1
         else:
             middles, halves = boxes.boxes_of(b.boxes, child_b)
-            bits = boxes.meeting_between(to_first, to_last, middle_a, middles, half_a, halves)
-            if bits != 0:
-                bits &= boxes.meeting(about, boxes.between(about, middle_a, middles), half_a, halves)
+            bits = _meeting(relations, middle_a, middles, half_a, halves)
+            for k in range(count if bits != 0 else 0):
+                bits &= ~_parted_from_a(a, one, planes, PLANE * k, slack, middles, halves)
             while bits != 0:
                 lane, bits = next_lane(bits)
                 stack[height, 0], stack[height, 1] = one, (child_b * WIDE + lane << ENTRY) + ALL
@@ -194,6 +199,34 @@ def _box(tree, entry):
     low = min(p[0], min(q[0], r[0])), min(p[1], min(q[1], r[1])), min(p[2], min(q[2], r[2]))
     high = max(p[0], max(q[0], r[0])), max(p[1], max(q[1], r[1])), max(p[2], max(q[2], r[2]))
     return boxes.singles(scaled(0.5, plus(low, high))), boxes.singles(scaled(0.5, minus(high, low)))
+
+
+@inline
+def _meeting(relations, middle_a, middle_b, half_a, half_b):
+    """Bits of the boxes that are near at the first pose, and on the way from there to the last one."""
+    near, first, last = relations
+    bits = boxes.meeting_between(first, last, middle_a, middle_b, half_a, half_b)
+    if bits != 0:
+        bits &= boxes.meeting(near, boxes.between(near, middle_a, middle_b), half_a, half_b)
+    return bits
+
+
+@inline
+def _parted_from_b(b, other, planes, at, slack, middles, halves):
+    """Bits of the boxes of a node of A's tree that a plane parts from an entry of the other one at both poses."""
+    low = planes[at + 12] - _reach(b, other, planes, at + 6, -1.0)
+    low = min(low, planes[at + 13] - _reach(b, other, planes, at + 9, -1.0)) - slack
+    return movemask(boxes.farthest(middles, halves, planes, at + 3, 1.0) < np.float32(low))
+
+
+@inline
+def _parted_from_a(a, one, planes, at, slack, middles, halves):
+    """The same for boxes of the other tree, and an entry of A's."""
+    high = _reach(a, one, planes, at + 3, 1.0) + slack
+    return movemask(
+        (boxes.farthest(middles, halves, planes, at + 6, -1.0) < np.float32(planes[at + 12] - high))
+        & (boxes.farthest(middles, halves, planes, at + 9, -1.0) < np.float32(planes[at + 13] - high))
+    )
 
 
 @inline
