@@ -179,7 +179,7 @@ def test_each_mesh_of_a_link_decides(folder, caplog):
     assert np.isnan(robot.bodies["b"].covering.max_protrusion)
     both = Robot.join({"one": robot, "two": robot}, {"two": translation(0, 9, 0)})
     assert both.shapes["two/b"] == pickle.loads(pickle.dumps(robot)).shapes["b"] == robot.shapes["b"]
-    assert Robot.from_urdf(text=URDF.format(link, "")).shapes["a"][1] != robot.shapes["a"][1]
+    assert Robot.from_urdf(text=URDF.format(link, ""), meshes="hull").shapes["a"][1] != robot.shapes["a"][1]
     with pytest.raises(loewner.UnknownNameError, match="link with shapes of a URDF"):
         robot.shapes["c"]
 
@@ -217,8 +217,8 @@ def test_bad_meshes_and_models(folder):
             Robot.from_urdf(text=URDF.format(LINK.format("0 0 0", "flat"), ""), meshes=model)
         texts.append(str(error.value).replace("mesh: ", ""))
     assert texts[0] == texts[1]
-    with pytest.raises(InputError, match="decompose: expected False with meshes='auto', found True"):
-        read("", decompose=True)
+    with pytest.raises(InputError, match="decompose: expected False with meshes='surface', found True"):
+        Robot.from_urdf(text=URDF.format("", ""), meshes="surface", decompose=True)
     with pytest.raises(loewner.UnknownNameError, match="meshes: expected one of hull, pieces, surface, auto"):
         Robot.from_urdf(text=URDF.format("", ""), meshes="automatic")
 
@@ -229,7 +229,7 @@ def test_hulls_that_always_collide_are_told(folder, capsys):
     box((0.2, 0.2, 0.2)).export("rod.stl")
     text = URDF.format(LINK.format("0 0 0", "ring"), LINK.format("0 0 0", "rod"))
     (folder / "r.urdf").write_text(text)
-    checker = CollisionChecker(Robot.from_urdf("r.urdf"))
+    checker = CollisionChecker(Robot.from_urdf("r.urdf", meshes="hull"))
     with pytest.warns(
         UserWarning, match=r"\('a': hull, sticks out by up to \d+ mm\) \('b': hull, sticks out by up to 0 "
     ):

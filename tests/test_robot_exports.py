@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 
 from checker_oracle import pose, random_robot, simple_bodies
 from loewner import Body, CollisionChecker, InputError, Robot
@@ -176,13 +177,31 @@ def on_a_link(body):
     return Robot.from_urdf(text='<robot name="dot"><link name="dot"/></robot>').with_body("lump", body, parent="dot")
 
 
+def bar(depth):
+    """A mesh of a bar with a groove around it."""
+    profile = [(0, 0), (1, 0), (1, 0.4), (1 - depth, 0.5), (1, 0.6), (1, 1), (0, 1)]
+    return trimesh.creation.revolve(profile, sections=9)
+
+
+@pytest.mark.parametrize("body", [Body.from_surface(bar(0.3)), Body.height_field(np.eye(3), [0.1, 0.1])])
+def test_solids_are_read_back(body, tmp_path):
+    """Their triangles are written, and become the same solid."""
+    back = expect_same_back(on_a_link(body), tmp_path)
+    (piece,) = back.bodies["lump"].pieces
+    assert piece.kind == "solid"
+    corners = [piece.vertices[piece.triangles] for piece in (piece, body.pieces[0])]
+    np.testing.assert_array_equal(*(np.unique(np.sort(each.reshape(-1, 9)), axis=0) for each in corners))
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda: on_a_link(Body.cone(0.1, 0.2)), "link 'lump': .*kind 'cone'"),
         (lambda: on_a_link(Body.ellipsoid([0.1, 0.2, 0.3])), "link 'lump': .*kind 'ellipsoid'"),
         (lambda: on_a_link(Body.from_cloud(np.eye(3), radius=0.1)), "link 'lump': expected convex pieces"),
-        (lambda: on_a_link(Body.height_field(np.eye(3), [0.1, 0.1])), "link 'lump': expected convex pieces"),
+        (lambda: on_a_link(Body.from_surface((np.eye(3), [[0, 1, 2]]))), "link 'lump': expected convex pieces"),
+        (lambda: on_a_link(Body.from_surface(bar(0.3), radius=0.1)), "link 'lump': expected convex pieces"),
+        (lambda: on_a_link(Body.from_surface(bar(1e-4))), "link 'lump': expected convex pieces"),
         (lambda: Robot.from_urdf(text=SLED).add_base("floating", [[-1, 1]] * 3, name="boat"), "bounds of 'boat'"),
         (lambda: Robot.join({"a\nb": on_a_link(Body.sphere(1.0))}), "names that can be printed"),
     ],

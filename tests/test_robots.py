@@ -389,11 +389,11 @@ def l_shape(folder):
     trimesh.util.concatenate(parts).export(folder / "l.stl")
 
 
-def test_hull_by_default_and_pieces_on_request(tmp_path):
+def test_hull_and_pieces_on_request(tmp_path):
     """The hull holds all sub-meshes; decomposing keeps the notch."""
     l_shape(tmp_path)
     path = urdf(tmp_path, f'<link name="a">{shape("""<mesh filename="l.stl"/>""")}</link>')
-    hull = Robot.from_urdf(path).bodies["a"]
+    hull = Robot.from_urdf(path, meshes="hull").bodies["a"]
     assert len(hull.pieces) == 1
     np.testing.assert_allclose(bounds(hull), [[-1, -0.5, -0.5], [1, 1.5, 0.5]], atol=1e-7)
     parts = Robot.from_urdf(path, decompose=True).bodies["a"]

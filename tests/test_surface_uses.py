@@ -275,7 +275,7 @@ def barista(tmp_path, monkeypatch):
 
 
 def test_meshes_of_a_robot(barista):
-    """Hulls by default, pieces and surfaces on request; the kept ones are not mistaken for one another."""
+    """Hulls, pieces and surfaces on request; the kept ones are not mistaken for one another."""
     boxes = [trimesh.creation.box((0.4, 0.1, 0.1)), trimesh.creation.box((0.1, 0.4, 0.1))]
     boxes[1].apply_translation([0.3, 0.2, 0])
     trimesh.util.concatenate(boxes).export(barista.parent / "cup.stl")
@@ -567,7 +567,7 @@ def test_a_tolerance_of_fits_is_not_passed_over(files, capsys):
 
 
 def test_view_takes_the_model(barista, files, capsys, monkeypatch):
-    """Two meshes, or a robot, are shown as what `--model` says; pieces and hulls without it."""
+    """Two meshes, or a robot, are shown as `--model` has it; as pieces, or as hulls and solids, without it."""
     pytest.importorskip("viser")
     from loewner import viewer
 
@@ -591,7 +591,8 @@ def test_view_takes_the_model(barista, files, capsys, monkeypatch):
     for arguments, kinds in (
         (ball, {"polytope"}),
         ((*ball, "--model", "surface"), {"solid"}),
-        (robot, {"polytope", "sphere"}),
+        ((*robot, "--model", "hull"), {"polytope", "sphere"}),
+        (robot, {"polytope", "solid", "sphere"}),
         ((*robot, "--model", "surface"), {"polytope", "solid", "sphere"}),
     ):
         assert run(capsys, *arguments)[0] == 0
@@ -606,7 +607,8 @@ def test_robots_of_surfaces_on_the_command_line(barista, capsys):
     np.save("q.npy", np.zeros((1, 3)))
     check = ("robot", "check", barista, "--configs", "q.npy")
     assert run(capsys, *check, "--model", "surface")[0] == 0
-    assert run(capsys, *check)[0] == 1
+    assert run(capsys, *check)[0] == 0
+    assert run(capsys, *check, "--model", "hull")[0] == 1
     status, _, err = run(capsys, *check, "--model", "surface", "--decompose")
     assert status == 2
     assert "--decompose: expected no other model" in err

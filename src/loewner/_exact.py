@@ -51,8 +51,10 @@ def verdict(margin: float, k: int, operands: Operands) -> int:
     count = entries.open_triangles(margin, k, plan, rows, pack_a, poses_a, pack_b, poses_b, listed)
     parts: dict[tuple[int, int], Part] = {}
     for piece_a, piece_b, row_a, row_b, triangle_a, triangle_b in listed[:count].tolist():
-        a = parts.setdefault((pack_a, piece_a), Part(pack_a, piece_a))
-        b = parts.setdefault((pack_b, piece_b), Part(pack_b, piece_b))
+        for key in ((pack_a, piece_a), (pack_b, piece_b)):
+            if key not in parts:
+                parts[key] = Part(*key)
+        a, b = parts[pack_a, piece_a], parts[pack_b, piece_b]
         T, S = poses_a.reshape(-1, 4, 4)[row_a], poses_b.reshape(-1, 4, 4)[row_b]
         if triangle_a < 0:
             if a.holds_part_of(b, T, S) or b.holds_part_of(a, S, T):

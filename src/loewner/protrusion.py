@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from loewner import _elementary
 from loewner._kept import kept
 from loewner._kernels import records
 from loewner._kernels.codes import UNCOUNTED
-from loewner._matrices import dot, image, lengths, product
+from loewner._matrices import dot, lengths, product
 from loewner._native import entries
 from loewner._validate import Bools, Floats, Ints
 from loewner._workspaces import workspace
@@ -33,6 +33,9 @@ WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
 
 # A cell is cut along the edges of the triangle in which it lies, unless its own edges are this many times as long.
 COARSE = 4.0
+
+# `heights_above` takes a multiple of this many planes.
+PLANES = 8
 
 # The triangles within reach of a cube are tested if the cube is no larger than this share of the diagonal.
 LARGEST_LOOKED_INTO = 0.1
@@ -266,6 +269,7 @@ class _Search:
     points: Floats
     bounds: Floats
     targets: Callable[[int], Floats]
+    planes: dict[int, Floats] = field(default_factory=dict)
 
     def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
         """Examine cells, beginning with the greatest bounds, and then the parts of unsettled cells.
@@ -289,6 +293,14 @@ class _Search:
             limit = np.concatenate([bound[origin], limit[later]])
             owner = np.concatenate([owner[now][origin], owner[later]])
         np.maximum.at(self.bounds, owner, limit)
+
+    def _planes(self, k: int) -> Floats:
+        """Return a piece's planes for `heights_above`, some of them twice, so that there is a multiple of eight."""
+        if k not in self.planes:
+            hull = self.hulls[k]
+            rows = np.column_stack([hull.normals, hull.offsets])
+            self.planes[k] = np.resize(rows, (-(-len(rows) // PLANES) * PLANES, 4)).T.ravel()
+        return self.planes[k]
 
     def _note(self, points: Floats, signed: Floats, owner: Ints) -> None:
         """Keep the farthest point of each piece."""
@@ -320,8 +332,10 @@ class _Search:
         radius = np.sqrt(3.0) * half
         height = np.empty(len(cells))
         for k in np.unique(owner):
-            mine = owner == k
-            height[mine] = (image(self.hulls[k].normals, middles[mine]) - self.hulls[k].offsets).max(axis=1)
+            mine = np.flatnonzero(owner == k)
+            found = np.empty(len(mine))
+            entries.heights_above(self._planes(k), middles[mine], radius[mine], found)
+            height[mine] = found
         signed = np.full(len(cells), -np.inf)
         met = np.flatnonzero(height < radius)
         signed[met] = self.solid.signed_distances(middles[met])[0]

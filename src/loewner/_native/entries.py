@@ -59,6 +59,7 @@ ENTRIES = {
         # -- points and meshes
         Entry("narrow.mesh_points", "points_memory", "", "i"),
         Entry("narrow.mesh_points", "squared_distances_of", "cF2 cF3 F1", ""),
+        Entry("narrow.mesh_points", "heights_above", "F1 F2 F1 F1", ""),
         Entry("narrow.mesh_points", "nearest_triangles", "i f cF2 F1 I1 i", ""),
         Entry("narrow.mesh_points", "winding_numbers", "i f cF2 I1 i", ""),
         Entry("narrow.mesh_points", "facing_one_way", "i f cF2 cF1 cF2 b f i T1 F2 i", ""),

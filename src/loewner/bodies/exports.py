@@ -8,7 +8,7 @@ inner ellipsoids by inscribed ones.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import product
@@ -59,7 +59,7 @@ class Shape:
     rotation, center : ndarray, shapes (3, 3) and (3,)
         Pose of the shape; for a mesh the identity and 0.
     mesh : tuple of ndarray, or None
-        Vertices and triangles of a convex mesh.
+        Vertices and triangles of a mesh, which is convex unless it is a solid.
     """
 
     kind: str
@@ -128,11 +128,19 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
 
 
 def add_collisions(
-    link: ElementTree.Element, packed: Packed, path: Path, which: str | None, mesh_prefix: str
+    link: ElementTree.Element,
+    packed: Packed,
+    path: Path,
+    which: str | None,
+    mesh_prefix: str,
+    accepted: Callable[[Mesh], bool] | None = None,
 ) -> dict[Path, str]:
-    """Add the shapes of a body to a link of the URDF at `path`, and return the contents of its mesh files."""
+    """Add the shapes of a body to a link of the URDF at `path`, and return the contents of its mesh files.
+
+    The triangles of a solid become a mesh if they are `accepted`; otherwise they are refused, like all other surfaces.
+    """
     meshes: dict[Path, str] = {}
-    for shape in (part for listed in _listed(packed, which) for part in _for_urdf(listed, which)):
+    for shape in (part for listed in _listed(packed, which, accepted) for part in _for_urdf(listed, which)):
         collision = ElementTree.SubElement(link, "collision")
         add_origin(collision, shape.rotation, shape.center)
         geometry = ElementTree.SubElement(collision, "geometry")
@@ -205,27 +213,29 @@ def _obj(vertices: Floats, triangles: Any) -> str:
 # -- shapes ----------------------------------------------------------------------------------------
 
 
-def _listed(packed: Packed, which: str | None) -> list[Shape]:
-    shapes = list(_shapes(packed, which))
+def _listed(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] | None = None) -> list[Shape]:
+    shapes = list(_shapes(packed, which, accepted))
     if not shapes:
         raise InputError("expected a body with inner ellipsoids, found surfaces whose inner ellipsoids are points")
     return shapes
 
 
-def _shapes(packed: Packed, which: str | None) -> Iterator[Shape]:
+def _shapes(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] | None) -> Iterator[Shape]:
     """Convert the pieces, or the inner or outer ellipsoid of each, to shapes."""
     if which is not None:
         _validate.choice(which, "ellipsoids", ELLIPSOIDS)
         fitted = zip(*ellipsoids_of(packed, which), strict=True)
         return (_ellipsoid(center, factor) for center, factor in fitted if factor.any())
-    surface = packed.layout[:, columns.KIND] < columns.POLYTOPE
+    surface, meshes = packed.layout[:, columns.KIND] < columns.POLYTOPE, of_pieces(packed)
+    for number in np.flatnonzero(packed.layout[:, columns.KIND] == columns.SOLID) if accepted else ():
+        surface[number] = packed.frames[number, 0] > 0.0 or not accepted(meshes[number])
     if surface.any():
         raise InputError(
             f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, a height field or a cloud "
             "of points: these formats would collide its convex hull. Write ellipsoids='outer', or make the body of "
             "convex pieces: by Body.from_mesh, of a cloud by voxel="
         )
-    return (_piece(packed, number, mesh) for number, mesh in enumerate(of_pieces(packed)))
+    return (_piece(packed, number, mesh) for number, mesh in enumerate(meshes))
 
 
 def _ellipsoid(center: Floats, factor: Floats) -> Shape:
@@ -234,6 +244,8 @@ def _ellipsoid(center: Floats, factor: Floats) -> Shape:
 
 
 def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
+    if packed.layout[number, columns.KIND] == columns.SOLID:
+        return _mesh(mesh)
     if packed.layout[number, columns.KIND] == columns.POLYTOPE:
         return _box(mesh[0]) or _mesh(mesh)
     kind, frame = CURVED[int(packed.layout[number, columns.KIND])], packed.frames[number]
@@ -252,7 +264,7 @@ def _proper(axes: Floats) -> Floats:
 
 
 def _mesh(mesh: Mesh) -> Shape:
-    """Make the shape of a convex mesh from its corners."""
+    """Make the shape of a mesh from the corners that it uses."""
     used, triangles = np.unique(mesh[1], return_inverse=True)
     return Shape("mesh", (), np.eye(3), np.zeros(3), (mesh[0][used], triangles.reshape(-1, 3)))
 

@@ -18,7 +18,9 @@ from loewner._plausible import FARTHEST_LIMIT, told_to
 from loewner._validate import Floats
 from loewner.bodies import packed_of
 from loewner.bodies.exports import add_collisions, add_origin, enlarged, numbers, save_texts, text_of
+from loewner.bodies.kinds import Mesh
 from loewner.errors import InputError, LoewnerError
+from loewner.robots.link_meshes import hull_or_solid
 from loewner.robots.srdf import read_srdf
 from loewner.robots.tree import KINDS, adjacent_pairs, constant_pose
 from loewner.robots.urdf import LEAST_CUT, VALUES, read_urdf
@@ -129,9 +131,14 @@ def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str)
             "polytopes around such pieces"
         )
     try:
-        return add_collisions(link, packed, path, None, mesh_prefix)
+        return add_collisions(link, packed, path, None, mesh_prefix, _stays_solid)
     except InputError as error:
         raise InputError(f"link {name!r}: {error}") from None
+
+
+def _stays_solid(mesh: Mesh) -> bool:
+    """Whether `from_urdf` makes a solid of a mesh again, and not its hull."""
+    return hull_or_solid(*mesh)[0] == "solid"
 
 
 # -- joints ---------------------------------------------------------------------------------------

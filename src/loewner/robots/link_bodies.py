@@ -35,7 +35,7 @@ NOT_CACHED = (".gltf", ".glb")
 # that it encloses, as `link_meshes.hull_or_solid` chooses; and the default.
 MeshModel = Literal["hull", "pieces", "surface", "auto"]
 MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
-USUAL_MODEL: Final = "hull"
+USUAL_MODEL: Final = "auto"
 
 # Modules that make a body from a mesh file, apart from the kernels.
 _MAKERS = (

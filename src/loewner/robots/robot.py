@@ -98,7 +98,7 @@ def _model(meshes: str, decompose: bool) -> str:
     _validate.choice(meshes, "meshes", MODELS)
     if not _validate.flag(decompose, "decompose"):
         return meshes
-    if meshes in ("surface", "auto") and meshes != USUAL_MODEL:
+    if meshes == "surface":
         raise InputError(f"decompose: expected False with meshes={meshes!r}, found True; surfaces are not split")
     return "pieces"
 
@@ -246,13 +246,13 @@ class Robot(KeepsReadOnly):
         package_dirs : path or iterable of paths
             Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
             environment, and the folders above the URDF, are also searched.
-        meshes : {"hull", "pieces", "surface", "auto"}
-            Representation of each collision mesh. "hull": its convex hull, which contains it. "pieces": convex pieces
+        meshes : {"auto", "hull", "pieces", "surface"}
+            Representation of each collision mesh. "auto", the default: the hull of a closed mesh if it is proven to
+            stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of the two counts), and otherwise the
+            solid that the mesh encloses. Holes of a nearly closed mesh are closed first; of any other mesh, the hull is
+            taken. `shapes` has the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
             (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
-            (`Body.from_surface`), including the enclosed space if the mesh is closed. "auto": the hull
-            of a closed mesh if it is proven to stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of
-            the two counts), and otherwise the solid that the mesh encloses. Holes of a nearly closed mesh are closed
-            first; of any other mesh, the hull is taken. `shapes` has the results.
+            (`Body.from_surface`), including the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
@@ -649,7 +649,7 @@ class Robot(KeepsReadOnly):
         ----------
         model : pinocchio.Model
         geometry_model : pinocchio.GeometryModel
-        meshes : {"hull", "pieces", "surface", "auto"}
+        meshes : {"auto", "hull", "pieces", "surface"}
             Representation of meshes of triangles, as for `from_urdf`. The default, like Coal, is their triangles; the
             space that a closed one encloses belongs to it as well.
         tol : float
@@ -788,7 +788,8 @@ class Robot(KeepsReadOnly):
         robot has several roots, or is placed; links fixed to it can be adjacent through it, so do not give
         ``skip_adjacent=True`` then. Visual geometry, masses and efforts are not written. Limits that are narrower than
         `hard_lower` and `hard_upper` become soft limits. Without the SRDF, pairs may be exempt that this robot checks:
-        pass it to `from_urdf`, too. Existing files are replaced.
+        pass it to `from_urdf`, too. Solids are written as their triangles, which some other programs replace by their
+        convex hulls. Existing files are replaced.
 
         Parameters
         ----------
@@ -802,7 +803,8 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
-            ellipsoid, a surface, a height field or a cloud of points. If readers would change a name, since it has
+            ellipsoid or a cloud of points; or a surface that ``meshes="auto"`` would not read as the
+            same solid. If readers would change a name, since it has
             characters that cannot be printed, a dollar sign, or spaces at its ends; or if the path ends in ``.srdf`` or
             ``.xacro``.
         FileError

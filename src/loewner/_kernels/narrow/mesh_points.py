@@ -13,7 +13,7 @@ from loewner._kernels.narrow import surface_walk as walk
 from loewner._kernels.narrow.surface_boxes import ROUNDINGS, boxes_of, singles, squared_gap, tree_at
 from loewner._kernels.narrow.surface_points import winding_number
 from loewner._kernels.narrow.triangles import nearest_on
-from loewner._kernels.simd.vectors import movemask, next_lane, store
+from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, maximum, movemask, next_lane, store
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of
 
 
@@ -38,6 +38,31 @@ def squared_distances_of(points, triangles, squared):
         x, t = _point(points, n), triangles[n]
         d = minus(nearest_on((_point(t, 0), _point(t, 1), _point(t, 2)), x), x)
         squared[n] = dot(d, d)
+
+
+@njit()
+def heights_above(planes, points, enough, heights):
+    """How far points are above the highest of several planes, for the boundary of a convex piece.
+
+    Parameters
+    ----------
+    planes : ndarray, shape (4 n,)
+        The x of n normals, a multiple of eight, then their y, z, and the offsets.
+    points : ndarray, shape (m, 3)
+    enough : ndarray, shape (m,)
+        Height above one plane at which the others no longer count.
+    heights : ndarray, shape (m,)
+        Receives the heights.
+    """
+    count = len(planes) // 4
+    for p in range(len(points)):
+        x, y, z = _point(points, p)
+        above, at = broadcast(-np.inf), 0
+        while at < count and movemask(above >= enough[p]) == 0:
+            along = x * load(planes, at) + y * load(planes, count + at) + z * load(planes, 2 * count + at)
+            above = maximum(above, along - load(planes, 3 * count + at))
+            at += LANES
+        heights[p] = highest(above)
 
 
 @njit()

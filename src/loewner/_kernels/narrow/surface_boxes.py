@@ -202,7 +202,7 @@ def meeting_between(first, last, middle_a, middle_b, g, h):
 
 @inline
 def _touching(first, last, reach_first, reach_last):
-    """Where what lies around `first` and `last` along an axis, so far, leaves no side of 0 free."""
+    """Where two intervals along an axis, about `first` and `last`, do not lie on the same side of 0."""
     above = minimum(first - reach_first, last - reach_last)
     return (above <= np.float32(0.0)) & (maximum(first + reach_first, last + reach_last) >= np.float32(0.0))
 
