@@ -330,18 +330,18 @@ def test_courses_are_the_trajectories(robot, jerk):
 
 def test_bad_input(robot, tmp_path):
     """Each error names what was expected and what was found."""
-    state = [0, 0, 0], [1, 0, 0]
     for options, message in [
         ({"acceleration": None}, r"acceleration: expected limits of all joints that move, found none for x; give .* 3"),
         ({"acceleration": [1.0, 2.0]}, r"acceleration: expected one number or shape \(3,\), found \(2,\)"),
         ({"acceleration": 0.0}, "acceleration: expected numbers > 0"),
         ({"acceleration": np.nan}, "acceleration: expected finite"),
         ({"jerk": -1.0}, "jerk: expected numbers > 0"),
-        ({"ddq": [9, 0, 0], "jerk": 5.0}, "ddq: expected at most the limit 1 of x, found 9"),
+        ({"ddq": [9, 0, 0], "jerk": 5.0}, "acceleration: expected a limit of x that is no lower than .* 9, found 1"),
+        ({"acceleration": 1e-300, "dq": [1e300, 0, 0]}, "brake of finite length and time, found an overflow"),
         ({"limits": 3}, "limits: expected planners.JointLimits of x, y, turn, found int"),
     ]:
         with pytest.raises(InputError, match=message):
-            brake(robot, *state, **{"acceleration": 1.0} | options)
+            brake(robot, **{"q": [0, 0, 0], "dq": [1, 0, 0], "acceleration": 1.0} | options)
     for bad in ([1, 0], [np.nan, 0, 0], "text"):
         with pytest.raises(LoewnerError, match="dq: expected"):
             brake(robot, [0, 0, 0], bad, acceleration=1.0)

@@ -24,7 +24,7 @@ STRAIGHT = 1e-9
 # A line that is too short to stop by this share is long enough: the trajectory itself stops at its end.
 ROUNDED = 1e-9
 
-# Limits below those of the trajectory by this share are equal to them.
+# Limits that are lower than the trajectory's own by this share are equal to them.
 EQUAL = 1e-6
 
 # On a line that is too short to stop, the robot keeps at least this share of its speed: it must not creep on a blend.
@@ -78,7 +78,7 @@ class Brakes(NamedTuple):
         Returns
         -------
         courses : ndarray, shape (m, degree + 1, dof)
-            Of degree 3 if `cubic`, that is, with limits of jerk; otherwise of degree 2.
+            The degree is 3 if `cubic`, that is, with limits of jerk, and otherwise 2.
         seconds : ndarray, shape (m,)
         first : ndarray of int64, shape (n + 1,)
         """
@@ -88,10 +88,18 @@ class Brakes(NamedTuple):
         return courses, seconds, first
 
     def one(self, n: int = 0) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return times, positions, velocities and accelerations of one brake."""
-        count = self.counts[n]
-        positions, rates, bends = np.moveaxis(self.states[n, :count], 1, 0).copy()
-        return self.times[n, :count].copy(), positions, rates, bends
+        """Return times, positions, velocities and accelerations of one brake.
+
+        Raises
+        ------
+        InputError
+            If it is too long for numbers.
+        """
+        times, states = self.times[n, : self.counts[n]].copy(), self.states[n, : self.counts[n]]
+        if not (np.isfinite(times).all() and np.isfinite(states).all()):
+            raise InputError("expected a state and limits with a brake of finite length and time, found an overflow")
+        positions, rates, bends = np.moveaxis(states, 1, 0).copy()
+        return times, positions, rates, bends
 
 
 class Timed(NamedTuple):
@@ -113,7 +121,10 @@ def braked(names: tuple[str, ...], q: Floats, dq: Floats, ddq: Floats, strongest
         If the jerk is limited, and an acceleration is above its limit.
     """
     for k in np.flatnonzero(np.abs(ddq) > strongest * (1 + EQUAL))[: jerk is not None]:
-        raise InputError(f"ddq: expected at most the limit {strongest[k]:g} of {names[k]}, found {ddq[k]:g}")
+        raise InputError(
+            f"acceleration: expected a limit of {names[k]} that is no lower than its acceleration when the brake begins, "
+            f"{abs(ddq[k]):g}, found {strongest[k]:g}"
+        )
     steep = np.full(len(q), np.inf) if jerk is None else jerk
     times, knots, rates, bends = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, steep).one()
     return Timed(times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None if jerk is None else bends)

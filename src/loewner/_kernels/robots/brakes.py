@@ -1,7 +1,7 @@
 """Brakes: the shortest stop of each joint in its own time, and stops on a path of straight motions.
 
 Each brake is written as states at the times at which a rate of a joint jumps: positions, and the velocities and
-accelerations from then on. Between two of these times, accelerations change linearly, so a piece follows from its first
+accelerations from then on. From one state to the next, accelerations change linearly, so a piece follows from its first
 state and from the position at its end.
 """
 
@@ -76,7 +76,7 @@ def _joint_at(q, v, a, strongest, jerk, t):
 
 @inline
 def _distinct(times, count):
-    """Sort times, and merge those that are near to each other, each with the last one; return their number."""
+    """Sort times, merge times that are near to each other with the last one, and return their number."""
     for k in range(1, count):
         t, m = times[k], k
         while m > 0 and times[m - 1] > t:
