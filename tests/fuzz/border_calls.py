@@ -1381,7 +1381,7 @@ CALLS: dict[str, Call] = {
     "planners.Trajectory.stop_at": Call(
         on(moved, "stop_at"),
         {
-            "t": arg(0.25, ZERO, "5e-324", "1.5"),
+            "t": arg(0.25, ZERO, "5e-324", "1.5", "Fraction"),
             "how": arg("joints"),
             "acceleration": array([1.0, 2.0, 4.0], FINITE, NUMBERS, "a number alone"),
             "jerk": array([8.0, 5.0, 20.0], FINITE, NUMBERS, NONE, "a number alone"),

@@ -122,7 +122,7 @@ def braked(names: tuple[str, ...], q: Floats, dq: Floats, ddq: Floats, strongest
     """
     for k in np.flatnonzero(np.abs(ddq) > strongest * (1 + EQUAL))[: jerk is not None]:
         raise InputError(
-            f"acceleration: expected a limit of {names[k]} that is no lower than its acceleration when the brake begins, "
+            f"acceleration: expected a limit of {names[k]} that is no lower than its acceleration at the start, "
             f"{abs(ddq[k]):g}, found {strongest[k]:g}"
         )
     steep = np.full(len(q), np.inf) if jerk is None else jerk

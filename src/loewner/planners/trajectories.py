@@ -183,12 +183,14 @@ class Trajectory(KeepsReadOnly):
         array([0.03, 0.01])
         """
         rows = checked_rows(robot, targets)
-        times: Floats = _validate.positive_scalar(dt, "dt") * np.arange(len(rows), dtype=np.float64)
-        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+        period, begin = _validate.positive_scalar(dt, "dt"), _validate.real(start_time, "start_time")
+        times: Floats = period * np.arange(len(rows), dtype=np.float64)
+        with np.errstate(over="ignore"):  # refused below
+            made = cls._straight(robot.configuration_names, times, rows, begin)
+        if not np.isfinite(made.rates).all():
             raise InputError(
-                f"dt: expected a period whose multiples are numbers, found {dt:g} with {len(rows)} targets"
+                f"dt: expected a period in which targets are reached at finite velocities, found {period:g}"
             )
-        made = cls._straight(robot.configuration_names, times, rows, _validate.real(start_time, "start_time"))
         return made._read_only()
 
     def __repr__(self) -> str:
