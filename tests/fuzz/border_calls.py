@@ -1369,6 +1369,39 @@ CALLS: dict[str, Call] = {
         lambda name: planners.trajectory(two_robots().robot, np.zeros((2, 6)), velocity=1.0).part(name),
         {"name": arg("a")},
     ),
+    "planners.Trajectory.of_targets": Call(
+        planners.Trajectory.of_targets,
+        {
+            "robot": arg(robot, "Robot"),
+            "targets": array(PATH, FINITE, "without the first row", "turned over"),
+            "dt": positive(0.02),
+            "start_time": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+        },
+    ),
+    "planners.Trajectory.stop_at": Call(
+        on(moved, "stop_at"),
+        {
+            "t": arg(0.25, ZERO, "5e-324", "1.5", "Fraction"),
+            "how": arg("joints"),
+            "acceleration": array([1.0, 2.0, 4.0], FINITE, NUMBERS, "a number alone"),
+            "jerk": array([8.0, 5.0, 20.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "limits": arg(joint_limits, NONE),
+            "beyond": flag(),
+        },
+    ),
+    "planners.brake": Call(
+        planners.brake,
+        {
+            "robot": arg(robot, "Robot"),
+            "q": array(PATH[0], FINITE),
+            "dq": array([1.0, -0.5, 0.25], FINITE),
+            "ddq": array([0.5, 0.25, -0.5], NONE, "one 5e-324"),
+            "acceleration": array([1.0, 0.5, 2.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "jerk": array([8.0, 5.0, 20.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "limits": arg(joint_limits, NONE),
+            "start_time": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+        },
+    ),
     "planners.ControllerPoints.save": Call(
         lambda **given: planners.ControllerPoints([0.0, 1.0], PATH[:2], names=("x", "y", "turn")).save(**given),
         {

@@ -10,7 +10,7 @@ from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.roadmaps import Roadmap, roadmap
-from loewner.planners.trajectories import Trajectory, trajectory
+from loewner.planners.trajectories import Trajectory, brake, trajectory
 from loewner.planners.velocity_tuning import time_path
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "PoseGoal",
     "Roadmap",
     "Trajectory",
+    "brake",
     "coordinate",
     "plan",
     "roadmap",

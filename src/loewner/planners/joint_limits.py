@@ -155,7 +155,7 @@ def limits_of(
         _expect_within(robot, rows, given)
     moves = (rows != rows[0]).any(axis=0)
     known = robot.velocity if given is None else given.velocity
-    fastest = known if velocity is None else _per_joint(robot, velocity, "velocity")
+    fastest = known if velocity is None else per_joint(velocity, "velocity", robot.dof)
     unknown = moves & ~np.isfinite(fastest)
     if unknown.any():
         names = ", ".join(name for name, none in zip(robot.configuration_names, unknown, strict=True) if none)
@@ -168,10 +168,10 @@ def limits_of(
         )
     strongest = np.where(np.isfinite(robot.acceleration), robot.acceleration, fastest / UP_IN)
     if acceleration is not None:
-        strongest = _per_joint(robot, acceleration, "acceleration")
+        strongest = per_joint(acceleration, "acceleration", robot.dof)
     if given is not None and acceleration is None:
         strongest = np.where(np.isfinite(given.acceleration), given.acceleration, strongest)
-    most = None if jerk is None else np.where(moves, _per_joint(robot, jerk, "jerk"), np.inf)
+    most = None if jerk is None else np.where(moves, per_joint(jerk, "jerk", robot.dof), np.inf)
     known = np.where(np.isnan(robot.jerk), np.inf, robot.jerk)
     if given is not None:
         known = np.where(np.isfinite(given.jerk), given.jerk, known)
@@ -194,14 +194,12 @@ def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
         )
 
 
-def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
+def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
     """Check positive numbers, one or one per joint, and return one per joint."""
     array = _validate.positive_array(limit, name, ("...",))
-    if array.shape not in ((), (robot.dof,)):
-        raise InputError(
-            f"{name}: expected one number or shape ({robot.dof},), found {_validate.shape_text(array.shape)}"
-        )
-    return np.broadcast_to(array, robot.dof)
+    if array.shape not in ((), (dof,)):
+        raise InputError(f"{name}: expected one number or shape ({dof},), found {_validate.shape_text(array.shape)}")
+    return np.broadcast_to(array, dof)
 
 
 def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:

@@ -30,7 +30,7 @@ from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats, Ints
 from loewner.errors import FileError, InputError, MissingExtraError, PlanningError
-from loewner.planners import messages
+from loewner.planners import brakes, messages
 from loewner.planners.controllers import columns_of, expect_in_table, write
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited, shortest
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
@@ -95,7 +95,8 @@ class Trajectory(KeepsReadOnly):
     """The position of a robot as a function of time; made by `trajectory` or `plan`, or read by `load`.
 
     Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited. In a
-    trajectory from `plan` with `start_time`, velocities are constant instead, and jump at these times.
+    trajectory from `plan` with `start_time`, or through joint targets (`of_targets`), velocities are constant instead,
+    and jump at these times.
 
     Attributes
     ----------
@@ -105,14 +106,15 @@ class Trajectory(KeepsReadOnly):
         Seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest,
-        except in plans in time, and at an `end_velocity` of `time_path`. Where velocities jump, they are those after
-        the jump.
+        except in plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities
+        jump, they are those after the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
         Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
     jumps : bool
-        Whether velocities are constant between these times, and jump there.
+        Whether velocities jump at these times. They are constant in between if there are no bends; otherwise bends are
+        accelerations from these times on, and change linearly, as on a brake through joint targets (`stop_at`).
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
         `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts it later.
@@ -148,6 +150,48 @@ class Trajectory(KeepsReadOnly):
         rates = np.zeros(knots.shape)
         rates[:-1] = np.diff(knots, axis=0) / np.diff(times)[:, None]
         return cls(names, times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None, True, start_time)
+
+    @classmethod
+    def of_targets(cls, robot: Robot, targets: ArrayLike, dt: float, *, start_time: float = 0.0) -> Trajectory:
+        """Move straight from one joint target to the next, as a controller does that is sent a target each period.
+
+        Parameters
+        ----------
+        robot : Robot
+        targets : array_like, shape (n, dof)
+            The first is where the robot is at the start.
+        dt : float
+            Seconds from each target to the next.
+        start_time : float
+            As the attribute.
+
+        Returns
+        -------
+        Trajectory
+            Velocities are constant between targets, and jump there; it may end in motion.
+
+        Raises
+        ------
+        InputError
+            If an argument has the wrong shape or value, or the robot has a floating or ball joint.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> chunk = Trajectory.of_targets(Robot.from_urdf("arm.urdf"), [[0, 0], [0.02, 0.01], [0.04, 0.01]], dt=0.02)
+        >>> chunk.positions(0.03)
+        array([0.03, 0.01])
+        """
+        rows = checked_rows(robot, targets)
+        period, begin = _validate.positive_scalar(dt, "dt"), _validate.real(start_time, "start_time")
+        times: Floats = period * np.arange(len(rows), dtype=np.float64)
+        with np.errstate(over="ignore"):  # refused below
+            made = cls._straight(robot.configuration_names, times, rows, begin)
+        if not np.isfinite(made.rates).all():
+            raise InputError(
+                f"dt: expected a period in which targets are reached at finite velocities, found {period:g}"
+            )
+        return made._read_only()
 
     def __repr__(self) -> str:
         if self.jumps:
@@ -207,6 +251,9 @@ class Trajectory(KeepsReadOnly):
         return self._positions(*self._pieces(t))
 
     def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
+        if self.jumps and self.bends is not None:
+            a, b, c, d = self._control_points(k, T)
+            return np.asarray((1 - x) ** 3 * a + 3 * x * (1 - x) ** 2 * b + 3 * x * x * (1 - x) * c + x**3 * d)
         if self.jumps:
             return np.asarray((1 - x) * self.knots[k] + x * self.knots[k + (T[..., 0] > 0)])
         if self.bends is not None:
@@ -241,6 +288,9 @@ class Trajectory(KeepsReadOnly):
 
     def _velocities(self, k: Any, x: Floats, T: Floats) -> Floats:
         m = k + (T[..., 0] > 0)
+        if self.jumps and self.bends is not None:
+            middle = self.rates[k] + x * T * (self.bends[k] + self._bent(k, x, T)) / 2
+            return np.asarray(np.where(x < 1, middle, self.rates[m]))
         if self.jumps:
             return np.asarray(np.where(x < 1, self.rates[k], self.rates[m]))
         found: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
@@ -271,6 +321,8 @@ class Trajectory(KeepsReadOnly):
 
     def _accelerations(self, k: Any, x: Floats, T: Floats) -> Floats:
         m = k + (T[..., 0] > 0)
+        if self.jumps and self.bends is not None:
+            return np.asarray(np.where(x < 1, self._bent(k, x, T), self.bends[m]))
         if self.jumps:
             return np.zeros((*k.shape, len(self.names)))
         if self.bends is not None:
@@ -350,6 +402,7 @@ class Trajectory(KeepsReadOnly):
         if not isinstance(robot, Robot) or robot.configuration_names != self.names:
             raise InputError(f"robot: expected the robot of the trajectory, found {_validate.short(robot)}")
         rates, knots = exported_rates(robot, self.rates).T, robot.exported(self.knots).T
+        self._expect_no_turns()
         try:
             from pydrake.trajectories import PiecewisePolynomial
         except ImportError:
@@ -467,6 +520,7 @@ class Trajectory(KeepsReadOnly):
         >>> print(open("moved.yaml").readline().strip())
         joint_names: ["axis_1"]
         """
+        self._expect_no_turns()
         target = with_ending(path, WRITTEN)
         suffix = target.suffix.lower()
         if _validate.flag(message, "message") and suffix == ".csv":
@@ -554,6 +608,95 @@ class Trajectory(KeepsReadOnly):
         certify = checked_checker(checker).certify_trajectory
         return certify(self, tolerance=tolerance, joint_error=joint_error, proof=proof)
 
+    def stop_at(
+        self,
+        t: float,
+        *,
+        how: str = "path",
+        acceleration: ArrayLike | None = None,
+        jerk: ArrayLike | None = None,
+        limits: JointLimits | None = None,
+        beyond: bool = False,
+    ) -> Trajectory:
+        """Return the brake that begins at a time: on the path, or joint by joint, which leaves the path.
+
+        Parameters
+        ----------
+        t : float
+            Seconds, from 0 to `duration`, when the robot begins to brake.
+        how : str
+            ``"path"``: the robot stays on the path of the trajectory, and stops there as soon as the limits of all
+            joints allow; it does not brake on blends. ``"joints"``: each joint brakes by itself; see `brake`.
+        acceleration, jerk : float or array_like, shape (dof,), optional
+            Limits [rad/s² and rad/s³, or metres]. Default: from `limits`; without a limit of jerk, accelerations jump.
+            On the path of a trajectory from `trajectory`, limits must be no lower than its own, with jerk if it has a
+            limit of jerk, and without otherwise.
+        limits : JointLimits, optional
+        beyond : bool
+            Whether the robot may go straight on after the end of a trajectory that ends in motion.
+
+        Returns
+        -------
+        Trajectory
+            From the configuration at t to rest; its `start_time` is later by t.
+
+        Raises
+        ------
+        InputError
+            If an argument has the wrong shape or value, or a joint that moves has no limit.
+        PlanningError
+            If the trajectory ends in motion before the robot can stop on its path, and `beyond` is False; or if the
+            limits are too low to stay on the path.
+        UnknownNameError
+            If `how` is another text.
+
+        See Also
+        --------
+        brake : Brakes from a state.
+
+        Notes
+        -----
+        Through joint targets, the path's time runs slower, and with limits of jerk, at one rate that suits all motions
+        on which the robot brakes. Velocities still jump at targets, and limits hold between them. Otherwise the speed
+        falls on straight lines, and blends are passed at the speed that is left there.
+        If no body moves, a brake on a path that is proven free is proven, too. All others need a proof of their own
+        (`certify`).
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> moved = trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [4, 2]], velocity=1.0, acceleration=2.0)
+        >>> moved.stop_at(2.0, acceleration=2.0).knots  # from 1 rad/s: 0.5 s and 0.25 rad
+        array([[1.75 , 0.875],
+               [2.   , 1.   ]])
+        >>> moved.stop_at(2.0, acceleration=[2.0, 4.0], how="joints").times
+        array([0.   , 0.125, 0.5  ])
+        """
+        at, further = _validate.real(t, "t"), _validate.flag(beyond, "beyond")
+        on_path = _validate.choice(how, "how", ("path", "joints")) == "path"
+        moves = (self.knots != self.knots[0]).any(axis=0) | self.rates.any(axis=0)
+        strongest, most = brakes.brake_limits(self.names, moves, None, limits, acceleration, jerk)
+        q, dq, ddq = self.positions(at), self.velocities(at), self.accelerations(at)
+        jumps = on_path and self.jumps and self.bends is None and len(self.times) > 1
+        if jumps:
+            made = brakes.braked_on_motions(self.knots, self.times, at, strongest, most, further)
+        elif not (on_path and moves.any()):
+            made = brakes.braked(self.names, q, dq, ddq, strongest, most)
+        elif self.jumps or (self.bends is None) != (most is None):
+            kind = "that is a brake through joint targets" if self.jumps else f"with{'out' * (most is not None)} them"
+            raise InputError(
+                "jerk: expected limits of jerk if and only if the trajectory has them, to brake on its path, found a "
+                f"trajectory {kind}"
+            )
+        else:
+            ahead = self.times > at
+            knots, rates = np.vstack([q, self.knots[ahead]]), np.vstack([dq, self.rates[ahead]])
+            bends = None if self.bends is None else np.vstack([ddq, self.bends[ahead]])
+            blended = self.blended[len(self.blended) - ahead.sum() :]
+            rest = brakes.Timed(np.append(at, self.times[ahead]), knots, rates, blended, bends)
+            made = brakes.braked_on_curve(rest, strongest, most, further)
+        return Trajectory(self.names, *made, jumps, self.start_time + at)._read_only()
+
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
@@ -567,6 +710,27 @@ class Trajectory(KeepsReadOnly):
         T = self.times[np.minimum(k + 1, len(self.times) - 1)] - self.times[k]
         x = np.divide(at - self.times[k], T, out=np.zeros_like(at), where=T > 0)
         return k, x[..., None], T[..., None]
+
+    def _expect_no_turns(self) -> None:
+        """Refuse a trajectory that other formats cannot hold: its velocities jump, and change in between."""
+        if self.jumps and self.bends is not None:
+            raise InputError(
+                "expected velocities that do not jump, or are constant between jumps, found a brake through joint "
+                "targets; use `sample`"
+            )
+
+    def _control_points(self, k: Any, T: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the control points of cubic pieces whose velocities and accelerations jump at their ends."""
+        bends: Any = self.bends
+        a, ahead, bent = self.knots[k], self.rates[k] * (T / 3), bends[k] * (T * T / 6)
+        return a, a + ahead, a + 2 * ahead + bent, self.knots[k + (T[..., 0] > 0)]
+
+    def _bent(self, k: Any, x: Floats, T: Floats) -> Floats:
+        """Return accelerations on such pieces: at their ends, they follow from the positions there."""
+        bends: Any = self.bends
+        way = self.knots[k + (T[..., 0] > 0)] - self.knots[k] - self.rates[k] * T
+        end = np.divide(6 * way, T * T, out=3 * bends[k], where=T > 0) - 2 * bends[k]
+        return np.asarray((1 - x) * bends[k] + x * end)
 
     def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
         """Return positions on cubic pieces, from the nearer end, for which rounding leaves a straight line least."""
@@ -700,8 +864,6 @@ class Trajectory(KeepsReadOnly):
             return "times that start at 0 and increase, found others"
         if self.jumps:
             return ""
-        if self.rates[0].any():
-            return "rest at the start, found a velocity"
         if self.bends is None:
             return self._jump(self.knots, self.rates, 0.0, "constant accelerations")
         bent = np.diff(self.bends, axis=0) * T[:, None] ** 2 / 12
@@ -724,6 +886,9 @@ class Trajectory(KeepsReadOnly):
 def _form(given: Trajectory, name: str) -> Curve:
     """Make the curve of parabolas or cubics between knots; see `CollisionChecker.certify_trajectory`."""
     T, first, last = np.diff(given.times)[:, None], given.knots[:-1], given.knots[1:]
+    if given.jumps and given.bends is not None:
+        courses = np.stack(given._control_points(np.arange(len(T)), T), axis=1)
+        return Curve(given.names, given.times, courses, CUBIC_ROUNDINGS * np.abs(courses).max(axis=1))
     if given.jumps:
         courses = np.stack([first, last], axis=1)
         return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
@@ -863,18 +1028,94 @@ def fastest_along(
     return _timed(robot, motions, halves, last_speed)
 
 
+@guarded
+def brake(
+    robot: Robot,
+    q: ArrayLike,
+    dq: ArrayLike,
+    ddq: ArrayLike | None = None,
+    *,
+    acceleration: ArrayLike | None = None,
+    jerk: ArrayLike | None = None,
+    limits: JointLimits | None = None,
+    start_time: float = 0.0,
+) -> Trajectory:
+    """Stop a robot joint by joint: each joint stops in the shortest time that its limits allow, and then rests.
+
+    This is how a controller stops whose trajectory is cancelled, if it limits decelerations. The robot leaves the path
+    on which it moved, so prove the brake (`Trajectory.certify`). `Trajectory.stop_at` also brakes on the path.
+
+    Parameters
+    ----------
+    robot : Robot
+    q, dq : array_like, shape (dof,)
+        Positions [rad or m] and velocities [rad/s or m/s] when the robot begins to brake.
+    ddq : array_like, shape (dof,), optional
+        Accelerations then [rad/s² or m/s²], at most the limits; they count only if the jerk is limited. Default: 0.
+    acceleration : float or array_like, shape (dof,), optional
+        Limits of deceleration. Default: from `limits`, or from the URDF; a joint that moves must have one.
+    jerk : float or array_like, shape (dof,), optional
+        Limits of jerk [rad/s³ or m/s³]. Default: from `limits`, or from the URDF. Without any, accelerations jump.
+    limits : JointLimits, optional
+        Limits from a file. Limits of velocity and position have no effect.
+    start_time : float
+        When the brake begins, on the clock of bodies that follow motions.
+
+    Returns
+    -------
+    Trajectory
+        From q to rest.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong shape or value; if a joint that moves has no limit; or if the robot has a floating
+        or ball joint.
+
+    See Also
+    --------
+    Trajectory.stop_at : Brakes on the path of a trajectory, and joint by joint.
+
+    Notes
+    -----
+    With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
+    limited. A joint whose velocity rises at first, since its acceleration cannot jump, exceeds its limit of velocity by
+    as much as any motion within its limit of jerk would.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> stop = brake(Robot.from_urdf("arm.urdf"), [0.0, 0.0], [1.0, -0.5], acceleration=2.0)
+    >>> stop.times, stop.knots[-1]  # 1 m/s and 2 m/s²: 0.5 s and 0.25 m
+    (array([0.  , 0.25, 0.5 ]), array([ 0.25  , -0.0625]))
+    """
+    expect_straight(robot)
+    at, names = robot.checked_one(q), robot.configuration_names
+    rate = _validate.finite_array(dq, "dq", (robot.dof,))
+    bend = np.zeros(robot.dof) if ddq is None else _validate.finite_array(ddq, "ddq", (robot.dof,))
+    moves = (rate != 0) | (bend != 0)
+    strongest, most = brakes.brake_limits(names, moves, robot, limits, acceleration, jerk)
+    made = brakes.braked(names, at, rate, bend, strongest, most)
+    return Trajectory(names, *made, False, _validate.real(start_time, "start_time"))._read_only()
+
+
 # -- arguments ----------------------------------------------------------------------------------
 
 
 def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
     """Check a user's path."""
+    expect_straight(robot)
+    return checked_path(robot, path)
+
+
+def expect_straight(robot: Robot) -> None:
+    """Refuse anything but a robot whose joint values run straight."""
     expect_robot(robot)
     if not robot.runs_straight:
         raise InputError(
             f"robot: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "
             "whose orientations do not"
         )
-    return checked_path(robot, path)
 
 
 def checked_blend(blend: float) -> float:

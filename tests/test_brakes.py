@@ -1,0 +1,382 @@
+"""Brakes: from a state to rest, within limits, as short as can be; on the path every point is on it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from families import translation
+from gantry import gantry
+from loewner import (
+    Body,
+    CollisionChecker,
+    InputError,
+    LoewnerError,
+    PlanningError,
+    Robot,
+    Scene,
+    UnknownNameError,
+    Verdict,
+)
+from loewner.planners import JointLimits, Trajectory, brake, limit_use, trajectory
+from loewner.planners.brakes import Brakes
+from loewner.robots.curves import curve_of, form_of
+from motion_oracle import AFLOAT, written
+from test_trajectories import dense, in_blend, off_polyline, paths
+
+rates = arrays(np.float64, 3, elements=st.floats(-3.0, 3.0).map(lambda x: round(x, 3)))
+shares = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
+strengths = arrays(np.float64, 3, elements=st.floats(0.1, 20.0))
+steeps = arrays(np.float64, 3, elements=st.floats(1.0, 5e3))
+moments = st.floats(0.0, 1.0)
+
+# Limits hold up to the rounding of pieces that are as short as a billionth of a brake.
+OF_LIMITS = 1e-5
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
+    return Robot.from_urdf(urdf, srdf=srdf)
+
+
+@pytest.fixture(scope="module")
+def alone(robot):
+    """The robot with nothing around it."""
+    return CollisionChecker(robot)
+
+
+def long_enough(moved):
+    """Times on pieces that are not so short that rounding affects accelerations."""
+    wide = np.diff(moved.times) > 1e-4 * moved.duration
+    return [np.linspace(a, b, 23)[1:-1] for a, b in zip(moved.times[:-1][wide], moved.times[1:][wide], strict=True)]
+
+
+def assert_lawful(moved, q, dq, strongest, jerk=None):
+    """It begins in the state and ends at rest, and between, derivatives are those of the curve and within limits."""
+    assert moved.positions(0.0) == pytest.approx(q, abs=1e-15)
+    assert moved.velocities(0.0) == pytest.approx(dq, abs=1e-12)
+    assert not moved.velocities(moved.duration).any()
+    for t in long_enough(moved):
+        q, v, a = moved.positions(t), moved.velocities(t), moved.accelerations(t)
+        step = t[2] - t[0]
+        assert (np.abs(a) <= strongest * (1 + OF_LIMITS)).all()
+        # Simpson's rule is exact for polynomials of degree 3.
+        assert np.diff(q[::2], axis=0) == pytest.approx((v[:-2:2] + 4 * v[1::2] + v[2::2]) / 6 * step, abs=1e-9)
+        assert np.diff(v[::2], axis=0) == pytest.approx(a[1::2] * step, abs=1e-7)
+        if jerk is not None:
+            assert (np.abs(np.diff(a[::2], axis=0)) <= jerk * step + OF_LIMITS * strongest).all()
+
+
+def controls(moved):
+    """The control points of its pieces: the curve that is proven."""
+    return form_of(moved, "curve").courses
+
+
+# -- joint by joint -----------------------------------------------------------------------------
+
+
+@given(q=shares, dq=rates, strongest=strengths)
+def test_joints_brake_in_closed_form(robot, q, dq, strongest):
+    """Each joint covers v²/2a in v/a seconds, within its limit, and rests from then on."""
+    moved = brake(robot, q, dq, acceleration=strongest)
+    assert_lawful(moved, q, dq, strongest)
+    alone = np.abs(dq) / strongest
+    assert moved.duration == pytest.approx(alone.max(), rel=1e-12)
+    assert moved.knots[-1] == pytest.approx(q + dq * np.abs(dq) / (2 * strongest), abs=1e-12)
+    assert len(moved.times) <= 4
+    t = dense(moved)
+    left = np.sign(dq) * np.maximum(np.abs(dq) - t[:, None] * strongest, 0.0)
+    assert moved.velocities(t) == pytest.approx(left, abs=1e-8)
+    assert moved.positions(t) == pytest.approx(q + (dq * np.abs(dq) - left * np.abs(left)) / (2 * strongest), abs=1e-8)
+
+
+@given(q=shares, dq=rates, share=shares, strongest=strengths, jerk=steeps)
+def test_joints_brake_with_limited_jerk(robot, q, dq, share, strongest, jerk):
+    """From any acceleration within limits, positions, velocities and accelerations are continuous and within limits."""
+    ddq = share * strongest
+    moved = brake(robot, q, dq, ddq, acceleration=strongest, jerk=jerk)
+    assert_lawful(moved, q, dq, strongest, jerk)
+    assert moved.bends[0] == pytest.approx(ddq, abs=1e-12)
+    assert not moved.bends[-1].any()
+    assert len(moved.times) <= 10
+    T = np.diff(moved.times)[:, None]
+    bent = (moved.bends[1:] + moved.bends[:-1]) * T / 2
+    assert np.diff(moved.rates, axis=0) == pytest.approx(bent, abs=1e-7)
+    way = moved.rates[:-1] * T + (2 * moved.bends[:-1] + moved.bends[1:]) * T**2 / 6
+    assert np.diff(moved.knots, axis=0) == pytest.approx(way, abs=1e-7)
+
+
+@given(v=st.floats(-3.0, 3.0), share=st.floats(-1.0, 1.0), strongest=st.floats(0.5, 5.0), jerk=st.floats(2.0, 50.0))
+@settings(max_examples=30)
+def test_no_stop_within_limits_is_shorter(robot, v, share, strongest, jerk):
+    """In a time that is shorter by a hundredth, no acceleration within limits leads to rest: linear programming."""
+    from scipy.optimize import linprog
+
+    a, n = share * strongest, 60
+    found = brake(robot, [0, 0, 0], [v, 0, 0], [a, 0, 0], acceleration=strongest, jerk=jerk).duration
+
+    def least_speed(T):
+        """The least speed at the end, over all accelerations that change linearly in n steps of T/n, and end at 0."""
+        step = T / n
+        # The unknowns are the jerk of each step, and a bound on the speed at the end.
+        sums = np.tril(np.full((n, n), step))
+        to_end = step * (n - 0.5 - np.arange(n)) * step
+        rows = [np.append(to_end, -1), np.append(-to_end, -1)]
+        inside = np.hstack([np.vstack([sums, -sums]), np.zeros((2 * n, 1))])
+        A, b = np.vstack([*rows, inside]), [-(v + a * T), v + a * T, *[strongest - a] * n, *[strongest + a] * n]
+        return linprog(
+            [0] * n + [1], A_ub=A, b_ub=b, A_eq=[[step] * n + [0]], b_eq=[-a], bounds=[(-jerk, jerk)] * n + [(0, None)]
+        )
+
+    if found > 0.02:
+        shorter = least_speed(0.99 * found)
+        assert shorter.status == 2 or shorter.fun > 1e-9
+        assert least_speed(1.05 * found).fun < 1e-7
+
+
+def test_known_brakes(robot):
+    """From 1 m/s, 2 m/s² take 0.5 s and 0.25 m; with 8 m/s³ there are three phases of a quarter of a second."""
+    moved = brake(robot, [0, 0, 0], [1, 0, 0], acceleration=2.0)
+    assert (moved.times == [0, 0.5]).all()
+    assert (moved.knots[-1] == [0.25, 0, 0]).all()
+    moved = brake(robot, [0, 0, 0], [1, 0, 0], acceleration=2.0, jerk=8.0)
+    assert moved.times == pytest.approx([0, 0.25, 0.5, 0.75], abs=1e-15)
+    assert moved.bends[:, 0] == pytest.approx([0, -2, -2, 0], abs=1e-15)
+    assert moved.knots[-1] == pytest.approx([0.375, 0, 0], abs=1e-15)
+    at_rest = brake(robot, [0.5, 0, 0], [0, 0, 0])
+    assert (at_rest.duration, at_rest.knots.tolist()) == (0.0, [[0.5, 0, 0]])
+
+
+def test_off_the_path(robot):
+    """Joints that stop at different times leave the straight line by as much as plane geometry says."""
+    moved = brake(robot, [0, 0, 0], [1, 1, 0], acceleration=[1.0, 2.0, 1.0])
+    assert (moved.knots[-1] == [0.5, 0.25, 0]).all()
+    line = Trajectory.of_targets(robot, [[0, 0, 0], [1, 1, 0]], 1.0).stop_at(0.0, acceleration=[1.0, 2.0, 1.0])
+    assert (line.knots[-1] == [0.5, 0.5, 0]).all()
+
+
+# -- on the path --------------------------------------------------------------------------------
+
+
+@given(path=paths, moment=moments, strongest=strengths, jerk=st.none() | steeps)
+def test_brakes_through_targets(robot, path, moment, strongest, jerk):
+    """Every control point is on the path, in order; limits hold within pieces; the end is at rest."""
+    chunk = Trajectory.of_targets(robot, path, 0.25)
+    at = moment * chunk.duration
+    limits = {"acceleration": strongest, "jerk": jerk}
+    try:
+        moved = chunk.stop_at(at, **limits)
+    except PlanningError:
+        moved = chunk.stop_at(at, beyond=True, **limits)
+        path = np.vstack([path, path[-1] + 1e3 * (path[-1] - path[-2])])
+    if moved.duration == 0:
+        return
+    assert_lawful(moved, chunk.positions(at), chunk.velocities(at), strongest, jerk)
+    points = controls(moved).reshape(-1, 3)
+    assert off_polyline(path, points).max() <= 1e-12 * max(1.0, np.abs(points).max())
+    if jerk is not None:  # from one piece to the next, the path's time changes its rate continuously
+        assert len(moved.times) <= len(path) + 4
+
+
+@given(path=paths, moment=moments, strongest=strengths)
+@settings(max_examples=50)
+def test_brakes_through_targets_beside_small_steps(robot, path, moment, strongest):
+    """Without limits of jerk, the brake is the one of an integration in small steps of the path's time."""
+    chunk = Trajectory.of_targets(robot, path, 2.0)
+    at = moment / 2 * chunk.duration
+    s, v, step, t = at, 1.0, 1e-3, 0.0
+    while v > 0 and s < chunk.duration - 1e-3:
+        rate = np.abs(chunk.velocities(s))
+        gain = min((strongest[rate > 0] / rate[rate > 0]).tolist(), default=np.inf)
+        s, v, t = s + v * step, v - gain * step, t + step
+    if v > 0:
+        return
+    moved = chunk.stop_at(at, acceleration=strongest)
+    assert moved.knots[-1] == pytest.approx(chunk.positions(s), abs=2e-3 * np.abs(chunk.rates).max() + 1e-9)
+
+
+@given(path=paths, moment=moments, factor=st.floats(1.0, 4.0), jerk=st.none() | st.floats(5.0, 500.0))
+def test_brakes_on_trajectories(robot, alone, path, moment, factor, jerk):
+    """With limits no lower than the trajectory's, the brake is on its path, also on blends."""
+    limits = {"acceleration": 2.0, "jerk": jerk}
+    moved = trajectory(robot, path, velocity=1.0, checker=alone, **limits)
+    at = moment * moved.duration
+    found = moved.stop_at(at, **{name: limit and factor * limit for name, limit in limits.items()})
+    if found.duration == 0:
+        return
+    assert_lawful(
+        found, moved.positions(at), moved.velocities(at), 2.0 * factor, None if jerk is None else jerk * factor
+    )
+    trail = moved.positions(np.linspace(at, moved.duration, 4000))
+    assert off_polyline(trail, found.positions(dense(found, 10))).max() <= 1e-6
+    smooth = np.diff(found.knots, axis=0) - np.diff(found.times)[:, None] * (found.rates[1:] + found.rates[:-1]) / 2
+    if jerk is None:
+        assert np.abs(smooth).max() <= 1e-9
+
+
+def test_a_brake_slows_before_a_blend(robot, alone):
+    """It passes a blend at the speed that is left, and stops before the place where a brake after the blend ends."""
+    path = [[-1, 0, 0], [-0.4, 0, 0], [0.2, 0.6, 0], [1, 0.6, 0]]
+    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone)
+    (begin, end), *_ = moved.blends
+    found = moved.stop_at(begin - 0.05, acceleration=4.0)
+    assert found.blended.any()
+    assert np.abs(found.velocities(found.times[found.blended.argmax()])).max() < 0.95
+    later = moved.stop_at(end, acceleration=4.0)
+    assert found.knots[-1, 0] < later.knots[-1, 0] - 0.01
+
+
+def test_known_brakes_through_targets(robot):
+    """From 1 m/s, 2 m/s² take 0.5 s and 0.25 m, through targets each 0.1 m; a slow joint makes it longer."""
+    targets = np.linspace([0, 0, 0], [1, 0.1, 0], 11)
+    chunk = Trajectory.of_targets(robot, targets, 0.1, start_time=3.0)
+    moved = chunk.stop_at(0.1, acceleration=2.0)
+    assert moved.duration == pytest.approx(0.5, abs=1e-12)
+    assert moved.knots[-1] == pytest.approx([0.35, 0.035, 0], abs=1e-12)
+    assert moved.start_time == 3.1
+    slow = chunk.stop_at(0.1, acceleration=[2.0, 0.1, 2.0])
+    assert slow.knots[-1] == pytest.approx([0.6, 0.06, 0], abs=1e-12)
+    smooth = chunk.stop_at(0.1, acceleration=2.0, jerk=8.0)
+    assert smooth.duration == pytest.approx(0.75, abs=1e-12)
+    assert smooth.knots[-1] == pytest.approx([0.475, 0.0475, 0], abs=1e-12)
+
+
+def test_a_brake_that_does_not_fit(robot):
+    """It is refused, or goes on along the last motion; a chunk that ends at rest is long enough at every time."""
+    chunk = Trajectory.of_targets(robot, [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]], 0.1)
+    with pytest.raises(PlanningError, match=r"t: expected .* found one that is 0.1 s before the end; .*beyond=True"):
+        chunk.stop_at(0.1, acceleration=1.0)
+    moved = chunk.stop_at(0.1, acceleration=1.0, beyond=True)
+    assert moved.knots[-1] == pytest.approx([0.1, 0.5, 0], abs=1e-12)
+    curved = trajectory(robot, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=2.0)
+    with pytest.raises(PlanningError, match="limits: expected .* lower ones than it needs"):
+        curved.stop_at(1.2, acceleration=1.0)
+
+
+def test_jumps_at_targets_are_reported(robot):
+    """The jump of velocities at a corner is lower on a brake, in proportion to the speed there."""
+    chunk = Trajectory.of_targets(robot, [[0, 0, 0], [0.1, 0, 0], [0.1, 0.5, 0]], 0.1)
+    sizes = [
+        limit_use.jumps(robot, curve_of(robot, one, "curve"))[0].size
+        for one in (chunk, chunk.stop_at(0.0, acceleration=4.0, beyond=True))
+    ]
+    assert sizes == pytest.approx([5.0, 5.0 * math.sqrt(1 - 2 * 4.0 * 0.1)], rel=1e-9)
+
+
+# -- proofs -------------------------------------------------------------------------------------
+
+
+def test_only_the_path_is_proven(robot):
+    """Beside a box, the brake on the path is free, and joint by joint the robot hits it."""
+    scene = Scene()
+    scene.add("box", Body.box([0.2, 0.2, 1.0]), translation(0.75, 0.15))
+    checker = CollisionChecker(robot, scene)
+    targets = np.linspace([0, 0, np.pi / 2], [0.8, 0.8, np.pi / 2], 9)
+    chunk = Trajectory.of_targets(robot, targets, 0.1)
+    assert chunk.certify(checker).verdict == Verdict.FREE
+    limits = {"acceleration": [1.0, 20.0, 1.0]}
+    on, off = (chunk.stop_at(0.05, how=how, beyond=True, **limits) for how in ("path", "joints"))
+    assert on.certify(checker).verdict == Verdict.FREE
+    assert off.certify(checker).verdict == Verdict.COLLIDING
+
+
+def test_with_jerk_the_robot_goes_farther(robot):
+    """A wall beyond the stop without limits of jerk is hit by the stop with them."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 2.0, 1.0]), translation(0.25 + 0.1 + 0.05 + 0.05))
+    checker = CollisionChecker(robot, scene)
+    start = [0, 0, np.pi], [1, 0, 0]
+    assert brake(robot, *start, acceleration=2.0).certify(checker).verdict == Verdict.FREE
+    assert brake(robot, *start, acceleration=2.0, jerk=8.0).certify(checker).verdict == Verdict.COLLIDING
+
+
+@pytest.mark.parametrize("jerk", [None, [30.0, 50.0, 80.0]])
+def test_courses_are_the_trajectories(robot, jerk):
+    """Many brakes at a time have the control points of the trajectories, joint by joint and on a path."""
+    rng = np.random.default_rng(3)
+    Q, V = rng.uniform(-1, 1, (20, 3)), rng.uniform(-2, 2, (20, 3))
+    V[3] = 0.0
+    strongest, steep = np.array([2.0, 3.0, 5.0]), np.full(3, np.inf) if jerk is None else np.array(jerk)
+    limits = {"acceleration": strongest, "jerk": jerk}
+    courses, seconds, first = Brakes.by_joint(Q, V, np.zeros_like(V), strongest, steep).courses(jerk is not None)
+    for n in range(20):
+        moved = brake(robot, Q[n], V[n], **limits)
+        part = slice(first[n], first[n + 1])
+        assert len(seconds[part]) == len(moved.times) - 1
+        if n != 3:
+            assert seconds[part] == pytest.approx(np.diff(moved.times), rel=1e-9)
+            assert courses[part] == pytest.approx(controls(moved), abs=1e-12)
+    rows = np.cumsum(rng.uniform(-0.01, 0.02, (30, 3)), axis=0)
+    at = 0.02 * np.arange(30)
+    brakes = Brakes.on_path(rows, at, at, strongest, steep)
+    courses, seconds, first = brakes.courses(True)
+    chunk = Trajectory.of_targets(robot, rows, 0.02)
+    assert (brakes.counts == 0).any()
+    assert (brakes.counts > 0).any()
+    for n in np.flatnonzero(brakes.counts).tolist():
+        moved = chunk.stop_at(at[n], **limits)
+        assert courses[first[n] : first[n + 1]] == pytest.approx(controls(moved), abs=1e-12)
+    for n in np.flatnonzero(brakes.counts == 0).tolist():
+        with pytest.raises(PlanningError):
+            chunk.stop_at(at[n], **limits)
+
+
+# -- bad input, files ---------------------------------------------------------------------------
+
+
+def test_bad_input(robot, tmp_path):
+    """Each error names what was expected and what was found."""
+    for options, message in [
+        ({"acceleration": None}, r"acceleration: expected limits of all joints that move, found none for x; give .* 3"),
+        ({"acceleration": [1.0, 2.0]}, r"acceleration: expected one number or shape \(3,\), found \(2,\)"),
+        ({"acceleration": 0.0}, "acceleration: expected numbers > 0"),
+        ({"acceleration": np.nan}, "acceleration: expected finite"),
+        ({"jerk": -1.0}, "jerk: expected numbers > 0"),
+        ({"ddq": [9, 0, 0], "jerk": 5.0}, "acceleration: expected a limit of x that is no lower than .* 9, found 1"),
+        ({"acceleration": 1e-300, "dq": [1e300, 0, 0]}, "brake of finite length and time, found an overflow"),
+        ({"limits": 3}, "limits: expected planners.JointLimits of x, y, turn, found int"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            brake(robot, **{"q": [0, 0, 0], "dq": [1, 0, 0], "acceleration": 1.0} | options)
+    for bad in ([1, 0], [np.nan, 0, 0], "text"):
+        with pytest.raises(LoewnerError, match="dq: expected"):
+            brake(robot, [0, 0, 0], bad, acceleration=1.0)
+    with pytest.raises(InputError, match="joints whose values run straight"):
+        brake(written(tmp_path, AFLOAT), np.zeros(12), np.zeros(12), acceleration=1.0)
+    moved = trajectory(robot, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=2.0)
+    with pytest.raises(InputError, match="t: expected times from 0 to"):
+        moved.stop_at(9.0, acceleration=2.0)
+    with pytest.raises(UnknownNameError, match="how: expected one of path, joints, found 'off'"):
+        moved.stop_at(0.5, how="off", acceleration=2.0)
+    with pytest.raises(InputError, match="jerk: expected limits of jerk if and only if .* without them"):
+        moved.stop_at(0.5, acceleration=2.0, jerk=9.0)
+    with pytest.raises(InputError, match="dt: expected a finite number > 0, found 0"):
+        Trajectory.of_targets(robot, [[0, 0, 0], [1, 0, 0]], 0)
+
+
+def test_limits_from_files(robot, tmp_path):
+    """Limits of a file are those of a brake, and numbers replace them."""
+    file = tmp_path / "limits.yaml"
+    file.write_text("joint_limits: {x: {max_acceleration: 2.0, max_jerk: 8.0}}")
+    limits = JointLimits.load(file, robot)
+    state = [0, 0, 0], [1, 0, 0]
+    assert brake(robot, *state, limits=limits).duration == 0.75
+    assert brake(robot, *state, limits=limits, acceleration=100.0).duration == pytest.approx(2 * math.sqrt(1 / 8))
+
+
+def test_brakes_in_files(robot, tmp_path):
+    """A brake is saved and loaded, and begins in motion; through targets it is refused, and sampled."""
+    moved = brake(robot, [0, 0, 0], [1, -0.5, 0], acceleration=2.0, jerk=9.0)
+    for name in ("brake.csv", "brake.json"):
+        moved.save(tmp_path / name)
+        loaded = Trajectory.load(tmp_path / name)
+        for attribute in ("times", "knots", "rates", "bends"):
+            assert (getattr(loaded, attribute) == getattr(moved, attribute)).all()
+    chunk = Trajectory.of_targets(robot, [[0, 0, 0], [1, 0, 0]], 1.0).stop_at(0.0, acceleration=2.0)
+    with pytest.raises(InputError, match="found a brake through joint targets; use `sample`"):
+        chunk.save(tmp_path / "chunk.csv")
+    assert not in_blend(chunk, chunk.sample(10.0)[0]).any()
