@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _elementary, _validate
+from loewner._kernels import tolerances
 from loewner._kept import kept
 from loewner._matrices import product
 from loewner._native import entries
@@ -38,6 +39,59 @@ MOST_REPEATED = 2.0**40
 
 # Repetitions and parts of turns that a query may run through.
 MOST_KNOTS = 2**22
+
+# What rounding may take from a bound on how far points are off, as a share of its largest value on a piece of a motion.
+OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 11, certified.md B69
+
+# Metres by which a body may be off at most; nothing is free of it then, since kernels refuse bodies so large.
+MOST_OFF = 1e100
+
+
+@dataclass(frozen=True)
+class PoseBounds:
+    """How far a body may be from its given pose; see `Scene.follow` and `Scene.move`.
+
+    At the time t, the body's origin is off by at most metres + speed |t - since|, and its orientation by at most
+    radians + turn |t - since|. A point at the distance ρ from the origin is then off by no more than the first number
+    plus ρ times the second one, so the bounds depend on where the frame of the body has its origin.
+
+    Attributes
+    ----------
+    metres, radians : float
+        Constant errors of position and orientation.
+    speed, turn : float
+        Growth of the errors [m/s, rad/s].
+    since : float
+        Time from which they grow [s].
+    reach : float
+        The largest ρ [m]: an upper bound on the distance of the body's points from its origin.
+
+    Examples
+    --------
+    >>> from loewner import Body, Scene
+    >>> scene = Scene()
+    >>> scene.add("box", Body.box([0.6, 0.8, 0.2]), error=(0.01, 0.1))
+    >>> print(round(scene.bounds["box"].reach, 3), round(scene.bounds["box"].off(0.0), 3))
+    0.51 0.061
+    """
+
+    metres: float
+    radians: float
+    speed: float
+    turn: float
+    since: float
+    reach: float
+
+    @property
+    def rate(self) -> float:
+        """By how much the bound on the body's points grows [m/s]."""
+        return self.speed + self.reach * self.turn
+
+    def off(self, t: Any) -> Any:
+        """Bound how far points of the body may be off at times t, shape (...), in metres."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
+            return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # also if it is not a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +168,9 @@ class PosePath(KeepsReadOnly):
         share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
         steps = np.diff(self.times)
         return np.append(self.times[first] + share * steps[first], self.times[-1])
+
+
+EXACT = PoseBounds(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
@@ -241,6 +298,8 @@ class PackedPaths(NamedTuple):
         Largest numbers that are added to a time to find its place in the motion [s].
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and with those between short turns.
+    bounds : tuple of (PoseBounds or None)
+        How far each body may be from its motion; empty if all are on theirs.
     """
 
     paths: tuple[PosePath, ...]
@@ -254,10 +313,13 @@ class PackedPaths(NamedTuple):
     turns: Floats
     spans: Floats
     once: tuple[Floats, Floats]
+    bounds: tuple[PoseBounds | None, ...] = ()
 
     @classmethod
-    def of(cls, paths: tuple[PosePath, ...]) -> PackedPaths:
+    def of(cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds | None, ...] = ()) -> PackedPaths:
         """Pack at least one motion."""
+        bounds = bounds if any(bounds) else ()
+        kinks = [one.since for one in bounds if one is not None]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
         return cls(
@@ -271,9 +333,10 @@ class PackedPaths(NamedTuple):
             np.array([(path.arcs / length).max() for path, length in zip(paths, lengths, strict=True)]),
             np.array([abs(path.times[0]) + path.period for path in paths]),
             (
-                np.unique(np.concatenate([[], *(path.times for path in paths if not path.repeat)])),
-                np.unique(np.concatenate([[], *(path._fine for path in paths if not path.repeat)])),
+                np.unique(np.concatenate([kinks, *(path.times for path in paths if not path.repeat)])),
+                np.unique(np.concatenate([kinks, *(path._fine for path in paths if not path.repeat)])),
             ),
+            bounds,
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:
@@ -281,6 +344,21 @@ class PackedPaths(NamedTuple):
         out = np.empty((len(t), len(self.paths), 7))
         entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
+
+    def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
+        """Bound how far points of bodies may be off at times, shape (N,), rounded by `ticks`; in between, linearly.
+
+        Returns
+        -------
+        ndarray, shape (N, bodies, 2)
+            At both times; no bodies if all are on their motions.
+        """
+        given = [one or EXACT for one in self.bounds]
+        found = np.array([[one.off(begin), one.off(end)] for one in given]).reshape(len(given), 2, len(begin))
+        found = found.transpose(2, 0, 1)
+        if len(given):
+            found = found + (np.array([one.rate for one in given]) * ticks)[..., None]
+        return np.asarray(found + OFF_ROUNDINGS * found.max(axis=2, keepdims=True))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
         """List all times at which any body changes its rates between t0 and t1, shape (N,) each, and some others.

@@ -133,11 +133,11 @@ class TimedJudge:
 
     def free_at(self, states: Floats) -> Bools:
         """Return which states are free."""
-        return verdicts.free(self.ready, self._with_bodies(states))
+        return in_time.free_at(self.ready, self._with_bodies(states), self.begin + states[:, -1])
 
     def touching(self, state: Floats) -> str:
         """Describe the contacts of a state; "" for none."""
-        contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0])
+        contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0], self.begin + state[-1])
         return doubt or touching(contacts)
 
     def waiting(self, q: Floats) -> str:
