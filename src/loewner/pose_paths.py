@@ -130,6 +130,11 @@ class PosePath(KeepsReadOnly):
     def __repr__(self) -> str:
         return _validate.brief(self)
 
+    @kept
+    def rests(self) -> bool:
+        """Whether the body always has the same pose."""
+        return bool((self.positions == self.positions[0]).all() and (self.quaternions == self.quaternions[0]).all())
+
     def poses(self, t: ArrayLike) -> Floats:
         """Compute the poses at times.
 
@@ -299,7 +304,9 @@ class PackedPaths(NamedTuple):
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and with those between short turns.
     bounds : tuple of (PoseBounds or None)
-        How far each body may be from its motion; empty if all are on theirs.
+        How far each body may be from its motion, with bodies that rest behind; empty if all are exactly there.
+    numbers : ndarray, shape (len(bounds),)
+        The numbers of these bodies among all; negative for a body without pieces.
     """
 
     paths: tuple[PosePath, ...]
@@ -313,20 +320,25 @@ class PackedPaths(NamedTuple):
     turns: Floats
     spans: Floats
     once: tuple[Floats, Floats]
-    bounds: tuple[PoseBounds | None, ...] = ()
+    bounds: tuple[PoseBounds | None, ...]
+    numbers: Ints
 
     @classmethod
-    def of(cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds | None, ...] = ()) -> PackedPaths:
-        """Pack at least one motion."""
+    def of(
+        cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds | None, ...] = (), numbers: Ints | None = None
+    ) -> PackedPaths:
+        """Pack motions, and bounds on how far bodies with these numbers are from theirs."""
         bounds = bounds if any(bounds) else ()
         kinks = [one.since for one in bounds if one is not None]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
         return cls(
             paths, np.cumsum([0, *(len(path.times) for path in paths)]),
-            np.concatenate([path.times for path in paths]),
-            np.concatenate([np.concatenate([path.positions, path.quaternions], axis=1) for path in paths]),
-            np.concatenate([np.append(path.arcs, 0.0) for path in paths]),
+            np.concatenate([[], *(path.times for path in paths)]),
+            np.concatenate(
+                [np.empty((0, 7)), *(np.concatenate([path.positions, path.quaternions], axis=1) for path in paths)]
+            ),
+            np.concatenate([[], *(np.append(path.arcs, 0.0) for path in paths)]),
             np.array([path.period * path.repeat for path in paths]),
             np.array([np.abs(path.positions).max() for path in paths]),
             np.array([(step / length).max() for step, length in zip(steps, lengths, strict=True)]),
@@ -336,13 +348,14 @@ class PackedPaths(NamedTuple):
                 np.unique(np.concatenate([kinks, *(path.times for path in paths if not path.repeat)])),
                 np.unique(np.concatenate([kinks, *(path._fine for path in paths if not path.repeat)])),
             ),
-            bounds,
+            bounds, np.arange(len(bounds)) if numbers is None else numbers,
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:
         """Compute positions and quaternions at times, shape (N, bodies, 7); signs of quaternions are arbitrary."""
         out = np.empty((len(t), len(self.paths), 7))
-        entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
+        if self.paths:
+            entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
 
     def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
@@ -350,15 +363,15 @@ class PackedPaths(NamedTuple):
 
         Returns
         -------
-        ndarray, shape (N, bodies, 2)
-            At both times; no bodies if all are on their motions.
+        ndarray, shape (N, 3 len(bounds))
+            For each body its number, and metres at both times, as `motions.settle` takes them.
         """
-        given = [one or EXACT for one in self.bounds]
-        found = np.array([[one.off(begin), one.off(end)] for one in given]).reshape(len(given), 2, len(begin))
-        found = found.transpose(2, 0, 1)
-        if len(given):
-            found = found + (np.array([one.rate for one in given]) * ticks)[..., None]
-        return np.asarray(found + OFF_ROUNDINGS * found.max(axis=2, keepdims=True))
+        found = np.empty((len(begin), len(self.bounds), 3))
+        for k, one in enumerate(self.bounds):
+            known = one or EXACT
+            ends = np.stack([known.off(begin), known.off(end)], axis=1) + known.rate * np.asarray(ticks)[..., None]
+            found[:, k, 0], found[:, k, 1:] = self.numbers[k], ends + OFF_ROUNDINGS * ends.max(axis=1, keepdims=True)
+        return found.reshape(len(begin), -1)
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
         """List all times at which any body changes its rates between t0 and t1, shape (N,) each, and some others.

@@ -651,13 +651,15 @@ class Scene:
             times, poses = _rest(times, poses)
         path = path_of(*((times, poses) if twist is None else with_twist(times, poses, twist)), repeat)
         with _CHANGING:
-            if self._known(name) not in self._following:
+            before = self._following.get(self._known(name))
+            rested = before is not None and before.rests and name in self._bounds
+            if before is None:
                 self._poses.pop(self._placed(name))
-                self._structure_version += 1
             self._following[name] = path
             body = self._bodies[name]
             first = float(path.times[0]) if begin is None else begin
             self._set_bounds(name, _bounds_of(body, off, rates, first))
+            self._structure_version += before is None or rested != (path.rests and name in self._bounds)
             self._version += 1
         if not self._doubted:
             farthest = np.eye(4)
@@ -1202,19 +1204,35 @@ class Scene:
         return str(name)
 
 
+def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseBounds]]:
+    """Return what a checker takes of a scene that can change while its structure stays the same.
+
+    Returns
+    -------
+    poses : ndarray, shape (n, 4, 4)
+        `static_poses`, then of bodies that follow motions but rest, and grow with time.
+    following : dict of str to PosePath
+        The motions of the others.
+    bounds : dict of str to PoseBounds
+        The bounds of all these that follow motions, in the same order.
+    """
+    following, known = scene.following, scene._bounds
+    resting = [name for name, path in following.items() if path.rests and name in known]
+    poses = [scene.static_poses, *(following.pop(name).poses(0.0)[None] for name in resting)]
+    return np.concatenate(poses), following, {name: known[name] for name in (*following, *resting) if name in known}
+
+
 def poses_since(
     scene: Scene, structure_version: int
-) -> tuple[Floats, tuple[PosePath, ...], tuple[PoseBounds | None, ...], int] | None:
-    """Return `static_poses`, motions with their bounds, and the version of a scene in which only these changed.
-
-    None if anything else changed.
-    """
+) -> tuple[Floats, tuple[PosePath, ...], dict[str, PoseBounds], int] | None:
+    """Return the results of `in_world` and the version of a scene in which only these changed; otherwise None."""
     with _CHANGING:
         if scene.structure_version != structure_version:
             return None
-        following = scene.following
-        bounds = tuple(map(scene._bounds.get, following))
-        return scene.static_poses, tuple(following.values()), bounds, scene.version
+        if not scene._following:
+            return scene.static_poses, (), {}, scene.version
+        poses, following, bounds = in_world(scene)
+        return poses, tuple(following.values()), bounds, scene.version
 
 
 def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[tuple[str, str]], str]:

@@ -887,7 +887,7 @@ class CollisionChecker:
         if ready is not None and moved is not None:
             poses, paths, bounds, version = moved
             ready = ready.with_poses(poses, version)
-            ready = ready.with_paths(paths, bounds) if paths else ready
+            ready = ready.with_paths(paths, bounds) if paths or bounds else ready
         else:
             scene = self._scene.snapshot()
             ready = prepared(self._robot, scene, self._skipped, scene.version, ready)

@@ -173,7 +173,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
         # The others are proven only if the first one turns out to be free.
         first, pair = unproven[0], int(proven.pairs[unproven[0]])
         gap = distance_at(problem, pair, piece.courses[first, 0]) - problem.margins[pair]
-        gap -= problem.off_at_start(pair, piece.off[first])
+        gap -= problem.off_at_start(piece.off[first, piece.courses.shape[2] :])[pair]
         if cuts == MOST_CUTS or gap <= tolerance:
             doubt = float(piece.times[first]), pair
             break

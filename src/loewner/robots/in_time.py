@@ -51,9 +51,8 @@ class Pieces(NamedTuple):
     times : ndarray, shape (M, 2)
         Seconds.
     courses : ndarray, shape (M, degree + 1, dof + 7 bodies)
-    off : ndarray, shape (M, dof + 7 bodies + 2 bodies)
-        How far values may deviate from the courses; and how far points of each body may be off at both ends
-        (`PackedPaths.off`), which is left out if all bodies are on their motions.
+    off : ndarray, shape (M, dof + 7 bodies + 3 growing)
+        How far values may deviate from the courses; and how far points of bodies may be off (`PackedPaths.off`).
     """
 
     owner: Ints
@@ -78,7 +77,7 @@ def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
     paths = ready.paths
     if paths is None or not paths.bounds:
         return verdicts.free(ready, Q)
-    off = np.concatenate([np.zeros_like(Q), paths.off(t, t).reshape(len(t), -1)], axis=1)
+    off = np.concatenate([np.zeros_like(Q), paths.off(t, t)], axis=1)
     found = motions.settle(ready, np.stack([Q, Q], axis=1), STILL, off)
     refuse_starts(ready.as_given, Q, found)
     return np.asarray(found.verdicts == codes.FREE)
@@ -139,7 +138,7 @@ def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off
     """Append the courses of all bodies between times, and how far values may deviate from them."""
     M, points, dof = courses.shape
     width = dof + WIDTH * len(paths.far)
-    made, allowed = np.empty((M, points, width)), np.empty((M, width + 2 * len(paths.bounds)))
+    made, allowed = np.empty((M, points, width)), np.empty((M, width + 3 * len(paths.bounds)))
     made[..., :dof], allowed[:, :dof] = courses, off
     write_bodies(paths, begin, end, made[..., dof:], allowed[:, dof:])
     return made, allowed
@@ -152,17 +151,18 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
     ----------
     courses : ndarray, shape (M, points, 7 bodies)
         Receives them.
-    off : ndarray, shape (M, 7 bodies + 2 bodies)
+    off : ndarray, shape (M, 7 bodies + 3 growing)
         Receives how far values may deviate from the courses, and points of bodies from their places, as in `Pieces`.
     """
-    values = WIDTH * len(paths.far)
+    values, farthest = WIDTH * len(paths.far), np.maximum(np.abs(begin), np.abs(end))
+    off[:, values:] = paths.off(begin, end, TIME_ROUNDINGS * (farthest + paths.spans.max(initial=0.0)))
+    if values == 0:
+        return
     made, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off[:, :values]))
     bent = _write_courses(paths.values(begin), paths.values(end), made)
-    ticks = TIME_ROUNDINGS * (np.maximum(np.abs(begin), np.abs(end))[:, None] + paths.spans)  # (M, bodies)
+    ticks = TIME_ROUNDINGS * (farthest[:, None] + paths.spans)  # (M, bodies)
     errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
     errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
-    if paths.bounds:
-        off[:, values:] = paths.off(begin, end, ticks).reshape(len(begin), 2 * len(paths.far))
 
 
 def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:

@@ -237,9 +237,11 @@ class Problem:
             value.hand_on(self, ordered)
         return ordered
 
-    def with_paths(self, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds | None, ...]) -> Problem:
-        """Set the motions that bodies follow, and their bounds; all other data stays valid."""
-        return self._changed(paths=PackedPaths.of(paths, bounds))
+    def with_paths(self, paths: tuple[PosePath, ...], bounds: dict[str, PoseBounds]) -> Problem:
+        """Set the motions that bodies follow, and bounds on bodies in time; all other data stays valid."""
+        place = {name: k for k, name in enumerate(self.names) if name in bounds}
+        numbers = np.array([place.get(name, -1) for name in bounds], dtype=np.int64)
+        return self._changed(paths=PackedPaths.of(paths, tuple(bounds.values()), numbers))
 
     def with_given(self, given: Floats) -> Problem:
         """Set the margins without errors of poses."""
@@ -459,18 +461,14 @@ class Problem:
         if self.paths is None or not self.paths.bounds:
             return np.zeros(len(self.pairs))
         at = np.array([t])
-        return self._off_of_pairs(self.paths.off(at, at)[0, :, 0])
+        return self.off_at_start(self.paths.off(at, at)[0])
 
-    def off_at_start(self, pair: int, off: Floats) -> float:
-        """The same for one pair where a motion starts, from its row of `in_time.Pieces.off`."""
-        return float(self._off_of_pairs(off[self.robot.dof :: 2])[pair])
-
-    def _off_of_pairs(self, of_bodies: Floats) -> Floats:
-        """Add up numbers of the bodies that follow motions, which are on the last links, for each pair."""
-        of_links = np.zeros(len(self.robot.tree.parent) + 1)
-        of_links[len(of_links) - 1 - len(of_bodies) : -1] = of_bodies
-        of_all = np.append(of_links[self.link], np.zeros(len(self.names) - len(self.link)))
-        return np.asarray(of_all[self.pairs].sum(axis=1))
+    def off_at_start(self, off: Floats) -> Floats:
+        """The same where a motion starts, from what `in_time.Pieces.off` has about bodies."""
+        of_bodies = np.zeros(len(self.names) + 1)
+        of_bodies[off[::3].astype(np.int64)] = off[1::3]
+        of_bodies[-1] = 0.0
+        return np.asarray(of_bodies[self.pairs].sum(axis=1))
 
     # -- poses --------------------------------------------------------------------------------
 

@@ -45,7 +45,7 @@ from loewner._kernels.robots.motion_bounds import (
     write_strays,
 )
 from loewner._kernels.robots.motion_path import configurations_at, write_part
-from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
+from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, STANDING, counts_of
 from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.sweeps import (
@@ -219,7 +219,8 @@ MEMORY = Arena(
     order=integers(PAIRS),  # order of the pairs
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
-    growth=floats(MOVING, 2),  # how far points of bodies may be off at the start, and how that grows until the end [m]
+    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start, and its growth [m]
+    most_growth=floats(2),  # likewise for all static bodies
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -236,7 +237,7 @@ _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = 
 _gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
     "gaps planes part_times ends near_pairs listed listed_ways"
 )
-_answers_of, _growth_of = MEMORY.accessors("answers growth")
+_answers_of, _growth_of, _most_growth_of = MEMORY.accessors("answers growth most_growth")
 _size = MEMORY.sizing()
 
 
@@ -404,9 +405,7 @@ def _margin(motion, pair):
     """Distance that two bodies must keep [m]: at the start of the motion, and by how much it grows until the end."""
     problem, growth = problem_of(motion.problem), _growth_of(motion)
     one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
-    off, rise = growth[one, 0], growth[one, 1]
-    if other < motion.counts.moving:
-        off, rise = off + growth[other, 0], rise + growth[other, 1]
+    off, rise = growth[one, 0] + growth[other, 0], growth[one, 1] + growth[other, 1]
     return problem.margins[pair] + motion.clear + off, rise
 
 
@@ -1079,11 +1078,13 @@ def _find_near_pairs(motion, widest):
     tables, swept, ways, near_pairs = (
         motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
     )  # fmt: skip
+    times, (most, rise) = _times_of(motion), _most_growth_of(motion)
+    grown = (1.0 + motion.skew) * (most + max(rise * times[0], rise * times[INTERVALS]))
     for body in range(motion.counts.moving):
         if swept.done[body] == 0:
             _sweep(motion, body)
         keep = (1.0 + motion.skew) * motion.clear + motion.rounding + ways[body, 2]
-        keep += ways[body, 0] * widest * widest / 8.0
+        keep += ways[body, 0] * widest * widest / 8.0 + grown
         for g in range(tables.group_start[body], tables.group_start[body + 1]):
             live = near_group(tables.groups, g, body, keep, motion.skew, CLEAR_ROUNDINGS, swept)
             for lane in range(LANES):
@@ -1216,6 +1217,7 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
     for pair in range(len(near_pairs)):
         near_pairs[pair] = 1
     _growth_of(motion)[:] = 0.0
+    _most_growth_of(motion)[:] = 0.0
     same[:] = 0.0
     ends[:] = 0.0
     for c in range(4):
@@ -1225,12 +1227,14 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 @njit()
 def _write_growth(motion, off):
     """Write how far points of bodies may be off on a motion, as `certify_motions` is given it."""
-    problem, growth, dof = problem_of(motion.problem), _growth_of(motion), motion.counts.dof
-    first = len(problem.tree.parent) - (len(off) - dof) // 2
-    for body in range(motion.counts.moving):
-        at = dof + 2 * (problem.link[body] - first)
-        if at >= dof:
-            growth[body, 0], growth[body, 1] = off[at], off[at + 1] - off[at]
+    growth, most, start, end = _growth_of(motion), _most_growth_of(motion), 0.0, 0.0
+    for at in range(motion.counts.dof, len(off), 3):
+        body = int(off[at])
+        if body >= 0:
+            growth[body, 0], growth[body, 1] = off[at + 1], off[at + 2] - off[at + 1]
+        if body >= motion.counts.moving:
+            start, end = max(start, off[at + 1]), max(end, off[at + 2])
+    most[0], most[1] = start, end - start
 
 
 @njit()
@@ -1256,11 +1260,11 @@ def certify_motions(
     ----------
     courses : ndarray, shape (N, degree + 1, dof)
         See `motion_path`.
-    off : ndarray, shape (N, dof + 2 growing) or (0, dof)
+    off : ndarray, shape (N, dof + 3 growing) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
-        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each of the last links that grow,
-        by how many metres points of its body may be off at the start and at the end; in between, by as much as on
-        the line through both. COLLIDING refers to margins that are larger by this.
+        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body of which points may be
+        off: its number, and by how many metres at the start and at the end; in between, by as much as on the line
+        through both. COLLIDING refers to margins that are larger by this. A negative number stands for no body.
     clear : ndarray, shape (N,) or (0,)
         Distances in metres that all pairs must keep on a motion in addition to their margins. No rows: none.
     tolerance : float
