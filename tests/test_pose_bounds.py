@@ -24,7 +24,7 @@ from loewner import (
 from test_moving_bodies import moving_scene
 
 RADIUS = 0.1  # of the ball that slides along x and y
-SAMPLES = 60
+SAMPLES = 24
 
 
 @pytest.fixture(scope="module")
@@ -364,3 +364,35 @@ def test_wrong_bounds_change_nothing(options, message):
                 change()
     assert (scene.version, scene.bounds) == (version, bounds)
     assert scene.static_names == ("body",)
+
+
+def test_distances_and_clearances_hold_for_all_poses(slider):
+    """Bounds on distances hold for each pose within the errors, and the exact distance is that of the given pose."""
+    rng = np.random.default_rng(7)
+    scene, exact = Scene(), Scene()
+    errors = {"a": (0.02, 0.3), "b": (0.1, 0.0), "c": (0.0, 0.0)}
+    for name, error in errors.items():
+        body, T = Body.box(rng.uniform(0.1, 0.4, 3)), translation(*rng.uniform(-1, 1, 2))
+        scene.add(name, body, T, error=error)
+        exact.add(name, body, T)
+    checker, same = CollisionChecker(slider, scene), CollisionChecker(slider, exact)
+    Q = rng.uniform(-1, 1, (30, 3))
+    found, given_pose = checker.distance(Q, exact=True), same.distance(Q, exact=True)
+    np.testing.assert_array_equal(found.distance, given_pose.distance)
+    clearance, slopes = checker.clearance(Q, gradient=True)
+    assert (clearance < same.clearance(Q)).any()
+    step = 1e-6 * rng.normal(size=Q.shape)
+    change = checker.clearance(Q + step) - checker.clearance(Q - step)
+    np.testing.assert_allclose(2 * (slopes * step).sum(axis=1), change, atol=1e-9)
+    for _ in range(20):
+        for name, (metres, radians) in errors.items():
+            way, axis = rng.normal(size=(2, 3))
+            T = scene.pose(name)
+            turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * radians).as_matrix()
+            T[:3, :3] = turn @ T[:3, :3]
+            T[:3, 3] += way / np.linalg.norm(way) * metres
+            exact.move(name, T)
+        moved = same.distance(Q, exact=True).distance
+        assert (found.lower <= moved).all()
+        assert (moved <= found.upper).all()
+        assert (clearance <= moved).all()

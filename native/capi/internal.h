@@ -187,9 +187,8 @@ typedef struct {
     Pack pack;
     void *joined; /* memory of the pack, unless it is a file's */
     int64_t words[PACK_WORDS];
-    double *ball, *chain, *blocks[2];
+    double *ball, *chain, *block;
     int64_t block_words;
-    int current;
     int64_t handle, motions;
     int64_t memory; /* bytes that any query writes to */
 } Half;

@@ -28,8 +28,7 @@ static void *room(State *state, int64_t count, size_t size)
 static void leave_half(Half *half)
 {
     free(half->joined);
-    free(half->blocks[0]);
-    free(half->blocks[1]);
+    free(half->block);
 }
 
 static void leave_state(State *state)
@@ -500,7 +499,8 @@ static double length_of(const Tree *tree, int64_t link)
     return own + (tree->parent[link] >= 0 ? length_of(tree, tree->parent[link]) : 0);
 }
 
-static loewner_status place(const State *state, Half *half, int into)
+/* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
+static loewner_status place(const State *state, Half *half)
 {
     struct {
         int64_t pack, problem;
@@ -509,12 +509,11 @@ static loewner_status place(const State *state, Half *half, int into)
     } arguments = {
         (int64_t)half->words,
         half->handle,
-        {half->blocks[into], half->block_words},
+        {half->block, half->block_words},
         {state->poses, state->standing, 16},
     };
     TRY(call(kernels()->place_static, &arguments, &half->handle));
     half->motions = half->handle + MOTIONS_AT;
-    half->current = into;
     return LOEWNER_OK;
 }
 
@@ -570,13 +569,10 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     for (int k = 0; k < 7; k++)
         words += sizes[k];
     half->block_words = words;
-    for (int k = 0; k < 2; k++) {
-        half->blocks[k] = aligned_alloc(CACHE_LINE, ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
-        if (half->blocks[k] == NULL)
-            return no_memory();
-        memset(half->blocks[k], 0, (size_t)words * 8);
-    }
-    double *block = half->blocks[0];
+    double *block = half->block = aligned_alloc(CACHE_LINE, ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
+    if (block == NULL)
+        return no_memory();
+    memset(block, 0, (size_t)words * 8);
     int64_t next = TABLE_WORDS;
     for (int k = 0; k < 7; k++) {
         at[k] = block + next;
@@ -617,7 +613,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + MOTIONS_AT};
     int64_t nothing;
     TRY(call(kernels()->measure_moving, arguments, &nothing));
-    TRY(place(state, half, 1));
+    TRY(place(state, half));
     return measure(checker, half, is_for_motions);
 }
 
@@ -702,13 +698,13 @@ static loewner_status renew(loewner_checker *checker)
         }
         leave_state(state);
         *state = made;
-    } else {
+        checker->serial = atomic_fetch_add(&serials, 1);
+    } else { /* workspaces stay prepared, since all arrays stay where they are */
         copy_poses(checker, state);
         for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
             if (half->words[0] != 0)
-                TRY(place(state, half, 1 - half->current));
+                TRY(place(state, half));
     }
-    checker->serial = atomic_fetch_add(&serials, 1);
     atomic_store(&checker->is_stale, 0);
     return LOEWNER_OK;
 }

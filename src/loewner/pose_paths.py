@@ -175,9 +175,6 @@ class PosePath(KeepsReadOnly):
         return np.append(self.times[first] + share * steps[first], self.times[-1])
 
 
-EXACT = PoseBounds(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     """Check a motion's times and poses.
 
@@ -303,8 +300,8 @@ class PackedPaths(NamedTuple):
         Largest numbers that are added to a time to find its place in the motion [s].
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and with those between short turns.
-    bounds : tuple of (PoseBounds or None)
-        How far each body may be from its motion, with bodies that rest behind; empty if all are exactly there.
+    bounds : tuple of PoseBounds
+        How far bodies may be from their motions, those that have bounds, and bodies that rest.
     numbers : ndarray, shape (len(bounds),)
         The numbers of these bodies among all; negative for a body without pieces.
     """
@@ -320,16 +317,15 @@ class PackedPaths(NamedTuple):
     turns: Floats
     spans: Floats
     once: tuple[Floats, Floats]
-    bounds: tuple[PoseBounds | None, ...]
+    bounds: tuple[PoseBounds, ...]
     numbers: Ints
 
     @classmethod
     def of(
-        cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds | None, ...] = (), numbers: Ints | None = None
+        cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds, ...] = (), numbers: Ints | None = None
     ) -> PackedPaths:
         """Pack motions, and bounds on how far bodies with these numbers are from theirs."""
-        bounds = bounds if any(bounds) else ()
-        kinks = [one.since for one in bounds if one is not None]
+        kinks = [one.since for one in bounds]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
         return cls(
@@ -368,10 +364,10 @@ class PackedPaths(NamedTuple):
         """
         found = np.empty((len(begin), len(self.bounds), 3))
         for k, one in enumerate(self.bounds):
-            known = one or EXACT
-            ends = np.stack([known.off(begin), known.off(end)], axis=1) + known.rate * np.asarray(ticks)[..., None]
-            found[:, k, 0], found[:, k, 1:] = self.numbers[k], ends + OFF_ROUNDINGS * ends.max(axis=1, keepdims=True)
-        return found.reshape(len(begin), -1)
+            at_begin, at_end = (one.off(t) + one.rate * ticks for t in (begin, end))
+            more = OFF_ROUNDINGS * np.maximum(at_begin, at_end)
+            found[:, k] = np.stack([np.full(len(begin), self.numbers[k]), at_begin + more, at_end + more], axis=1)
+        return found.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
         """List all times at which any body changes its rates between t0 and t1, shape (N,) each, and some others.

@@ -465,8 +465,8 @@ class Scene:
         error : array_like, shape (2,), optional
             By how much the pose may be wrong, in metres and radians: the body's origin is off by at most the first
             number, and its orientation by at most the second. A point at the distance ρ from the body's origin is then
-            off by at most metres + ρ · radians; `bounds` has the largest ρ. Answers hold for all such poses: what is
-            FREE is free for each. By default the pose is exact, also if an earlier one was not.
+            off by at most metres + ρ · radians; `bounds` has the largest ρ. Answers hold for all such poses: FREE means
+            free at each. By default the pose is exact, also if an earlier one was not.
 
         Raises
         ------
@@ -476,10 +476,10 @@ class Scene:
 
         Notes
         -----
-        An error counts as a margin of the body, so that a checker does not reuse its prepared data when an error
-        changes; a new pose with the same error is as fast as one without. `collide` is True where the body may collide.
-        COLLIDING means a collision at the given pose; what may collide is AMBIGUOUS. Distances and clearances are those
-        of the given poses.
+        An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
+        pose with the same error is as fast as one without. `collide` is True where the body may collide. COLLIDING
+        means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances are those of
+        the given poses; their bounds, and clearances, hold for all.
 
         Examples
         --------

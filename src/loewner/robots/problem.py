@@ -446,6 +446,14 @@ class Problem:
         return self if self.given is None else self._without_errors
 
     @kept
+    def by_error(self) -> list[tuple[float, Problem]]:
+        """The pairs with each error of static bodies' poses [m], which is rounded up."""
+        if self.given is None:
+            return [(0.0, self)]
+        errors = (self.margins - self.given) * (1.0 + 2.0**-48) + 2.0**-48 * self.margins * (self.margins > self.given)
+        return [(float(error), self.only(np.flatnonzero(errors == error))) for error in np.unique(errors)]
+
+    @kept
     def _without_errors(self) -> Problem:
         return self._with_margins(self.margins if self.given is None else self.given)
 
