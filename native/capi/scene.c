@@ -639,6 +639,7 @@ static loewner_status arrange(const loewner_checker *checker, State *state)
             state->place[b] = (int32_t)(state->moving + state->standing);
             state->body[state->place[b]] = b;
             *(group < 2 ? &state->moving : &state->standing) += 1;
+            state->growing += body->has_bounds;
         }
     state->link = room(state, state->moving, 8);
     state->poses = room(state, 16 * state->standing, 8);
@@ -756,7 +757,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         {(void **)&workspace->link_poses, 128 * (size_t)state->tree.links},
         {(void **)&workspace->poses, 128 * bodies},
         {(void **)&workspace->courses, 8 * 8 * dof * MOTIONS_AT_ONCE},
-        {(void **)&workspace->off, 8 * dof * MOTIONS_AT_ONCE},
+        {(void **)&workspace->off, 8 * (dof + 3 * (size_t)state->growing) * MOTIONS_AT_ONCE},
         {(void **)&workspace->fractions, 8 * MOTIONS_AT_ONCE},
         {(void **)&workspace->numbers, 8 * 4 * MOTIONS_AT_ONCE},
         {(void **)&workspace->vectors, 8 * 9 * MOTIONS_AT_ONCE},
@@ -827,6 +828,18 @@ loewner_status prepare(const loewner_checker *checker, loewner_workspace *worksp
 {
     TRY(settle_scene(checker));
     return workspace->serial == checker->serial ? LOEWNER_OK : bind(checker, workspace);
+}
+
+loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *workspace)
+{
+    TRY(prepare(checker, workspace));
+    for (int32_t b = 0; checker->state.growing > 0 && b < checker->body_count; b++)
+        if (checker->bodies[b].has_bounds && checker->bodies[b].is_present)
+            return fail(LOEWNER_BAD_ARGUMENT,
+                        "expected a proof of motions or curves, since the pose of %.100s is known by bounds only; end "
+                        "them for other queries",
+                        checker->bodies[b].name);
+    return LOEWNER_OK;
 }
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
@@ -1075,6 +1088,7 @@ loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, in
     its->touch_count = touch_count;
     its->link = link;
     its->is_attached = 1;
+    its->has_bounds = 0;
     memcpy(its->pose, pose_in_link, sizeof its->pose);
     spoil(checker, 2);
     return LOEWNER_OK;
@@ -1128,6 +1142,26 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
     /* Pairs are checked unless the file says otherwise; so says a rule of the file for two static bodies. */
     rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body, const loewner_bounds *bounds)
+{
+    TRY(expect_body(checker, body));
+    Body *its = checker->bodies + body;
+    if (its->link >= 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body that stands in the scene, found %s, which is on a link",
+                    its->name);
+    for (int k = 0; bounds != NULL && k < 4; k++) {
+        double number = (const double[]){bounds->metres, bounds->radians, bounds->speed, bounds->turn}[k];
+        if (!(number >= 0 && number < INFINITY && fabs(bounds->since) < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "bounds: expected numbers >= 0 and a finite time, found others");
+    }
+    if (its->has_bounds != (bounds != NULL))
+        spoil(checker, 2);
+    its->has_bounds = bounds != NULL;
+    if (bounds != NULL)
+        its->bounds = *bounds;
     return LOEWNER_OK;
 }
 
