@@ -36,7 +36,14 @@ class Distance(ctypes.Structure):
 
 
 class ProofOptions(ctypes.Structure):
-    _fields_ = [("tolerance", ctypes.c_double), ("joint_error", ctypes.c_void_p)]
+    _fields_ = [
+        ("tolerance", ctypes.c_double), ("joint_error", ctypes.c_void_p), ("t0", ctypes.c_void_p),
+        ("t1", ctypes.c_void_p),
+    ]  # fmt: skip
+
+
+class Bounds(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_double) for name in ("metres", "radians", "speed", "turn", "since")]
 
 
 class PlanOptions(ctypes.Structure):
@@ -182,12 +189,16 @@ class Checker(Handle):
         ask("checker_clearance", self, self.workspace, rows, size(len(rows)), ctypes.c_double(softness), out, slopes)
         return out, slopes
 
-    def certify(self, Q0: Any, Q1: Any, tolerance: float = 1e-5, joint_error: Any = None) -> tuple[np.ndarray, ...]:
+    def certify(
+        self, Q0: Any, Q1: Any, tolerance: float = 1e-5, joint_error: Any = None, times: Any = None
+    ) -> tuple[np.ndarray, ...]:
         a, b = self._rows(Q0), self._rows(Q1)
         out, at = np.full(len(a), 9, dtype=np.int8), np.empty(len(a))
         bodies = np.empty((len(a), 2), dtype=np.int32)
         errors = None if joint_error is None else np.array(joint_error, dtype=float)
-        options = ProofOptions(tolerance, None if errors is None else errors.ctypes.data)
+        t0, t1 = (None, None) if times is None else np.ascontiguousarray(times, dtype=float)
+        addresses = [None if x is None else x.ctypes.data for x in (errors, t0, t1)]
+        options = ProofOptions(tolerance, *addresses)
         ask("checker_certify_edges", self, self.workspace, a, b, size(len(a)), ctypes.byref(options), out, at, bodies)
         return out, at, bodies
 
@@ -251,6 +262,10 @@ class Checker(Handle):
 
     def allow(self, a: str, b: str, allowed: bool = True) -> None:
         ask("checker_allow", self, self.body(a), self.body(b), int(allowed))
+
+    def set_bounds(self, body: str, **bounds: float) -> None:
+        given = ctypes.byref(Bounds(**bounds)) if bounds else None
+        ask("checker_set_bounds", self, self.body(body), given)
 
     def set_margin(self, a: str, b: str, margin: float) -> None:
         ask("checker_set_margin", self, self.body(a), self.body(b), ctypes.c_double(margin))

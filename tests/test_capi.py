@@ -305,6 +305,51 @@ def test_bodies_are_added_attached_and_taken_away(pair, tmp_path, rng):
         mine.attach("panda_link3", "panda_hand", T)
 
 
+def test_bodies_known_by_bounds_are_proven_as_in_python(pair, rng):
+    """Growth in time, constant errors, joint errors and moved bodies; what C does not know of bounds, it refuses."""
+    checker, mine = pair
+    scene, names = checker.scene, [name for name in checker.scene if name.startswith("b")][:4]
+    a = checker.robot.random_configurations(150, seed=3)
+    b = a + rng.normal(size=a.shape) * 0.1
+    t0 = rng.uniform(-0.5, 0.5, len(a))
+    t1 = t0 + rng.uniform(0.0, 0.5, len(a))
+    free = 0
+    for speed, since in ((0.05, -1.0), (0.4, -0.5), (1.6, -0.51)):
+        for name in names:
+            T = scene.pose(name) if name in scene.static_names else scene.following[name].poses(0.0)
+            T[:3, 3] += rng.normal(size=3) * 0.05
+            capi.ask("checker_move", mine, np.array([mine.body(name)], dtype=np.int32), T, capi.size(1))
+            mine.set_bounds(name, metres=0.02, radians=0.0, speed=speed, turn=0.0, since=since)
+            scene.follow(name, [since], T, speed=speed, error=(0.02, 0.0))
+        for error in (None, np.full(checker.robot.dof, 1e-3)):
+            found, at, bodies = mine.certify(a, b, joint_error=error, times=(t0, t1))
+            wanted = checker.certify_edges(a, b, t0=t0, t1=t1, joint_error=0.0 if error is None else error)
+            np.testing.assert_array_equal(found, wanted.verdict)
+            np.testing.assert_allclose(at, wanted.fraction, atol=1e-9)
+            assert ((bodies >= 0).all(axis=1) == (found != 0)).all()
+            free += int((found == 0).sum())
+    assert 100 < free < 800
+    with pytest.raises(capi.Error, match="expected times, since bounds on b"):
+        mine.certify(a, b)
+    with pytest.raises(capi.Error, match="t0 <= t1, found"):
+        mine.certify(a, b, times=(t1 + 1.0, t0))
+    with pytest.raises(capi.Error, match="known by bounds only"):
+        mine.verdicts("collide", a)
+    with pytest.raises(capi.Error, match="known by bounds only"):
+        mine.free(a, b)
+    for wrong in ({"speed": -1.0}, {"metres": np.nan}, {"turn": np.inf}, {"since": np.nan}):
+        with pytest.raises(capi.Error, match="bounds: expected numbers >= 0"):
+            mine.set_bounds(names[0], **wrong)
+    with pytest.raises(capi.Error, match="on a link"):
+        mine.set_bounds("panda_hand", speed=1.0)
+    for name in names:
+        mine.set_bounds(name)
+        scene.detach(name, scene.following[name].poses(0.0))
+    np.testing.assert_array_equal(mine.certify(a, b)[0], checker.certify_edges(a, b).verdict)
+    np.testing.assert_array_equal(mine.verdicts("collide", a) == 1, checker.collide(a))
+
+
+
 def test_a_piece_behind_a_surface_is_no_surface(pair, tmp_path, rng):
     """Of a solid and a box, the box has no parts, wherever it comes to lie: classify once said FREE of it."""
     import trimesh

@@ -171,6 +171,8 @@ typedef struct {
     int64_t link; /* of the robot; -1 for a body of the scene */
     int is_attached, is_present;
     double pose[16]; /* in the world, or in the frame of the link */
+    int has_bounds;
+    loewner_bounds bounds;
     int32_t *touch;
     size_t touch_count;
 } Body;
@@ -187,9 +189,8 @@ typedef struct {
     Pack pack;
     void *joined; /* memory of the pack, unless it is a file's */
     int64_t words[PACK_WORDS];
-    double *ball, *chain, *blocks[2];
+    double *ball, *chain, *block;
     int64_t block_words;
-    int current;
     int64_t handle, motions;
     int64_t memory; /* bytes that any query writes to */
 } Half;
@@ -197,6 +198,7 @@ typedef struct {
 /* The pairs to check, derived from the bodies and the rules. */
 typedef struct {
     int64_t moving, standing, pairs, groups;
+    int64_t growing; /* bodies with bounds */
     int starts_matter, is_as_saved; /* the second: the bodies and pairs are the file's, and its arrays are used */
     int32_t *body;  /* moving + standing: which body is where */
     int32_t *place; /* of a body, -1 if it is absent */
@@ -257,6 +259,9 @@ enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
 /* Take over changes of the scene, and prepare a workspace. */
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
 
+/* The same for queries that know nothing of bounds; refuse these. */
+loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *workspace);
+
 /* The bodies with some of their surfaces cut, or whole where there is nothing to cut. */
 const Half *half_of(const loewner_checker *checker, Cutting cutting);
 
@@ -272,10 +277,10 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
                        const double *configurations, size_t n, int8_t *verdicts);
 
 /* Prove motions by their control points, shape (n, degree + 1, dof), which were checked; n <= MOTIONS_AT_ONCE.
-   `fractions` and `pairs` have room for n. */
+   `fractions` and `pairs` have room for n. `t0` and `t1`, shape (n,), may be NULL. */
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
-                     int32_t degree, double tolerance, const double *joint_error, int8_t *verdicts, double *fractions,
-                     int64_t *pairs);
+                     int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
+                     int8_t *verdicts, double *fractions, int64_t *pairs);
 
 /* Write the course of the straight motion from a to b, shape (2, dof). */
 void straight(const loewner_checker *checker, const double *a, const double *b, double *course);

@@ -58,7 +58,7 @@ static loewner_status is_free(const Judge *judge, const double *path, int64_t co
         int64_t motions = count - 1 - first < MOTIONS_AT_ONCE ? count - 1 - first : MOTIONS_AT_ONCE;
         for (int64_t k = 0; k < motions; k++)
             straight(checker, path + (first + k) * dof, path + (first + k + 1) * dof, workspace->courses + 2 * k * dof);
-        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error,
+        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error, NULL, NULL,
                   workspace->found, workspace->fractions, workspace->found_pairs));
         for (int64_t k = motions - 1; k >= 0; k--)
             if (workspace->found[k] != LOEWNER_FREE)
@@ -77,7 +77,7 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
         return LOEWNER_OK;
     double *course = judge->workspace->courses;
     straight(judge->checker, q, q, course);
-    TRY(prove(judge->checker, judge->workspace, course, 1, 1, PLAN_TOLERANCE, judge->joint_error, &verdict,
+    TRY(prove(judge->checker, judge->workspace, course, 1, 1, PLAN_TOLERANCE, judge->joint_error, NULL, NULL, &verdict,
               judge->workspace->fractions, judge->workspace->found_pairs));
     *is = verdict == LOEWNER_FREE;
     return LOEWNER_OK;
@@ -457,7 +457,7 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
     static const loewner_plan_options usual;
     options = options == NULL ? &usual : options;
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     if (path == NULL || count == NULL || goal_count == 0)
         return fail(
             LOEWNER_BAD_ARGUMENT,
@@ -500,7 +500,7 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
     static const loewner_plan_options usual;
     options = options == NULL ? &usual : options;
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     if (shorter == NULL || count == NULL || n < 2)
         return fail(LOEWNER_BAD_ARGUMENT, "expected two or more configurations and places for the path, found fewer");
     TRY(check_configurations(checker, path, n, "path"));

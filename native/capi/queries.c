@@ -196,7 +196,7 @@ static loewner_status asked(const loewner_checker *checker, loewner_workspace *w
                             const double *configurations, size_t n, int8_t *verdicts)
 {
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
     if (verdicts == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
@@ -219,7 +219,7 @@ loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, l
                                                const double *configuration, int8_t *verdicts)
 {
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     TRY(check_configurations(checker, configuration, 1, "configuration"));
     if (verdicts == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
@@ -241,7 +241,7 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
                                               const double *link_poses, int8_t *verdict, int8_t *verdicts)
 {
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     const State *state = &checker->state;
     int64_t links = checker->file->links;
     TRY(check_poses(link_poses, (size_t)links, "link_poses"));
@@ -315,7 +315,7 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
                                         double *gradients)
 {
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
     int64_t dof = checker->file->dof;
@@ -374,7 +374,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
                                          double *gradients)
 {
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
     if (state->pairs == 0 || (clearances == NULL && n > 0))
@@ -495,24 +495,13 @@ static void evaluate(const File *file, const double *course, int32_t degree, dou
     }
 }
 
-loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
-                     int32_t degree, double tolerance, const double *joint_error, int8_t *verdicts, double *fractions,
-                     int64_t *pairs)
+/* Let the kernel prove courses; `off` has rows of `width`, with what bodies may be off behind the values. */
+static loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses,
+                              int64_t count, int64_t points, double *off, int64_t width, double tolerance,
+                              int8_t *verdicts, double *fractions, int64_t *pairs)
 {
-    const State *state = &checker->state;
-    const File *file = checker->file;
     const Half *half = half_of(checker, CUT);
-    int64_t dof = file->dof, count = (int64_t)n, points = degree + 1, nothing;
-    int is_off = 0;
-    for (int64_t c = 0; joint_error != NULL && c < dof; c++)
-        is_off |= joint_error[c] > 0;
-    for (int64_t k = 0; is_off && k < count; k++)
-        for (int64_t c = 0; c < dof; c++) {
-            double most = 0;
-            for (int64_t p = 0; p < points; p++)
-                most = fmax(most, fabs(courses[(k * points + p) * dof + c]));
-            workspace->off[k * dof + c] = joint_error[c] + ROUNDED_VALUES * most;
-        }
+    int64_t dof = checker->file->dof, nothing;
     struct {
         int64_t first, last;
         Array3 courses;
@@ -527,7 +516,7 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         0,
         count,
         {courses, count, points, dof},
-        {workspace->off, is_off ? count : 0, is_off ? dof : 0},
+        {off, width > 0 ? count : 0, width},
         {NULL, 0}, /* nothing beside the margins */
         tolerance,
         (int64_t)half->words,
@@ -539,7 +528,83 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         {workspace->work, count, 2},
         workspace->memory,
     };
-    TRY(call(kernels()->certify_motions, &arguments, &nothing));
+    return call(kernels()->certify_motions, &arguments, &nothing);
+}
+
+/* Bound how far points of a body may be off at a time [m], with more than enough for rounding (B69). */
+static double off_at(const loewner_checker *checker, int64_t place, double t)
+{
+    const Pack *pack = &checker->state.halves[WHOLE].pack;
+    const loewner_bounds *bounds = &checker->bodies[checker->state.body[place]].bounds;
+    double reach = 0, off;
+    for (int64_t p = pack->piece_start[place]; p < pack->piece_start[place + 1]; p++)
+        reach = fmax(reach, STRETCH * pack->table[COLUMNS * p + REACH]);
+    off = bounds->metres + reach * bounds->radians;
+    if (bounds->speed > 0 || bounds->turn > 0)
+        off += (bounds->speed + reach * bounds->turn) * fabs(t - bounds->since);
+    return fmin(off * (1 + 0x1p-44), 1e100); /* also if it is not a number */
+}
+
+/* Write behind the values of a motion how far bodies may be off, as the kernel takes it. */
+static void write_growth(const loewner_checker *checker, double t0, double t1, double *row)
+{
+    const State *state = &checker->state;
+    for (int64_t place = state->moving; place < state->moving + state->standing; place++) {
+        if (!checker->bodies[state->body[place]].has_bounds)
+            continue;
+        double start = off_at(checker, place, t0), end = off_at(checker, place, t1);
+        double more = 0x1p-44 * fmax(start, end);
+        row[0] = (double)place;
+        row[1] = start + more;
+        row[2] = end + more;
+        row += 3;
+    }
+}
+
+/* Keep COLLIDING only where a course collides with all bodies at their poses. */
+static loewner_status doubt_bounds(const loewner_checker *checker, loewner_workspace *workspace, double *course,
+                                   int64_t points, double *off, int64_t width, double tolerance, int8_t *verdict,
+                                   double *fraction, int64_t *pair)
+{
+    int8_t given;
+    double at;
+    int64_t which;
+    if (*verdict == LOEWNER_FREE || *verdict == CODE_TOO_LONG)
+        return LOEWNER_OK;
+    TRY(certify(checker, workspace, course, 1, points, off, width, tolerance, &given, &at, &which));
+    int is_hit = given == LOEWNER_COLLIDING || given == CODE_BY_CARE;
+    *verdict = is_hit ? given : LOEWNER_AMBIGUOUS;
+    *fraction = is_hit ? at : *fraction;
+    *pair = is_hit ? which : *pair;
+    return LOEWNER_OK;
+}
+
+loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
+                     int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
+                     int8_t *verdicts, double *fractions, int64_t *pairs)
+{
+    const State *state = &checker->state;
+    const File *file = checker->file;
+    int64_t dof = file->dof, count = (int64_t)n, points = degree + 1, width = dof + 3 * state->growing;
+    int is_off = 0;
+    for (int64_t c = 0; joint_error != NULL && c < dof; c++)
+        is_off |= joint_error[c] > 0;
+    int is_wide = is_off || state->growing > 0;
+    for (int64_t k = 0; is_wide && k < count; k++) {
+        double *row = workspace->off + k * width;
+        for (int64_t c = 0; c < dof; c++) {
+            double most = 0;
+            for (int64_t p = 0; p < points; p++)
+                most = fmax(most, fabs(courses[(k * points + p) * dof + c]));
+            row[c] = is_off ? joint_error[c] + ROUNDED_VALUES * most : 0;
+        }
+        write_growth(checker, t0 == NULL ? 0 : t0[k], t1 == NULL ? 0 : t1[k], row + dof);
+    }
+    TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, verdicts,
+                fractions, pairs));
+    for (int64_t k = 0; state->growing > 0 && k < count; k++)
+        TRY(doubt_bounds(checker, workspace, courses + k * points * dof, points, workspace->off + k * width,
+                         is_off ? dof : 0, tolerance, verdicts + k, fractions + k, pairs + k));
     double *q = workspace->slopes;
     for (int64_t k = 0; k < count; k++) {
         const double *course = courses + k * points * dof;
@@ -584,6 +649,24 @@ static loewner_status check_options(const loewner_checker *checker, const loewne
     return LOEWNER_OK;
 }
 
+/* Check the times of motions, which bodies with a speed or a turn need. */
+static loewner_status check_times(const loewner_checker *checker, const loewner_proof_options *options, size_t n)
+{
+    const State *state = &checker->state;
+    int is_timed = options != NULL && options->t0 != NULL && options->t1 != NULL;
+    for (size_t k = 0; is_timed && k < n; k++)
+        if (!(options->t0[k] <= options->t1[k] && fabs(options->t0[k]) < INFINITY && fabs(options->t1[k]) < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected finite times, t0 <= t1, found %g and %g",
+                        options->t0[k], options->t1[k]);
+    for (int64_t place = state->moving; !is_timed && place < state->moving + state->standing; place++) {
+        const Body *body = checker->bodies + state->body[place];
+        if (body->has_bounds && (body->bounds.speed > 0 || body->bounds.turn > 0))
+            return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected times, since bounds on %.100s grow, found NULL",
+                        body->name);
+    }
+    return LOEWNER_OK;
+}
+
 static loewner_status check_edges(const loewner_checker *checker, const double *starts, const double *ends, size_t n,
                                   const loewner_proof_options *options, const int8_t *answers, const char *name)
 {
@@ -606,13 +689,15 @@ static size_t write_courses(const loewner_checker *checker, loewner_workspace *w
 }
 
 /* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
-static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t count,
-                                  int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
+static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t first,
+                                  size_t count, int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
                                   double *fractions, int32_t (*bodies)[2])
 {
+    int is_timed = options != NULL && options->t0 != NULL && options->t1 != NULL;
     TRY(prove(checker, workspace, workspace->courses, count, degree,
               options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
-              options != NULL ? options->joint_error : NULL, verdicts, workspace->fractions, workspace->found_pairs));
+              options != NULL ? options->joint_error : NULL, is_timed ? options->t0 + first : NULL,
+              is_timed ? options->t1 + first : NULL, verdicts, workspace->fractions, workspace->found_pairs));
     if (fractions != NULL)
         memcpy(fractions, workspace->fractions, count * sizeof *fractions);
     for (size_t k = 0; bodies != NULL && k < count; k++)
@@ -631,9 +716,10 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
     HOLD(workspace);
     TRY(prepare(checker, workspace));
     TRY(check_edges(checker, starts, ends, n, options, verdicts, "verdicts"));
+    TRY(check_times(checker, options, n));
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
         size_t count = write_courses(checker, workspace, starts, ends, first, n);
-        TRY(prove_block(checker, workspace, count, 1, options, verdicts + first,
+        TRY(prove_block(checker, workspace, first, count, 1, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
     }
     return LOEWNER_OK;
@@ -688,7 +774,7 @@ loewner_status loewner_checker_motions_free(const loewner_checker *checker, loew
                                             const loewner_proof_options *options, int8_t *is_free)
 {
     HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    TRY(prepare_exact(checker, workspace));
     TRY(check_edges(checker, starts, ends, n, options, is_free, "is_free"));
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
         size_t count = write_courses(checker, workspace, starts, ends, first, n);
@@ -712,12 +798,13 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
     TRY(check_count(n, each, "points"));
     TRY(check_configurations(checker, points, n * (size_t)(degree + 1), "points"));
     TRY(check_options(checker, options));
+    TRY(check_times(checker, options, n));
     if (verdicts == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
         size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
         memcpy(workspace->courses, points + first * each, count * each * sizeof *points);
-        TRY(prove_block(checker, workspace, count, degree, options, verdicts + first,
+        TRY(prove_block(checker, workspace, first, count, degree, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
     }
     return LOEWNER_OK;

@@ -28,8 +28,7 @@ static void *room(State *state, int64_t count, size_t size)
 static void leave_half(Half *half)
 {
     free(half->joined);
-    free(half->blocks[0]);
-    free(half->blocks[1]);
+    free(half->block);
 }
 
 static void leave_state(State *state)
@@ -500,7 +499,8 @@ static double length_of(const Tree *tree, int64_t link)
     return own + (tree->parent[link] >= 0 ? length_of(tree, tree->parent[link]) : 0);
 }
 
-static loewner_status place(const State *state, Half *half, int into)
+/* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
+static loewner_status place(const State *state, Half *half)
 {
     struct {
         int64_t pack, problem;
@@ -509,12 +509,11 @@ static loewner_status place(const State *state, Half *half, int into)
     } arguments = {
         (int64_t)half->words,
         half->handle,
-        {half->blocks[into], half->block_words},
+        {half->block, half->block_words},
         {state->poses, state->standing, 16},
     };
     TRY(call(kernels()->place_static, &arguments, &half->handle));
     half->motions = half->handle + MOTIONS_AT;
-    half->current = into;
     return LOEWNER_OK;
 }
 
@@ -570,13 +569,10 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     for (int k = 0; k < 7; k++)
         words += sizes[k];
     half->block_words = words;
-    for (int k = 0; k < 2; k++) {
-        half->blocks[k] = aligned_alloc(CACHE_LINE, ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
-        if (half->blocks[k] == NULL)
-            return no_memory();
-        memset(half->blocks[k], 0, (size_t)words * 8);
-    }
-    double *block = half->blocks[0];
+    double *block = half->block = aligned_alloc(CACHE_LINE, ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
+    if (block == NULL)
+        return no_memory();
+    memset(block, 0, (size_t)words * 8);
     int64_t next = TABLE_WORDS;
     for (int k = 0; k < 7; k++) {
         at[k] = block + next;
@@ -617,7 +613,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + MOTIONS_AT};
     int64_t nothing;
     TRY(call(kernels()->measure_moving, arguments, &nothing));
-    TRY(place(state, half, 1));
+    TRY(place(state, half));
     return measure(checker, half, is_for_motions);
 }
 
@@ -643,6 +639,7 @@ static loewner_status arrange(const loewner_checker *checker, State *state)
             state->place[b] = (int32_t)(state->moving + state->standing);
             state->body[state->place[b]] = b;
             *(group < 2 ? &state->moving : &state->standing) += 1;
+            state->growing += body->has_bounds;
         }
     state->link = room(state, state->moving, 8);
     state->poses = room(state, 16 * state->standing, 8);
@@ -702,13 +699,13 @@ static loewner_status renew(loewner_checker *checker)
         }
         leave_state(state);
         *state = made;
-    } else {
+        checker->serial = atomic_fetch_add(&serials, 1);
+    } else { /* workspaces stay prepared, since all arrays stay where they are */
         copy_poses(checker, state);
         for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
             if (half->words[0] != 0)
-                TRY(place(state, half, 1 - half->current));
+                TRY(place(state, half));
     }
-    checker->serial = atomic_fetch_add(&serials, 1);
     atomic_store(&checker->is_stale, 0);
     return LOEWNER_OK;
 }
@@ -760,7 +757,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         {(void **)&workspace->link_poses, 128 * (size_t)state->tree.links},
         {(void **)&workspace->poses, 128 * bodies},
         {(void **)&workspace->courses, 8 * 8 * dof * MOTIONS_AT_ONCE},
-        {(void **)&workspace->off, 8 * dof * MOTIONS_AT_ONCE},
+        {(void **)&workspace->off, 8 * (dof + 3 * (size_t)state->growing) * MOTIONS_AT_ONCE},
         {(void **)&workspace->fractions, 8 * MOTIONS_AT_ONCE},
         {(void **)&workspace->numbers, 8 * 4 * MOTIONS_AT_ONCE},
         {(void **)&workspace->vectors, 8 * 9 * MOTIONS_AT_ONCE},
@@ -831,6 +828,18 @@ loewner_status prepare(const loewner_checker *checker, loewner_workspace *worksp
 {
     TRY(settle_scene(checker));
     return workspace->serial == checker->serial ? LOEWNER_OK : bind(checker, workspace);
+}
+
+loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *workspace)
+{
+    TRY(prepare(checker, workspace));
+    for (int32_t b = 0; checker->state.growing > 0 && b < checker->body_count; b++)
+        if (checker->bodies[b].has_bounds && checker->bodies[b].is_present)
+            return fail(LOEWNER_BAD_ARGUMENT,
+                        "expected a proof of motions or curves, since the pose of %.100s is known by bounds only; end "
+                        "them for other queries",
+                        checker->bodies[b].name);
+    return LOEWNER_OK;
 }
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
@@ -1079,6 +1088,7 @@ loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, in
     its->touch_count = touch_count;
     its->link = link;
     its->is_attached = 1;
+    its->has_bounds = 0;
     memcpy(its->pose, pose_in_link, sizeof its->pose);
     spoil(checker, 2);
     return LOEWNER_OK;
@@ -1132,6 +1142,26 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
     /* Pairs are checked unless the file says otherwise; so says a rule of the file for two static bodies. */
     rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body, const loewner_bounds *bounds)
+{
+    TRY(expect_body(checker, body));
+    Body *its = checker->bodies + body;
+    if (its->link >= 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body that stands in the scene, found %s, which is on a link",
+                    its->name);
+    for (int k = 0; bounds != NULL && k < 4; k++) {
+        double number = (const double[]){bounds->metres, bounds->radians, bounds->speed, bounds->turn}[k];
+        if (!(number >= 0 && number < INFINITY && fabs(bounds->since) < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "bounds: expected numbers >= 0 and a finite time, found others");
+    }
+    if (its->has_bounds != (bounds != NULL))
+        spoil(checker, 2);
+    its->has_bounds = bounds != NULL;
+    if (bounds != NULL)
+        its->bounds = *bounds;
     return LOEWNER_OK;
 }
 

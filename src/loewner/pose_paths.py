@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _elementary, _validate
+from loewner._kernels import tolerances
 from loewner._kept import kept
 from loewner._matrices import product
 from loewner._native import entries
@@ -38,6 +39,59 @@ MOST_REPEATED = 2.0**40
 
 # Repetitions and parts of turns that a query may run through.
 MOST_KNOTS = 2**22
+
+# What rounding may take from a bound on how far points are off, as a share of its largest value on a piece of a motion.
+OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 11, certified.md B69
+
+# Metres by which a body may be off at most; nothing is free of it then, since kernels refuse bodies so large.
+MOST_OFF = 1e100
+
+
+@dataclass(frozen=True)
+class PoseBounds:
+    """How far a body may be from its given pose; see `Scene.follow` and `Scene.move`.
+
+    At the time t, the body's origin is off by at most metres + speed |t - since|, and its orientation by at most
+    radians + turn |t - since|. A point at the distance ρ from the origin is then off by no more than the first number
+    plus ρ times the second one, so the bounds depend on where the frame of the body has its origin.
+
+    Attributes
+    ----------
+    metres, radians : float
+        Constant errors of position and orientation.
+    speed, turn : float
+        Growth of the errors [m/s, rad/s].
+    since : float
+        Time from which they grow [s].
+    reach : float
+        The largest ρ [m]: an upper bound on the distance of the body's points from its origin.
+
+    Examples
+    --------
+    >>> from loewner import Body, Scene
+    >>> scene = Scene()
+    >>> scene.add("box", Body.box([0.6, 0.8, 0.2]), error=(0.01, 0.1))
+    >>> print(round(scene.bounds["box"].reach, 3), round(scene.bounds["box"].off(0.0), 3))
+    0.51 0.061
+    """
+
+    metres: float
+    radians: float
+    speed: float
+    turn: float
+    since: float
+    reach: float
+
+    @property
+    def rate(self) -> float:
+        """By how much the bound on the body's points grows [m/s]."""
+        return self.speed + self.reach * self.turn
+
+    def off(self, t: Any) -> Any:
+        """Bound how far points of the body may be off at times t, shape (...), in metres."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
+            return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # also if it is not a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +129,11 @@ class PosePath(KeepsReadOnly):
 
     def __repr__(self) -> str:
         return _validate.brief(self)
+
+    @kept
+    def rests(self) -> bool:
+        """Whether the body always has the same pose."""
+        return bool((self.positions == self.positions[0]).all() and (self.quaternions == self.quaternions[0]).all())
 
     def poses(self, t: ArrayLike) -> Floats:
         """Compute the poses at times.
@@ -241,6 +300,10 @@ class PackedPaths(NamedTuple):
         Largest numbers that are added to a time to find its place in the motion [s].
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and with those between short turns.
+    bounds : tuple of PoseBounds
+        How far bodies may be from their motions, those that have bounds, and bodies that rest.
+    numbers : ndarray, shape (len(bounds),)
+        The numbers of these bodies among all; negative for a body without pieces.
     """
 
     paths: tuple[PosePath, ...]
@@ -254,33 +317,57 @@ class PackedPaths(NamedTuple):
     turns: Floats
     spans: Floats
     once: tuple[Floats, Floats]
+    bounds: tuple[PoseBounds, ...]
+    numbers: Ints
 
     @classmethod
-    def of(cls, paths: tuple[PosePath, ...]) -> PackedPaths:
-        """Pack at least one motion."""
+    def of(
+        cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds, ...] = (), numbers: Ints | None = None
+    ) -> PackedPaths:
+        """Pack motions, and bounds on how far bodies with these numbers are from theirs."""
+        kinks = [one.since for one in bounds]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
         return cls(
             paths, np.cumsum([0, *(len(path.times) for path in paths)]),
-            np.concatenate([path.times for path in paths]),
-            np.concatenate([np.concatenate([path.positions, path.quaternions], axis=1) for path in paths]),
-            np.concatenate([np.append(path.arcs, 0.0) for path in paths]),
+            np.concatenate([[], *(path.times for path in paths)]),
+            np.concatenate(
+                [np.empty((0, 7)), *(np.concatenate([path.positions, path.quaternions], axis=1) for path in paths)]
+            ),
+            np.concatenate([[], *(np.append(path.arcs, 0.0) for path in paths)]),
             np.array([path.period * path.repeat for path in paths]),
             np.array([np.abs(path.positions).max() for path in paths]),
             np.array([(step / length).max() for step, length in zip(steps, lengths, strict=True)]),
             np.array([(path.arcs / length).max() for path, length in zip(paths, lengths, strict=True)]),
             np.array([abs(path.times[0]) + path.period for path in paths]),
             (
-                np.unique(np.concatenate([[], *(path.times for path in paths if not path.repeat)])),
-                np.unique(np.concatenate([[], *(path._fine for path in paths if not path.repeat)])),
+                np.unique(np.concatenate([kinks, *(path.times for path in paths if not path.repeat)])),
+                np.unique(np.concatenate([kinks, *(path._fine for path in paths if not path.repeat)])),
             ),
+            bounds, np.arange(len(bounds)) if numbers is None else numbers,
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:
         """Compute positions and quaternions at times, shape (N, bodies, 7); signs of quaternions are arbitrary."""
         out = np.empty((len(t), len(self.paths), 7))
-        entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
+        if self.paths:
+            entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
+
+    def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
+        """Bound how far points of bodies may be off at times, shape (N,), rounded by `ticks`; in between, linearly.
+
+        Returns
+        -------
+        ndarray, shape (N, 3 len(bounds))
+            For each body its number, and metres at both times, as `motions.settle` takes them.
+        """
+        found = np.empty((len(begin), len(self.bounds), 3))
+        for k, one in enumerate(self.bounds):
+            at_begin, at_end = (one.off(t) + one.rate * ticks for t in (begin, end))
+            more = OFF_ROUNDINGS * np.maximum(at_begin, at_end)
+            found[:, k] = np.stack([np.full(len(begin), self.numbers[k]), at_begin + more, at_end + more], axis=1)
+        return found.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
         """List all times at which any body changes its rates between t0 and t1, shape (N,) each, and some others.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -23,9 +23,9 @@ from loewner._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bodies, p
 from loewner._plausible import doubt_about_size, warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints, Pair
-from loewner.bodies import Bodies, Body, for_pictures, packed_of
+from loewner.bodies import Bodies, Body, for_pictures, packed_of, reach_of
 from loewner.errors import InputError
-from loewner.pose_paths import PosePath, path_of, with_twist
+from loewner.pose_paths import PoseBounds, PosePath, path_of, with_twist
 from loewner.queries import Bounds, Distance, Measured
 
 # One name or a pair, where None in place of a name means any link.
@@ -165,6 +165,8 @@ class Scene:
         self._poses: dict[str, Floats] = {}
         self._attachments: dict[str, Attachment] = {}
         self._following: dict[str, PosePath] = {}
+        self._bounds: dict[str, PoseBounds] = {}
+        self._off: dict[str, float] = {}  # of a snapshot: by how many metres points of bodies may be off
         self._allowed: set[Pair] = set()
         self._leaving: set[Pair] = set()
         self._reaching: set[Pair] = set()
@@ -179,7 +181,8 @@ class Scene:
 
     def __repr__(self) -> str:
         count = "1 body" if len(self) == 1 else f"{len(self)} bodies"
-        return f"Scene({count}, {len(self._attachments)} attached)"
+        off = f", {len(self._bounds)} known by bounds" if self._bounds else ""
+        return f"Scene({count}, {len(self._attachments)} attached{off})"
 
     @pictured
     def _repr_html_(self) -> str:
@@ -245,6 +248,12 @@ class Scene:
         return _validate.Named("body that follows a motion", held)
 
     @property
+    def bounds(self) -> dict[str, PoseBounds]:
+        """How far bodies may be from their poses or motions, keyed by name; other bodies are exactly there."""
+        with _CHANGING:
+            return {name: self._bounds[name] for name in self._bodies if name in self._bounds}
+
+    @property
     def version(self) -> int:
         """A number that grows with every change, so that stale data prepared from the scene can be recognised."""
         return self._version
@@ -302,6 +311,7 @@ class Scene:
             other._poses = dict(self._poses)
             other._attachments = dict(self._attachments)
             other._following = dict(self._following)
+            other._bounds = dict(self._bounds)
             other._allowed = set(self._allowed)
             other._leaving, other._reaching = set(self._leaving), set(self._reaching)
             other._margins = dict(self._margins)
@@ -310,7 +320,15 @@ class Scene:
 
     # -- changes ------------------------------------------------------------------------------
 
-    def add(self, name: str, body: Body, T_world_body: ArrayLike | None = None, *, margin: float | None = None) -> None:
+    def add(
+        self,
+        name: str,
+        body: Body,
+        T_world_body: ArrayLike | None = None,
+        *,
+        margin: float | None = None,
+        error: ArrayLike | None = None,
+    ) -> None:
         """Put a body into the world.
 
         Parameters
@@ -322,11 +340,14 @@ class Scene:
             Translation in metres. None is the identity.
         margin : float, optional
             Distance in metres that this body has to keep if no larger margin applies (see `margin_of`).
+        error : array_like, shape (2,), optional
+            Bounds on the error of the pose, in metres and radians, as for `move`.
 
         Raises
         ------
         InputError
-            If the name is taken or not a string, `body` is not a body, or the margin is negative or not finite.
+            If the name is taken or not a string, `body` is not a body, or the margin or an error is negative or not
+            finite.
         PoseError
             If the pose is not a rigid motion.
 
@@ -341,6 +362,7 @@ class Scene:
             raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
         T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
+        bounds = _bounds_of(body, _error(error, f"error of {name!r}"))
         with _CHANGING:
             if name in self._bodies:
                 raise InputError(
@@ -348,6 +370,7 @@ class Scene:
                 )
             self._bodies[name] = body
             self._poses[name] = T
+            self._set_bounds(name, bounds)
             if keep is not None:
                 self._margins[(name,)] = keep
             self._changed()
@@ -379,6 +402,7 @@ class Scene:
             self._poses.pop(name, None)
             self._attachments.pop(name, None)
             self._following.pop(name, None)
+            self._bounds.pop(name, None)
             # A body that is later added under the same name must not inherit permission to touch.
             self._allowed = {pair for pair in self._allowed if name not in pair}
             self._end_contacts(name)
@@ -392,7 +416,8 @@ class Scene:
         Parameters
         ----------
         name : str
-            Name of the body to replace. Its pose or attachment, margins and allowed pairs apply to the new body.
+            Name of the body to replace. Its pose or attachment, the bounds on its pose, margins and allowed pairs apply
+            to the new body.
         body : Body
 
         Raises
@@ -414,12 +439,20 @@ class Scene:
             raise InputError(f"body of {_validate.short(name)}: expected loewner.Body, found {type(body).__name__}")
         with _CHANGING:
             self._bodies[self._known(name)] = body
+            if name in self._bounds:
+                self._bounds[name] = replace(self._bounds[name], reach=reach_of(body))
             T = self._poses.get(name)  # None for a body on a link
             self._changed()
         if not self._doubted and T is not None:
             self._doubt(name, body, T)
 
-    def move(self, name: str | Mapping[str, ArrayLike | None], T_world_body: ArrayLike | None = None) -> None:
+    def move(
+        self,
+        name: str | Mapping[str, ArrayLike | None],
+        T_world_body: ArrayLike | None = None,
+        *,
+        error: ArrayLike | None = None,
+    ) -> None:
         """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.
 
         Parameters
@@ -429,11 +462,32 @@ class Scene:
             body is moved.
         T_world_body : array_like, shape (4, 4), or None
             The new pose; translation in metres. None is the identity.
+        error : array_like, shape (2,), optional
+            By how much the pose may be wrong, in metres and radians: the body's origin is off by at most the first
+            number, and its orientation by at most the second. A point at the distance ρ from the body's origin is then
+            off by at most metres + ρ · radians; `bounds` has the largest ρ. Answers hold for all such poses: FREE means
+            free at each. By default the pose is exact, also if an earlier one was not.
 
         Raises
         ------
         InputError
-            If a body is attached to a link, since it moves with the link until it is detached.
+            If a body is attached to a link, since it moves with the link until it is detached; or an error is negative
+            or not finite.
+
+        Notes
+        -----
+        An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
+        pose with the same error is as fast as one without. `collide` is True where the body may collide. COLLIDING
+        means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances are those of
+        the given poses; their bounds, and clearances, hold for all.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("crate", Body.box([0.6, 0.8, 0.2]))
+        >>> scene.move("crate", np.eye(4), error=(0.01, 0.1))
+        >>> round(scene.bounds["crate"].off(0.0), 3)  # 0.01 + 0.51 * 0.1
+        0.061
         """
         if isinstance(name, Mapping):
             if T_world_body is not None:
@@ -442,11 +496,25 @@ class Scene:
         else:
             moves = {self._known(name): T_world_body}
         checked = {key: _validate.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        self._move(checked, _error(error, "error"))
+
+    def _move(self, moves: Mapping[Any, Floats], error: tuple[float, float]) -> None:
         with _CHANGING:
-            self._poses.update({self._placed(key): T for key, T in checked.items()})
+            self._poses.update({self._placed(key): T for key, T in moves.items()})
+            if any(error) or self._bounds:
+                before = self._bounds.copy()
+                for key in moves:
+                    self._set_bounds(key, _bounds_of(self._bodies[key], error))
+                self._structure_version += self._bounds != before
             self._version += 1
 
-    def move_all(self, names: Iterable[str], Ts: ArrayLike) -> None:
+    def _set_bounds(self, name: str, bounds: PoseBounds | None) -> None:
+        if bounds is None:
+            self._bounds.pop(name, None)
+        else:
+            self._bounds[name] = bounds
+
+    def move_all(self, names: Iterable[str], Ts: ArrayLike, *, error: ArrayLike | None = None) -> None:
         """Move many bodies at once, as a tracker of objects reports them: faster than `move` with a mapping.
 
         Parameters
@@ -455,6 +523,8 @@ class Scene:
             The bodies, each once.
         Ts : array_like, shape (n, 4, 4)
             The new pose of each; translation in metres. If any name or pose is wrong, no body is moved.
+        error : array_like, shape (2,), optional
+            By how much each pose may be wrong, as for `move`.
 
         Raises
         ------
@@ -482,12 +552,12 @@ class Scene:
         if poses.shape != (len(moving), 4, 4):
             found = _validate.shape_text(poses.shape)
             raise InputError(f"Ts: expected a pose for each of {len(moving)} names, shape (n, 4, 4), found {found}")
+        off = _error(error, "error")
         with _CHANGING:
             moves = dict(zip(map(self._placed, moving), poses.copy(), strict=True))
             if len(moves) < len(moving):
                 raise InputError(f"names: expected names that differ, found {_validate.short(moving)}")
-            self._poses.update(moves)
-            self._version += 1
+            self._move(moves, off)
 
     def follow(
         self,
@@ -497,6 +567,10 @@ class Scene:
         *,
         repeat: bool = False,
         twist: ArrayLike | None = None,
+        speed: float = 0.0,
+        turn: float = 0.0,
+        since: float | None = None,
+        error: ArrayLike | None = None,
     ) -> None:
         """Let a body move: a part on a conveyor, a door, the forecast of a tracker.
 
@@ -508,7 +582,7 @@ class Scene:
         name : str
             A body of the scene. If it follows a motion already, the new one takes its place.
         times : array_like, shape (n,)
-            Seconds, increasing; two or more.
+            Seconds, increasing; two or more. A body that rests needs only one, if there are bounds.
         poses : array_like, shape (n, 4, 4)
             T_world_body at these times; translation in metres. In between, the position changes linearly and the body
             turns at a constant rate, the shorter way.
@@ -519,12 +593,27 @@ class Scene:
             Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
             between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves straight while the body
             turns about it: no screw motion about another axis.
+        speed, turn : float
+            Bounds on how the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person: at a time t, its
+            origin is off by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t - since\\|. A
+            point at the distance ρ from the origin is then off by at most (speed + ρ · turn) · \\|t - since\\|;
+            `bounds` has the largest ρ, so a frame in the middle of the body is the best one.
+        since : float, optional
+            Seconds: when the body was seen. Default: the first of `times`.
+        error : array_like, shape (2,), optional
+            Bounds on the error at that time, in metres and radians, which are added; see `move`.
+
+        Notes
+        -----
+        With bounds, answers hold for all motions within them: FREE means free for each, and `collide` is True where the
+        body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
+        free is AMBIGUOUS. Distances are those of the given motion. To follow a motion again without bounds drops them.
 
         Raises
         ------
         InputError
-            If the body is attached to a link, times do not increase, there are not as many as poses, or two
-            successive poses differ by half a turn.
+            If the body is attached to a link, times do not increase, there are not as many as poses, two successive
+            poses differ by half a turn, or a bound is negative or not finite.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
@@ -544,15 +633,33 @@ class Scene:
         >>> scene.static_names, scene.following["box"].poses(2.5)[:3, 3].tolist()
         ((), [-0.5, 0.0, 0.0])
         >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
+
+        A person who stood there at 2 s and may have walked anywhere since:
+
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
+        >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
+        >>> round(scene.bounds["person"].off(2.5), 9)
+        0.8
         """
         self._known(name)
+        rates = tuple(_validate.positive_scalar(x, w, zero=True) for x, w in ((speed, "speed"), (turn, "turn")))
+        off = _error(error, "error")
+        begin = None if since is None else _validate.real(since, "since")
+        if begin is not None and not any(rates):
+            raise InputError(f"since: expected speed or turn with it, found since = {begin:.15g} alone")
+        if any((*rates, *off)) and twist is None:
+            times, poses = _rest(times, poses)
         path = path_of(*((times, poses) if twist is None else with_twist(times, poses, twist)), repeat)
         with _CHANGING:
-            if self._known(name) not in self._following:
+            before = self._following.get(self._known(name))
+            rested = before is not None and before.rests and name in self._bounds
+            if before is None:
                 self._poses.pop(self._placed(name))
-                self._structure_version += 1
             self._following[name] = path
             body = self._bodies[name]
+            first = float(path.times[0]) if begin is None else begin
+            self._set_bounds(name, _bounds_of(body, off, rates, first))
+            self._structure_version += before is None or rested != (path.rests and name in self._bounds)
             self._version += 1
         if not self._doubted:
             farthest = np.eye(4)
@@ -575,7 +682,7 @@ class Scene:
         ----------
         name : str
             A body of the scene. A body that is already attached to a link is handed over to the new one; a body that
-            follows a motion no longer follows it.
+            follows a motion no longer follows it, and bounds on its pose are dropped.
         link : str
             Name of a link. It is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
@@ -618,6 +725,7 @@ class Scene:
             self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
             self._poses.pop(name, None)
             self._following.pop(name, None)
+            self._bounds.pop(name, None)
             self._end_contacts(name)
             self._leaving |= leaving
             self._reaching |= reaching
@@ -653,6 +761,7 @@ class Scene:
             self._poses[name] = T
             self._attachments.pop(name, None)
             self._following.pop(name, None)
+            self._bounds.pop(name, None)
             self._end_contacts(name)
             self._changed()
 
@@ -1037,8 +1146,10 @@ class Scene:
         moving = now.following
         if moving and time is None:
             raise InputError(f"time: expected seconds, since bodies follow motions ({', '.join(moving)}), found None")
+        bounds = now.bounds
         for name, motion in moving.items():
             now.detach(name, motion.poses(t))
+        now._off = {name: one.off(t) for name, one in bounds.items()} if bounds else {}
         _ = now.static_bodies
         if not moving:
             self._packed = now._packed  # a snapshot has its own version
@@ -1048,13 +1159,16 @@ class Scene:
         """Find the colliding pairs of bodies in the world, as indices into `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
         # The broad phase has one margin for all pairs: the largest misses none, and surplus pairs are dropped below.
-        widest = max([self._margin, *self._margins.values()])
+        off = self._off
+        widest = max([self._margin, *self._margins.values()]) + sum(sorted(off.values())[-2:])
         found = crowds.overlapping_pairs(bodies, poses, margin=widest)
         if self._allowed:
             found = found[[_pair(names[i], names[j]) not in self._allowed for i, j in found]]
-        if not self._margins:
+        if not self._margins and not off:
             return found
-        margins = np.array([self.margin_of(names[i], names[j]) for i, j in found])
+        margins = np.array(
+            [self.margin_of(names[i], names[j]) + off.get(names[i], 0.0) + off.get(names[j], 0.0) for i, j in found]
+        )
         meet = np.ones(len(found), dtype=bool)
         for margin in np.unique(margins[margins < widest]):
             at = np.flatnonzero(margins == margin)
@@ -1090,12 +1204,35 @@ class Scene:
         return str(name)
 
 
-def poses_since(scene: Scene, structure_version: int) -> tuple[Floats, tuple[PosePath, ...], int] | None:
-    """Return `static_poses`, motions and the version of a scene in which only these changed; otherwise None."""
+def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseBounds]]:
+    """Return what a checker takes of a scene that can change while its structure stays the same.
+
+    Returns
+    -------
+    poses : ndarray, shape (n, 4, 4)
+        `static_poses`, then of bodies that follow motions but rest, and grow with time.
+    following : dict of str to PosePath
+        The motions of the others.
+    bounds : dict of str to PoseBounds
+        The bounds of all these that follow motions, in the same order.
+    """
+    following, known = scene.following, scene._bounds
+    resting = [name for name, path in following.items() if path.rests and name in known]
+    poses = [scene.static_poses, *(following.pop(name).poses(0.0)[None] for name in resting)]
+    return np.concatenate(poses), following, {name: known[name] for name in (*following, *resting) if name in known}
+
+
+def poses_since(
+    scene: Scene, structure_version: int
+) -> tuple[Floats, tuple[PosePath, ...], dict[str, PoseBounds], int] | None:
+    """Return the results of `in_world` and the version of a scene in which only these changed; otherwise None."""
     with _CHANGING:
         if scene.structure_version != structure_version:
             return None
-        return scene.static_poses, tuple(scene.following.values()), scene.version
+        if not scene._following:
+            return scene.static_poses, (), {}, scene.version
+        poses, following, bounds = in_world(scene)
+        return poses, tuple(following.values()), bounds, scene.version
 
 
 def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[tuple[str, str]], str]:
@@ -1111,6 +1248,33 @@ def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[t
     left = len(scene) - len(names)
     entries = list(zip(names, colours, strict=True)) if len(names) <= MOST_NAMES else []
     return shapes, entries, f"; {left} of {len(scene)} bodies are not drawn" if left else ""
+
+
+def _error(given: Any, name: str) -> tuple[float, float]:
+    """Check the error of a pose, in metres and radians; none is (0, 0)."""
+    if given is None:
+        return 0.0, 0.0
+    metres, radians = _validate.finite_array(given, name, (2,)).tolist()
+    if not (metres >= 0.0 and radians >= 0.0):
+        raise InputError(f"{name}: expected metres and radians >= 0, found {metres:g} and {radians:g}")
+    return metres, radians
+
+
+def _bounds_of(
+    body: Body, error: tuple[float, float], rates: tuple[float, ...] = (0.0, 0.0), since: float = 0.0
+) -> PoseBounds | None:
+    """Make the bounds on a body's pose; None if it is exact."""
+    return PoseBounds(*error, *rates, since, reach_of(body)) if any((*error, *rates)) else None
+
+
+def _rest(times: ArrayLike, poses: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
+    """Let a body with a single time and pose rest there."""
+    at = _validate.finite_array(times, "times", (None,))
+    T = _validate.poses(poses, "poses")
+    if len(at) != 1 or T.shape not in ((4, 4), (1, 4, 4)):
+        return at, T
+    later = float(at[0]) + max(1.0, float(np.spacing(abs(at[0]))))
+    return np.array([float(at[0]), later]), np.broadcast_to(T.reshape(4, 4), (2, 4, 4))
 
 
 def _check_name(name: Any, what: str) -> str:

@@ -7,7 +7,7 @@ pass a pose to a query; its ellipsoids are not fitted again.
 format.
 """
 
-from loewner.bodies.body import Bodies, Body, Piece, bodies_of, body_of_file, checksum_of, packed_of
+from loewner.bodies.body import Bodies, Body, Piece, bodies_of, body_of_file, checksum_of, packed_of, reach_of
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
@@ -29,5 +29,6 @@ __all__ = [
     "checksum_of",
     "for_pictures",
     "packed_of",
+    "reach_of",
     "take",
 ]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate, fits, meshes
 from loewner._guard import guarded
-from loewner._kernels import columns
+from loewner._kernels import columns, tolerances
 from loewner._log import MANY_TRIANGLES, logged
 from loewner._matrices import dot, lengths
 from loewner._pictures import COLOURS, bodies, pictured
@@ -1232,6 +1232,16 @@ def _assemble_polytopes(
 def packed_of(bodies: Body | Bodies) -> Packed:
     """Return the arrays of bodies, for modules that call kernels."""
     return bodies._packed
+
+
+def reach_of(body: Body) -> float:
+    """Bound the distance of a body's points from its origin [m], at any pose that is accepted as rigid."""
+    packed = packed_of(body)
+    if (packed.layout[:, columns.KIND] <= columns.POLYTOPE).all():
+        far = float(lengths(packed.points).max(initial=0.0)) * (1.0 + 1e-12)
+    else:
+        far = float(packed.kernel.table[:, columns.REACH].max(initial=0.0))
+    return far * (1.0 + 4.0 * tolerances.ROTATION_TOLERANCE)
 
 
 def bodies_of(packed: Packed) -> Bodies:

@@ -104,7 +104,7 @@ class Checker:
             If the GPU cannot do the work.
         InputError
             If the width is not dof, an entry is not finite, an array on the GPU has the wrong type or layout or is on a
-            different GPU, or pieces are smaller than 1e-3 m or larger than 1e3 m.
+            different GPU, pieces are smaller than 1e-3 m or larger than 1e3 m, or poses of the scene have errors.
         UnknownNameError, ConvergenceError
             As for `CollisionChecker.collide`.
         """
@@ -209,6 +209,12 @@ class Checker:
     def _ready(self) -> Problem:
         """Prepare the pairs for the present scene; refuse pieces that single precision cannot hold, on the CPU too."""
         ready = prepared_of(self._checker)
+        if ready.given is not None:
+            names = ", ".join(self._checker.scene.bounds)
+            raise InputError(
+                f"expected bodies at known poses on a GPU, found errors of poses ({names}); ask the CollisionChecker, "
+                "or give these bodies larger margins"
+            )
         single_rows(ready.packed)
         return ready
 

@@ -161,6 +161,7 @@ LOEWNER_API loewner_status loewner_checker_clearance(const loewner_checker *chec
 typedef struct {
     double tolerance;          /* motions that come nearer than this to contact may be AMBIGUOUS [m]; 0: 1e-5 */
     const double *joint_error; /* shape (dof,), or NULL: FREE then holds for all deviations up to these */
+    const double *t0, *t1;     /* shape (n,), or NULL: seconds at which the motions begin and end, see loewner_bounds */
 } loewner_proof_options;
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
@@ -240,6 +241,23 @@ LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int3
    when one of them is attached. */
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
+
+/* How far a body of the scene may be from its pose: at a time t, its origin by metres + speed |t - since| and its
+   orientation by radians + turn |t - since|. A point at the distance r from the origin is then off by no more than the
+   first number plus r times the second one. */
+typedef struct {
+    double metres, radians; /* >= 0 */
+    double speed, turn;     /* >= 0 [m/s, rad/s], such as 1.6 and 0 for a person */
+    double since;           /* [s] */
+} loewner_bounds;
+
+/* Set the bounds of a body of the scene, or end them with NULL; attaching it ends them, too. As long as a body has
+   bounds, only motions and curves are proven, and other queries are refused. FREE then holds for all places of the
+   bodies within their bounds at the times in `loewner_proof_options`, which are required for a speed or a turn;
+   COLLIDING means with the bodies at their poses. To change the bounds of a body that has some, and to move it, takes no
+   time next to many others. */
+LOEWNER_API loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body,
+                                                      const loewner_bounds *bounds);
 
 /* -- pairs of bodies ----------------------------------------------------------------------------------------------- */
 

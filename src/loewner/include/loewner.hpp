@@ -202,13 +202,18 @@ public:
     }
 
     /* Prove one straight motion. */
+    /* `times` has the two at which the motion begins and ends [s], for bodies with bounds that grow. */
     Motion certify_edge(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5,
-                        Numbers joint_error = {}) const
+                        Numbers joint_error = {}, Numbers times = {}) const
     {
         std::int8_t found = LOEWNER_AMBIGUOUS;
         std::int32_t bodies[1][2] = {{-1, -1}};
         double fraction = NAN;
-        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data()};
+        if (times.size() != 0 && times.size() != 2)
+            throw Error(LOEWNER_BAD_ARGUMENT, "times: expected two, found " + std::to_string(times.size()));
+        const double *t0 = times.size() == 2 ? times.data() : nullptr, *t1 = t0 == nullptr ? t0 : t0 + 1;
+        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(), t0,
+                                               t1};
         expect_rows(start, 1);
         expect_rows(end, 1);
         if (joint_error.size() != 0)
@@ -223,7 +228,8 @@ public:
                  Numbers joint_error = {}) const
     {
         std::int8_t found = 0;
-        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data()};
+        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(),
+                                               nullptr, nullptr};
         expect_rows(start, 1);
         expect_rows(end, 1);
         if (joint_error.size() != 0)
@@ -236,7 +242,7 @@ public:
     void certify_edges(Workspace &workspace, Numbers starts, Numbers ends, View<std::int8_t> verdicts,
                        double tolerance = 1e-5) const
     {
-        const loewner_proof_options options = {tolerance, nullptr};
+        const loewner_proof_options options = {tolerance, nullptr, nullptr, nullptr};
         expect_rows(starts, verdicts.size());
         expect_rows(ends, verdicts.size());
         expect(loewner_checker_certify_edges(get(), workspace.get(), starts.data(), ends.data(), verdicts.size(),
@@ -293,6 +299,11 @@ public:
     {
         expect(loewner_checker_set_margin(held_.get(), a, b, margin));
     }
+    void set_bounds(std::int32_t body, const loewner_bounds &bounds)
+    {
+        expect(loewner_checker_set_bounds(held_.get(), body, &bounds));
+    }
+    void end_bounds(std::int32_t body) { expect(loewner_checker_set_bounds(held_.get(), body, nullptr)); }
 
     /* For the rest of `loewner.h`. */
     const loewner_checker *get() const noexcept { return held_.get(); }

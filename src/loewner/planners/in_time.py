@@ -133,11 +133,11 @@ class TimedJudge:
 
     def free_at(self, states: Floats) -> Bools:
         """Return which states are free."""
-        return verdicts.free(self.ready, self._with_bodies(states))
+        return in_time.free_at(self.ready, self._with_bodies(states), self.begin + states[:, -1])
 
     def touching(self, state: Floats) -> str:
         """Describe the contacts of a state; "" for none."""
-        contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0])
+        contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0], self.begin + state[-1])
         return doubt or touching(contacts)
 
     def waiting(self, q: Floats) -> str:
@@ -229,7 +229,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
     if not crossing <= SLOWEST:
         raise InputError(f"velocity: expected joints that cross their ranges in {SLOWEST:g} s, found {crossing:g} s")
-    paths, limit = () if ready.paths is None else ready.paths.paths, CROSSINGS * crossing + horizon_of(ready, begin)
+    limit = CROSSINGS * crossing + horizon_of(ready, begin)
     if last is not None:
         last = _validate.real(last, "arrive_by")
         if not last > begin:
@@ -237,7 +237,7 @@ def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: A
         limit = min(limit, last - begin)
         while begin + limit > last:
             limit = float(np.nextafter(limit, 0.0))
-    for name, path in zip(checker.scene.following, paths, strict=True):
+    for name, path in checker.scene.following.items():
         if path.repeat and limit / path.period * len(path.times) > MOST_KNOTS:
             raise InputError(
                 f"start_time: expected bodies that reach at most {MOST_KNOTS} of their times in the {limit:.3g} s of a "

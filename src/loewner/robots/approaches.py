@@ -164,7 +164,7 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
     """Measure one curve, on whose courses the moving bodies have their places; `number` is the curve's."""
     expect_pairs(ready, "closest")
-    ready = ready.without_margins
+    ready, curve = ready.without_margins, curve._replace(off=curve.off[:, : curve.courses.shape[2]])
     search = Search.of(ready, curve)
     lower = np.full(len(search.distance), -np.inf)
     open_pieces = np.flatnonzero(search.distance > 0)
@@ -213,7 +213,7 @@ class Measured(NamedTuple):
 
 def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
     """Measure a curve from `curves.proven`, whose pieces with the given numbers are not proven free."""
-    ready: Problem = checker._ready(timed=bool(checker.scene.following))
+    ready: Problem = checker._ready(timed=bool(checker.scene.following)).as_given
     whole, allowed = cut_in_time(checker.robot, ready, curve), dict[Pair, ClosestApproach]()
     if len(ready.ruled) < len(ready.pairs):
         near = measured(ready.unruled, whole)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import is_
 from weakref import WeakKeyDictionary
 
@@ -13,10 +13,11 @@ from loewner._kernels import columns
 from loewner._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Body, Packed, packed_of
 from loewner.errors import InputError, UnknownNameError
+from loewner.pose_paths import PoseBounds
 from loewner.robots.assembly import with_moving_bodies
 from loewner.robots.problem import Problem, rigid_with
 from loewner.robots.robot import Robot
-from loewner.scenes import Attachment, Scene
+from loewner.scenes import Attachment, Scene, in_world
 
 # Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
 MOST_PAIRS = 2**24
@@ -49,21 +50,27 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     """
     structure_version = scene.structure_version
     _check_names(robot, scene)
-    following = scene.following
+    poses, following, growing = in_world(scene)
     whole = with_moving_bodies(robot, tuple(following)) if following else robot
-    names, packs, link = _bodies(robot, scene)
+    names, packs, link = _bodies(robot, scene, list(following))
     pairs = _pairs(whole, names, link, _allowed_pairs(scene, skipped))
     pairs = pairs[link[pairs[:, 0]] < len(robot.link_names)]  # bodies of the scene are not checked against each other
     leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
     _check_convex(names, packs, pairs[leaving | reaching])
-    margins = _margins(scene, names, pairs)
+    given = _margins(scene, names, pairs)
+    bounds = scene.bounds
+    errors = np.array([0.0 if name in growing or name not in bounds else bounds[name].off(0.0) for name in names])
+    _check_known(names, pairs[leaving | reaching], bounds)
+    margins = given + errors[pairs].sum(axis=1) if errors.any() else given
     count = len(link)
     same = before is not None and count == len(before.link) and all(map(is_, packs[:count], before.packs))
     made = Problem.of(
         whole, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching,
         before.moving if same and before is not None else None,
-    ).with_poses(scene.static_poses, version)  # fmt: skip
-    return made.with_paths(tuple(following.values())) if following else made
+    ).with_poses(poses, version)  # fmt: skip
+    if errors.any():
+        made = made.with_given(given)
+    return made.with_paths(tuple(following.values()), growing) if following or growing else made
 
 
 # -- names and pairs --------------------------------------------------------------------------
@@ -92,14 +99,14 @@ def _check_names(robot: Robot, scene: Scene) -> None:
             raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")
 
 
-def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], list[Packed], Ints]:
+def _bodies(robot: Robot, scene: Scene, following: list[str]) -> tuple[tuple[str, ...], list[Packed], Ints]:
     """List names and bodies, the moving ones first, and the link with which each moving body moves."""
     links = {name: k for k, name in enumerate(robot.link_names)}
     moving = [(name, links[name], packed_of(body)) for name, body in robot.bodies.items()]
     moving += [(name, links[held.link], _on_link(scene[name], held)) for name, held in scene.attachments.items()]
-    moving += [(name, len(links) + k, packed_of(scene[name])) for k, name in enumerate(scene.following)]
+    moving += [(name, len(links) + k, packed_of(scene[name])) for k, name in enumerate(following)]
     moving = [entry for entry in moving if entry[2].piece_start[-1] > 0]
-    standing = scene.static_names
+    standing = [*scene.static_names, *(name for name in scene.following if name not in following)]
     packs = [*(pack for _, _, pack in moving), *(packed_of(scene[name]) for name in standing)]
     link = np.array([number for _, number, _ in moving], dtype=np.int64)
     return (*(name for name, _, _ in moving), *standing), packs, link
@@ -183,6 +190,17 @@ def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Boo
     ruled = np.zeros(len(pairs) + 1, dtype=bool)
     ruled[_numbers(rules, names, pairs)] = True  # -1 is behind the last
     return ruled[:-1]
+
+
+def _check_known(names: tuple[str, ...], pairs: Ints, bounds: Mapping[str, PoseBounds]) -> None:
+    """Refuse rules about the contact of bodies whose poses are not known."""
+    for pair in pairs:
+        a, b = (names[n] for n in pair)
+        if a in bounds or b in bounds:
+            raise InputError(
+                f"leave or reach of {a} and {b}: expected bodies at known poses, found {a if a in bounds else b!r}, "
+                "whose pose is known by bounds only (error, speed or turn)"
+            )
 
 
 def _check_convex(names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints) -> None:

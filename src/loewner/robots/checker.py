@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
 from loewner._guard import guarded
@@ -258,6 +258,9 @@ class CollisionChecker:
             checked = self.robot.checked(Q)
         else:
             checked, ready = self._at(Q, t)
+            if ready.paths is not None and ready.paths.bounds:
+                free = in_time.free_at(ready, edges.flat(checked), _times_of(checked, t))
+                return bool(not free[0]) if checked.ndim == 1 else ~free.reshape(checked.shape[:-1])
         return verdicts.collisions(self._exact(ready, checked).verdicts, checked)
 
     def classify(self, Q: ArrayLike, t: ArrayLike | None = None) -> OneOrMany:
@@ -280,14 +283,16 @@ class CollisionChecker:
             As for `collide`.
         """
         version, single, ready = self._prepared
-        if version == self._scene.version and t is None:
+        if version == self._scene.version and t is None and ready.given is None:
             verdict = single.classify(Q)
             if verdict is not None:
                 self._learn(ready, 1)
                 return VERDICTS[verdict]
         checked, ready = self._at(Q, t)
-        out, _ = verdicts.classified(ready, codes.CERTIFY, edges.flat(checked))
+        rows = edges.flat(checked)
+        out, _ = verdicts.classified(ready, codes.CERTIFY, rows)
         self._learn(ready, len(out))
+        out = self._doubted(ready, rows, None if t is None else _times_of(checked, t), out)
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
@@ -586,7 +591,7 @@ class CollisionChecker:
         """
         time = None if t is None else _validate.finite_array(t, "t", ())
         checked, ready = self._at(self.robot.checked_one(q), time)
-        found, doubt = verdicts.contacts(ready, checked)
+        found, doubt = verdicts.contacts(ready, checked, None if time is None else float(time))
         if doubt:
             raise ConvergenceError(doubt)
         return found
@@ -611,7 +616,9 @@ class CollisionChecker:
             As for `collide`.
         """
         checked, ready = self._at(Q, t)
-        return verdicts.collisions_by_pair(ready, edges.flat(checked)).reshape(*checked.shape[:-1], len(ready.pairs))
+        times = None if t is None else _times_of(checked, t)
+        found = verdicts.collisions_by_pair(ready, edges.flat(checked), times)
+        return found.reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
     def distance(
@@ -799,6 +806,15 @@ class CollisionChecker:
         made = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
         return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
 
+    def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
+        """Turn verdicts that hold for the given poses, or for margins with errors, into verdicts for all poses."""
+        timed = t is not None and ready.paths is not None and ready.paths.bounds
+        if ready.given is None and not timed:
+            return out
+        free = in_time.free_at(ready, Q, t) if t is not None and timed else out == codes.FREE
+        hit = verdicts.classified(ready.as_given, codes.CERTIFY, Q).verdicts == codes.COLLIDING
+        return np.where(free, codes.FREE, np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)).astype(np.int8)
+
     def _own(self, found: StateDistance[Any, Any] | PairDistances) -> Floats:
         """Return a gradient without the columns of bodies that follow motions."""
         return np.ascontiguousarray(np.asarray(found.gradient)[..., : self.robot.dof])
@@ -869,9 +885,9 @@ class CollisionChecker:
         # Of one moment: what another thread changes meanwhile is noticed the next time.
         moved = None if ready is None else poses_since(self._scene, ready.structure_version)
         if ready is not None and moved is not None:
-            poses, paths, version = moved
+            poses, paths, bounds, version = moved
             ready = ready.with_poses(poses, version)
-            ready = ready.with_paths(paths) if paths else ready
+            ready = ready.with_paths(paths, bounds) if paths or bounds else ready
         else:
             scene = self._scene.snapshot()
             ready = prepared(self._robot, scene, self._skipped, scene.version, ready)
@@ -890,6 +906,11 @@ def _warn_of_refuted(robot: Robot) -> None:
             f"pairs that are exempt from checking can collide: {worst.names[0]} and {worst.names[1]} of {robot.name}, "
             f"{1e3 * max(-worst.distance, 0.0):.3g} mm deep{others}; see Robot.prove_pairs"
         )
+
+
+def _times_of(Q: Floats, t: Any) -> Floats:
+    """Return a time for each of some configurations."""
+    return np.broadcast_to(np.asarray(t, dtype=np.float64), Q.shape[:-1]).ravel()
 
 
 def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:

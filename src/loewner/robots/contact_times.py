@@ -135,7 +135,9 @@ def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> Tr
     found, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
     for pair in ready.ruled.tolist():
         a, b = (ready.names[n] for n in ready.pairs[pair])
-        for problem, run, allowed, least in stages(ready, pair, curve.courses, curve.off, tolerance):
+        for problem, run, allowed, least in stages(
+            ready, pair, curve.courses, curve.off[:, : curve.courses.shape[2]], tolerance
+        ):
             k = run.number
             ends = np.where(run.high == 1.0, curve.times[k + 1], curve.times[k] + run.high * lengths[k])
             times = np.append(curve.times[k[0]] + run.low[0] * lengths[k[0]], ends)
@@ -171,6 +173,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
         # The others are proven only if the first one turns out to be free.
         first, pair = unproven[0], int(proven.pairs[unproven[0]])
         gap = distance_at(problem, pair, piece.courses[first, 0]) - problem.margins[pair]
+        gap -= problem.off_at_start(piece.off[first, piece.courses.shape[2] :])[pair]
         if cuts == MOST_CUTS or gap <= tolerance:
             doubt = float(piece.times[first]), pair
             break
@@ -182,7 +185,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
     free = max(doubt[0] - CURVE_ROUNDINGS * float(np.abs(curve.times).max()), float(curve.times[0]))
 
     def colliding(times: Floats) -> Ints:
-        hit = verdicts.classified(problem, codes.EXACT, configurations_at(ready, curve, times)).verdicts
+        hit = verdicts.classified(problem.as_given, codes.EXACT, configurations_at(ready, curve, times)).verdicts
         return np.flatnonzero(hit == codes.COLLIDING)
 
     # Where a collision is known up to rounding only, there may be none.
@@ -214,7 +217,8 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
     """Cut one piece into parts; bodies that move get courses of their own, since a shorter turn is missed by less."""
     shares = np.arange(PARTS + 1) / PARTS
     courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
-    off = np.repeat(piece.off + CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1), PARTS, axis=0)
+    off = np.repeat(piece.off, PARTS, axis=0)
+    off[:, : courses.shape[2]] += CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1)
     begin, end = piece.times
     times = np.where(shares == 1.0, end, begin + shares * (end - begin))
     if ready.paths is not None:

@@ -109,6 +109,9 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
+    if ready.given is not None:  # of all poses within the errors; the distance is that of the given ones
+        bounds = np.array([np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error])
+        columns[0], columns[1] = bounds.min(axis=0)
     if gradient:
         columns.append(gradients(ready, Q, *(columns[k] for k in (3, 4, 6))))
     if exact:
@@ -216,8 +219,10 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
     ConvergenceError
         If squares of positions overflow.
     """
-    ready = ready.in_open_parts
     expect_pairs(ready, "clearance")
+    if ready.given is not None:
+        return _for_all_errors(ready, Q, softness, gradient)
+    ready = ready.in_open_parts
     n, dof = Q.shape
     _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
     lower, slopes = np.empty(n), np.empty((n * gradient, dof))
@@ -233,6 +238,19 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
         q = np.array2string(Q[np.argmin(np.isfinite(lower))], precision=17)
         raise ConvergenceError(f"clearance: positions overflow at configuration {q}")
     return lower, slopes
+
+
+def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
+    """Compute `clearances` for all poses within the errors: of pairs with each error, less the error, and together."""
+    parts = [(error, clearances(one.as_given, Q, softness, gradient)) for error, one in ready.by_error]
+    each = np.array([lower - error for error, (lower, _) in parts])
+    least = each.min(axis=0)
+    shares = np.exp((least - each) / softness)
+    total = shares.sum(axis=0)
+    lower = least - softness * np.log(total)
+    slopes = sum(share[:, None] * slope for share, (_, (_, slope)) in zip(shares / total, parts, strict=True) if gradient)
+    roundings = 2.0**-48 * (np.abs(each).max(axis=0) + softness * (1.0 + np.log(len(parts))))
+    return lower - roundings, np.asarray(slopes) if gradient else np.empty((0, Q.shape[1]))
 
 
 def _nearest_with_care(ready: Problem, q: Floats) -> tuple[Any, ...]:

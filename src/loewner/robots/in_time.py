@@ -15,13 +15,13 @@ import numpy as np
 from loewner import _elementary, _validate
 from loewner._kernels import codes, tolerances
 from loewner._matrices import power
-from loewner._validate import Floats, Ints
+from loewner._validate import Bools, Floats, Ints
 from loewner.pose_paths import PackedPaths
 from loewner.robots import motions, verdicts
 from loewner.robots.courses import CURVE_ROUNDINGS, between, elevated, straight
 from loewner.robots.motions import Found
 from loewner.robots.problem import Problem
-from loewner.robots.proofs import apply_rules, deviations, refuse_starts
+from loewner.robots.proofs import apply_rules, deviations, doubt_bounds, refuse_starts
 from loewner.robots.robot import Robot, interpolated
 
 # Values of a floating joint.
@@ -33,6 +33,10 @@ TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B57
 
 # A cubic curve through an arc of a unit circle, with its tangents at both ends, misses it by φ⁴ / 384 at most.
 ARC_ERROR = 1.0 / 384.0
+
+
+# The tolerance of a proof of a robot that stands still [m], for which nothing has to be halved.
+STILL = 1e-9
 
 
 class Pieces(NamedTuple):
@@ -47,8 +51,8 @@ class Pieces(NamedTuple):
     times : ndarray, shape (M, 2)
         Seconds.
     courses : ndarray, shape (M, degree + 1, dof + 7 bodies)
-    off : ndarray, shape (M, dof + 7 bodies)
-        How far values may deviate from the courses.
+    off : ndarray, shape (M, dof + 7 bodies + 3 growing)
+        How far values may deviate from the courses; and how far points of bodies may be off (`PackedPaths.off`).
     """
 
     owner: Ints
@@ -66,6 +70,17 @@ def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
         if ready.paths is None
         else np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
     )
+
+
+def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
+    """Return which values of `with_bodies`, at times of shape (N,), are proven free for all places of the bodies."""
+    paths = ready.paths
+    if paths is None or not paths.bounds:
+        return verdicts.free(ready, Q)
+    off = np.concatenate([np.zeros_like(Q), paths.off(t, t)], axis=1)
+    found = motions.settle(ready, np.stack([Q, Q], axis=1), STILL, off)
+    refuse_starts(ready.as_given, Q, found)
+    return np.asarray(found.verdicts == codes.FREE)
 
 
 def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
@@ -123,7 +138,7 @@ def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off
     """Append the courses of all bodies between times, and how far values may deviate from them."""
     M, points, dof = courses.shape
     width = dof + WIDTH * len(paths.far)
-    made, allowed = np.empty((M, points, width)), np.empty((M, width))
+    made, allowed = np.empty((M, points, width)), np.empty((M, width + 3 * len(paths.bounds)))
     made[..., :dof], allowed[:, :dof] = courses, off
     write_bodies(paths, begin, end, made[..., dof:], allowed[:, dof:])
     return made, allowed
@@ -136,12 +151,16 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
     ----------
     courses : ndarray, shape (M, points, 7 bodies)
         Receives them.
-    off : ndarray, shape (M, 7 bodies)
-        Receives how far values may deviate from the courses.
+    off : ndarray, shape (M, 7 bodies + 3 growing)
+        Receives how far values may deviate from the courses, and points of bodies from their places, as in `Pieces`.
     """
-    made, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off))
+    values, farthest = WIDTH * len(paths.far), np.maximum(np.abs(begin), np.abs(end))
+    off[:, values:] = paths.off(begin, end, TIME_ROUNDINGS * (farthest + paths.spans.max(initial=0.0)))
+    if values == 0:
+        return
+    made, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off[:, :values]))
     bent = _write_courses(paths.values(begin), paths.values(end), made)
-    ticks = TIME_ROUNDINGS * (np.maximum(np.abs(begin), np.abs(end))[:, None] + paths.spans)  # (M, bodies)
+    ticks = TIME_ROUNDINGS * (farthest[:, None] + paths.spans)  # (M, bodies)
     errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
     errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
 
@@ -187,7 +206,8 @@ def prove_edges(
     off = deviations(courses, joint_error)
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
     found = motions.settle(ready, cut.courses, tolerance, cut.off)
-    refuse_starts(ready, cut.courses[:, 0], found)
+    doubt_bounds(ready, cut.courses, tolerance, cut.off, found)
+    refuse_starts(ready.as_given, cut.courses[:, 0], found)
     if off is None:
         first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
         apply_rules(ready, cut.courses, cut.off, first, tolerance, found)
@@ -198,7 +218,7 @@ def prove_edges(
         fractions = made.fractions[at]
         Q = interpolated(robot, a[at], b[at], fractions[:, None])
         Q = with_bodies(ready, Q, t0[at] + fractions * (t1 - t0)[at])
-        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING
+        hit = verdicts.classified(ready.as_given, codes.EXACT, Q).verdicts == codes.COLLIDING
         made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
     return made
 

@@ -134,8 +134,9 @@ def settle(
         See `courses`; in C order and writeable.
     tolerance : float
         Metres.
-    off : ndarray, shape (N, dof), optional
-        How far each value may deviate from the course at any fraction; FREE covers all such deviations.
+    off : ndarray, shape (N, dof + 3 growing), optional
+        How far each value may deviate from the course at any fraction; FREE covers all such deviations. Then, how far
+        points of bodies may be off, as the kernel takes it; COLLIDING counts this as a margin.
     clear : ndarray, shape (N,), optional
         Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING, too, then
         refers to them.

@@ -552,6 +552,8 @@ def _standing(whole: Robot, scene: Scene | None) -> Scene:
         raise InputError(
             f"scene: expected bodies at rest or attached, found {next(iter(scene.following))!r}, which follows a motion"
         )
+    for name in scene.bounds:
+        raise InputError(f"scene: expected bodies at known poses, found {name!r}, whose pose has an error")
     return scene
 
 

@@ -24,7 +24,7 @@ from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
-from loewner.pose_paths import PackedPaths, PosePath
+from loewner.pose_paths import PackedPaths, PoseBounds, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
 
@@ -140,6 +140,8 @@ class Problem:
         Address of the table; valid as long as this object lives.
     paths : PackedPaths or None
         The motions that bodies follow; None if none does.
+    given : ndarray, shape (pairs,), or None
+        The margins without the errors of static bodies' poses, which `margins` include; None if there are no errors.
     """
 
     robot: Robot
@@ -164,6 +166,7 @@ class Problem:
     block: Floats
     handle: int
     paths: PackedPaths | None = None
+    given: Floats | None = None
 
     @classmethod
     def of(
@@ -218,7 +221,10 @@ class Problem:
         chosen = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs[pairs],
             self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
-        )._placed(self.standing.poses, version=self.version, paths=self.paths)  # fmt: skip
+        )._placed(
+            self.standing.poses, version=self.version, paths=self.paths,
+            given=None if self.given is None else self.given[pairs],
+        )  # fmt: skip
         for value in (Problem.cut, Problem.open_cut):
             value.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
         return chosen
@@ -231,15 +237,27 @@ class Problem:
             value.hand_on(self, ordered)
         return ordered
 
-    def with_paths(self, paths: tuple[PosePath, ...]) -> Problem:
-        """Set the motions that bodies follow; all other data stays valid."""
+    def with_paths(self, paths: tuple[PosePath, ...], bounds: dict[str, PoseBounds]) -> Problem:
+        """Set the motions that bodies follow, and bounds on bodies in time; all other data stays valid."""
+        place = {name: k for k, name in enumerate(self.names) if name in bounds}
+        numbers = np.array([place.get(name, -1) for name in bounds], dtype=np.int64)
+        return self._changed(paths=PackedPaths.of(paths, tuple(bounds.values()), numbers))
+
+    def with_given(self, given: Floats) -> Problem:
+        """Set the margins without errors of poses."""
+        return self._changed(given=given)
+
+    def _changed(self, **changes: Any) -> Problem:
         made = object.__new__(Problem)
-        vars(made).update(vars(self), paths=PackedPaths.of(paths))
+        vars(made).update(vars(self), **changes)
+        vars(made).pop("_without_errors", None)
         return made
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
         moved = self._placed(poses, version=version)
+        if self.given is not None:
+            Problem._without_errors.hand_on(self, moved, lambda known: known.with_poses(poses, version))
         for value in (Problem.cut, Problem.open_cut):
             value.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
         return moved
@@ -396,9 +414,13 @@ class Problem:
     @kept
     def by_margin(self) -> list[OfMargin]:
         """All pairs, grouped by margin."""
+        return self.grouped(self.margins)
+
+    def grouped(self, margins: Floats) -> list[OfMargin]:
+        """All pairs, grouped by other margins."""
         found = []
-        for margin in np.unique(self.margins).tolist():
-            at = np.flatnonzero(self.margins == margin)
+        for margin in np.unique(margins).tolist():
+            at = np.flatnonzero(margins == margin)
             plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
             found.append(OfMargin(margin, at, plan, np.ascontiguousarray(self.pairs[at].T)))
         return found
@@ -416,13 +438,45 @@ class Problem:
     @kept
     def without_margins(self) -> Problem:
         """The problem with no margins, for distances."""
-        if not self.margins.any():
-            return self
+        return self._with_margins(np.zeros(len(self.pairs))) if self.margins.any() else self
+
+    @property
+    def as_given(self) -> Problem:
+        """The problem with all bodies exactly at their given poses."""
+        return self if self.given is None else self._without_errors
+
+    @kept
+    def by_error(self) -> list[tuple[float, Problem]]:
+        """The pairs with each error of static bodies' poses [m], which is rounded up."""
+        if self.given is None:
+            return [(0.0, self)]
+        errors = (self.margins - self.given) * (1.0 + 2.0**-48) + 2.0**-48 * self.margins * (self.margins > self.given)
+        return [(float(error), self.only(np.flatnonzero(errors == error))) for error in np.unique(errors)]
+
+    @kept
+    def _without_errors(self) -> Problem:
+        return self._with_margins(self.margins if self.given is None else self.given)
+
+    def _with_margins(self, margins: Floats) -> Problem:
         made = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs,
-            np.zeros(len(self.pairs)), self.leaving, self.reaching, self.moving, self.packed,
+            margins, self.leaving, self.reaching, self.moving, self.packed,
         )  # fmt: skip
         return made._placed(self.standing.poses, version=self.version, paths=self.paths)
+
+    def off_at(self, t: float) -> Floats:
+        """How far points of each pair's bodies that follow motions may be off at a time [m], shape (pairs,)."""
+        if self.paths is None or not self.paths.bounds:
+            return np.zeros(len(self.pairs))
+        at = np.array([t])
+        return self.off_at_start(self.paths.off(at, at)[0])
+
+    def off_at_start(self, off: Floats) -> Floats:
+        """The same where a motion starts, from what `in_time.Pieces.off` has about bodies."""
+        of_bodies = np.zeros(len(self.names) + 1)
+        of_bodies[off[::3].astype(np.int64)] = off[1::3]
+        of_bodies[-1] = 0.0
+        return np.asarray(of_bodies[self.pairs].sum(axis=1))
 
     # -- poses --------------------------------------------------------------------------------
 

@@ -31,9 +31,28 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
         Results whose verdict is TOO_LONG for motions that would take too many intervals.
     """
     found = motions.settle(ready, courses, tolerance, off)
-    _confirm(ready, courses, found)
-    refuse_starts(ready, courses[:, 0], found)
+    doubt_bounds(ready, courses, tolerance, off, found)
+    _confirm(ready.as_given, courses, found)
+    refuse_starts(ready.as_given, courses[:, 0], found)
     return found
+
+
+def doubt_bounds(ready: Problem, courses: Floats, tolerance: float, off: Floats | None, found: Found) -> None:
+    """Keep COLLIDING only for courses that collide with all bodies at their given poses; the others are AMBIGUOUS.
+
+    The results of `motions.settle`, which counts the errors of poses as margins, are changed.
+    """
+    known, dof = ready.as_given, courses.shape[2]
+    exact = off if off is None else off[:, :dof]
+    if known is ready and (off is None or off.shape[1] == dof):
+        return
+    at = np.flatnonzero(np.isin(found.verdicts, (codes.COLLIDING, codes.AMBIGUOUS, codes.BY_CARE)))
+    found.verdicts[at] = codes.AMBIGUOUS
+    given = motions.settle(known, courses[at], tolerance, None if exact is None else np.ascontiguousarray(exact[at]))
+    hit = np.isin(given.verdicts, (codes.COLLIDING, codes.BY_CARE))
+    for array, values in zip(found[:3], given[:3], strict=True):
+        array[at[hit]] = values[hit]
+    found.work[at] += given.work
 
 
 def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None) -> Found:
@@ -77,7 +96,7 @@ def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, toler
         own = slice(first[curve], first[curve + 1])
         verdicts, fractions, pairs = (array[own] for array in (found.verdicts, found.fractions, found.pairs))
         for pair in ready.ruled.tolist():
-            settled = contacts.settle(ready, pair, courses[own], off[own], tolerance)
+            settled = contacts.settle(ready, pair, courses[own], off[own, : courses.shape[2]], tolerance)
             worse = (settled.verdicts != codes.FREE) & np.isin(verdicts, (codes.FREE, codes.AMBIGUOUS))
             verdicts[worse], fractions[worse], pairs[worse] = settled.verdicts[worse], settled.fractions[worse], pair
             if (verdicts == codes.COLLIDING).any():

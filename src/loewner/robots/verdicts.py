@@ -192,23 +192,30 @@ def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
     return pair_verdicts(ready, T)
 
 
-def pair_verdicts(ready: Problem, T: Floats) -> NDArray[np.int8]:
-    """Compute the verdict of every pair with the bodies at T; AMBIGUOUS if unsettled, or if overflow distorts T."""
+def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArray[np.int8]:
+    """Compute the verdict of every pair with the bodies at T; AMBIGUOUS if unsettled, or if overflow distorts T.
+
+    Margins are larger by `off`, shape (pairs,).
+    """
+    groups = ready.grouped(ready.margins + off) if off is not None and off.any() else ready.by_margin
     pack, verdicts = ready.packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
-    for margin, at, plan, rows in ready.by_margin:
+    for margin, at, plan, rows in groups:
         found = np.empty(len(at), dtype=np.int8)
         if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), found) is not None:
             verdicts[at] = found
     return verdicts
 
 
-def collisions_by_pair(ready: Problem, Q: Floats) -> Bools:
-    """Return whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if unsettled."""
+def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bools:
+    """Return whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if unsettled.
+
+    Bodies that follow motions may be as far off as at the times t, shape (N,).
+    """
     _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
     for first, poses in ready.poses_in_turn(Q):
         for at, T in enumerate(poses, first):
-            found = pair_verdicts(ready, T)
+            found = pair_verdicts(ready, T, None if t is None else ready.off_at(float(t[at])))
             expect_pairs_settled(ready, Q[at], found)
             out[at] = found == codes.COLLIDING
     return out
@@ -244,10 +251,10 @@ def unsettled(ready: Problem, pair: int, q: Floats) -> str:
     )
 
 
-def contacts(ready: Problem, q: Floats) -> tuple[tuple[Contact, ...], str]:
-    """Return the pairs that collide at a configuration, and a message if any pair could not be settled."""
+def contacts(ready: Problem, q: Floats, t: float | None = None) -> tuple[tuple[Contact, ...], str]:
+    """Return the pairs that collide at a configuration and a time, and a message if any pair could not be settled."""
     T = ready.poses(q[None])[0]
-    verdicts = pair_verdicts(ready, T)
+    verdicts = pair_verdicts(ready, T, None if t is None else ready.off_at(t))
     a, b = ready.pairs[verdicts == codes.COLLIDING].T
     found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
     names = ((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True))

@@ -37,7 +37,8 @@ TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
 SAVED_KEYS = ("sha256",)
-BODY_KEYS = (*POSE_KEYS, "attach", "follow", "margin")
+BODY_KEYS = (*POSE_KEYS, "attach", "follow", "margin", "error")
+BOUND_KEYS = ("speed", "turn", "since", "error")
 MARGIN_KEYS = ("of", "margin", "against", "lower")
 SURFACE_KEYS = ("radius", "solid")
 MESH_KEYS = ("scale", "decompose", "model", *SURFACE_KEYS)
@@ -252,15 +253,18 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     T = _pose(entry, keys)
     margin = keys["margin"].length() if "margin" in keys else None
     if "follow" in keys:
-        for key in (*POSE_KEYS, "attach"):
+        for key in (*POSE_KEYS, "attach", "error"):
             if key in keys:
-                raise keys[key].error(f"expected poses in follow alone, found {key} besides")
+                raise keys[key].error(f"expected poses and errors in follow alone, found {key} besides")
         _add_moving(scene, name, made[recipe], margin, keys["follow"])
         return
+    error = keys["error"].numbers(2) if "error" in keys else None
     if "attach" not in keys:
         with entry.blamed():
-            scene.add(name, made[recipe], T, margin=margin)
+            scene.add(name, made[recipe], T, margin=margin, error=error)
         return
+    if error is not None:
+        raise keys["error"].error("expected none with attach, since it bounds the pose in the world, found one")
     attach = keys["attach"].mapping(("link", "touch", "leave", "reach"), required=("link",))
     link = attach["link"].text()
     touch, leave, reach = (
@@ -273,15 +277,18 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
 
 def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry: YamlNode) -> None:
     """Add a body that follows a motion."""
-    keys = entry.mapping(("poses", "repeat"), required=("poses",))
+    keys = entry.mapping(("poses", "repeat", *BOUND_KEYS), required=("poses",))
     rows = [(row, row.mapping(("time", *POSE_KEYS), required=("time",))) for row in keys["poses"].items()]
     if not rows:
         raise keys["poses"].error("expected one row or more, found none")
     times, poses = [of_row["time"].number() for _, of_row in rows], [_pose(row, of_row) for row, of_row in rows]
     repeat = "repeat" in keys and keys["repeat"].flag()
+    bounds: dict[str, Any] = {key: keys[key].number() for key in BOUND_KEYS[:3] if key in keys}
+    if "error" in keys:
+        bounds["error"] = keys["error"].numbers(2)
     with entry.blamed():
         scene.add(name, body, poses[0], margin=margin)
-        scene.follow(name, times, poses, repeat=repeat)
+        scene.follow(name, times, poses, repeat=repeat, **bounds)
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
@@ -408,6 +415,9 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
 
     Quaternions of a motion are written to the last digit; they are normalised when they are read.
     """
+    bounds = scene.bounds.get(name)
+    exact = bounds is None or not (bounds.metres or bounds.radians)
+    error = {} if exact or bounds is None else {"error": [bounds.metres, bounds.radians]}
     if name in scene.following:
         path = scene.following[name]
         rows = zip(path.times.tolist(), path.positions.tolist(), path.quaternions.tolist(), strict=True)
@@ -415,10 +425,13 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
             {"time": t, "position": position} | ({} if wxyz == [1.0, 0.0, 0.0, 0.0] else {"quaternion_wxyz": wxyz})
             for t, position, wxyz in rows
         ]
-        return {"follow": {"poses": poses, "repeat": True} if path.repeat else {"poses": poses}}
+        follow: dict[str, Any] = {"poses": poses, "repeat": True} if path.repeat else {"poses": poses}
+        if bounds is not None and (bounds.speed or bounds.turn):
+            follow |= {"speed": bounds.speed, "turn": bounds.turn, "since": bounds.since}
+        return {"follow": follow | error}
     held = scene.attachments.get(name)
     T = scene.pose(name) if held is None else held.T_link_body
-    place: dict[str, Any] = {}
+    place: dict[str, Any] = {**error}
     if not np.array_equal(T[:3, :3], np.eye(3)) or not np.array_equal(T[3], np.eye(4)[3]):
         place["pose"] = T.tolist()
     elif T[:3, 3].any():

@@ -45,7 +45,7 @@ from loewner._kernels.robots.motion_bounds import (
     write_strays,
 )
 from loewner._kernels.robots.motion_path import configurations_at, write_part
-from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
+from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, STANDING, counts_of
 from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
 from loewner._kernels.robots.sweeps import (
@@ -156,7 +156,7 @@ class Near(NamedTuple):
     pair : number of the pair of bodies
     i, j : the pieces; i moves
     bend, speed : `Ways` of i relative to j
-    margin : m that they must keep
+    margin, rise : m that they must keep at the start of the motion, and by how much that grows until its end
     slack : bound on rounding [m], and on what joints may stray from the course
     stray : share of the latter
     lever, wave, rest : `longest_lever`, and the errors of strays along a normal: less than wave w² + rest. 0 if joints
@@ -169,6 +169,7 @@ class Near(NamedTuple):
     bend: Any
     speed: Any
     margin: Any
+    rise: Any
     slack: Any
     stray: Any
     lever: Any
@@ -218,6 +219,8 @@ MEMORY = Arena(
     order=integers(PAIRS),  # order of the pairs
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
+    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start, and its growth [m]
+    most_growth=floats(2),  # likewise for all static bodies
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -234,7 +237,7 @@ _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = 
 _gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
     "gaps planes part_times ends near_pairs listed listed_ways"
 )
-(_answers_of,) = MEMORY.accessors("answers")
+_answers_of, _growth_of, _most_growth_of = MEMORY.accessors("answers growth most_growth")
 _size = MEMORY.sizing()
 
 
@@ -325,7 +328,7 @@ def _row_of_answers(motion, near):
 
 
 @apart
-def _triangles_apart(motion, near, back, width, times, poses, first, last, still, fixed_first, fixed_last):
+def _triangles_apart(motion, near, back, margin, width, times, poses, first, last, still, fixed_first, fixed_last):
     """Whether two pieces, if one of them is a surface or a part of one, are proven apart in an interval.
 
     Parameters
@@ -333,8 +336,8 @@ def _triangles_apart(motion, near, back, width, times, poses, first, last, still
     near : Near
     back : Ways
         `Ways` of j relative to i.
-    width : float
-        Length of the interval.
+    margin, width : float
+        The pair's `_margin_within` the interval, and its length.
     times : int
         As for `triangles_apart`.
     poses, first, last :
@@ -355,7 +358,7 @@ def _triangles_apart(motion, near, back, width, times, poses, first, last, still
         poses, first, last, still, fixed_first = to, 1, 2, to, 0
     return triangles_apart(
         placed(pieces, j, still, fixed_first), placed(pieces, i, poses, first), placed(pieces, i, poses, last),
-        near.margin + near.slack + bend * width * width / 8.0, 2.0 * motion_tables_of(motion.tables).chain[2],
+        margin + near.slack + bend * width * width / 8.0, 2.0 * motion_tables_of(motion.tables).chain[2],
         speed * width, times, _gjk_of(motion), _exact_of(motion),
     )  # fmt: skip
 
@@ -399,8 +402,23 @@ def _to_body(poses, row, n):
 
 @inline
 def _margin(motion, pair):
-    """Distance that two bodies must keep [m]."""
-    return problem_of(motion.problem).margins[pair] + motion.clear
+    """Distance that two bodies must keep [m]: at the start of the motion, and by how much it grows until the end."""
+    problem, growth = problem_of(motion.problem), _growth_of(motion)
+    one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
+    off, rise = growth[one, 0] + growth[other, 0], growth[one, 1] + growth[other, 1]
+    return problem.margins[pair] + motion.clear + off, rise
+
+
+@inline
+def _margin_at(near, t):
+    """Distance that two pieces must keep at a fraction of the motion."""
+    return near.margin + near.rise * t
+
+
+@inline
+def _margin_within(near, low, high):
+    """Largest distance that two pieces must keep from one fraction of the motion to another."""
+    return near.margin + max(near.rise * low, near.rise * high)
 
 
 @inline
@@ -417,22 +435,23 @@ def _off(near, width):
 
 
 @inline
-def _needed(near, width):
-    """Gap along a normal, less strays along it, that proves an interval [m]."""
-    return near.margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
+def _needed(near, margin, width):
+    """Gap along a normal, less strays along it, that proves an interval in which this margin is kept [m]."""
+    return margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
 
 
 @inline
-def _kept(near, width):
+def _kept(near, low, high):
     """Gap without strays along its normal that proves an interval, and the least that is of use in seven parts [m]."""
-    keep = near.margin + near.slack + _off(near, width)
-    return keep, min(_needed(near, width / INTERVALS), keep)
+    keep = _margin_within(near, low, high) + near.slack + _off(near, high - low)
+    least = near.margin + min(near.rise * low, near.rise * high)
+    return keep, min(_needed(near, least, (high - low) / INTERVALS), keep)
 
 
 @inline
 def _moved(near, width):
-    """Largest distance of the hull of both ends from the piece in the middle."""
-    return near.speed * width / 2.0 + _off(near, width)
+    """Largest distance of the hull of both ends from the piece in the middle, and how much its margin grows."""
+    return near.speed * width / 2.0 + _off(near, width) + abs(near.rise) * width
 
 
 @inline
@@ -462,7 +481,8 @@ def _open_parts(motion, near, W, times, n, directed):
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
     _write_gaps(motion, near, W, n, directed)
-    clear = movemask(load(gaps, 0) > _needed(near, widest) + (0.0 if directed else near.stray))
+    needed = _needed(near, near.margin, widest) + (0.0 if directed else near.stray)
+    clear = movemask(load(gaps, 0) > load(times, 0) * near.rise + needed)
     return EVERY & ~(clear & (clear >> 1))
 
 
@@ -574,16 +594,17 @@ def _write_ends(motion, near, W, first, last):
 
 
 @apart
-def _test_middle(motion, near, width, poses, row, other_row, toward, tally):
-    """Test two pieces exactly in the middle of an interval: FREE, or the verdict for it.
+def _test_middle(motion, near, t, width, poses, row, other_row, toward, tally):
+    """Test two pieces exactly at t, in the middle of an interval: FREE, or the verdict for it.
 
     AMBIGUOUS if they come within the tolerance where points move by less than that.
     """
     tally[1] += 1
-    hit = _collides(motion, near.i, poses, row, near.j, poses, other_row, near.margin, toward)
+    margin = _margin_at(near, t)
+    hit = _collides(motion, near.i, poses, row, near.j, poses, other_row, margin, toward)
     if hit == FREE and _off(near, width) <= motion.tolerance:
         tally[1] += 1
-        wide = near.margin + motion.tolerance
+        wide = margin + motion.tolerance
         if _collides(motion, near.i, poses, row, near.j, poses, other_row, wide, toward) != FREE:
             return AMBIGUOUS
     return hit
@@ -644,13 +665,13 @@ def _halve(motion, near, back, low, high, n, tally):
         # The exact test of surfaces takes longer than planes, so it waits until these fail.
         waits = has_surface
         if not waits:
-            hit = _test_middle(motion, near, width, poses, at + middle, both + middle, toward, tally)
+            hit = _test_middle(motion, near, t, width, poses, at + middle, both + middle, toward, tally)
             if hit != FREE:
                 return hit, t, False
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
-            keep, least = _kept(near, w)
+            keep, least = _kept(near, times[depth, a], times[depth, b])
             tally[1] += 1
             if stands:
                 proven, m, undecided = _proven_standing(
@@ -668,7 +689,8 @@ def _halve(motion, near, back, low, high, n, tally):
                 by_triangles = False
                 continue
             # A plane that turns with the other body.
-            keep = near.margin + near.slack + back.bend * w * w / 8.0
+            within = _margin_within(near, times[depth, a], times[depth, b])
+            keep = within + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
             tally[1] += 1
             found, _, _ = _proven_moving(
@@ -679,11 +701,13 @@ def _halve(motion, near, back, low, high, n, tally):
                 by_triangles = False
                 continue
             more = MOST_MORE if depth > 1 or _moved(near, w) <= enough else MORE**depth
-            if _triangles_apart(motion, near, back, w, more, poses, at + a, at + b, poses, both + a, both + b):
+            if _triangles_apart(
+                motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b
+            ):
                 continue
             if waits:
                 waits = False
-                hit = _test_middle(motion, near, width, poses, at + middle, both + middle, toward, tally)
+                hit = _test_middle(motion, near, t, width, poses, at + middle, both + middle, toward, tally)
                 if hit != FREE:
                     return hit, t, False
             if _moved(near, w) <= enough:
@@ -741,7 +765,7 @@ def _halve_waiting(motion, count, found, tally):
         link = problem.link[other] if other < motion.counts.moving else -1
         back = _ways(motion, False, other, link, problem.link[one])
         n = normals[e, 0], normals[e, 1], normals[e, 2]
-        keep, least = _kept(near, times[k + 1] - times[k])
+        keep, least = _kept(near, times[k], times[k + 1])
         proven, undecided = False, waiting[e, 2] != 0
         if near.stray == 0.0:  # otherwise the best plane has been found
             tally[1] += 1
@@ -797,8 +821,8 @@ def _apart_in_block(motion, near, first, last, more):
     if moves:
         still, b, step = swept.poses, other * LANES, 1
     return _triangles_apart(
-        motion, near, back, times[last] - times[first], more, swept.poses, a + first, a + last, still, b + first * step,
-        b + last * step,
+        motion, near, back, _margin_within(near, times[first], times[last]), times[last] - times[first], more,
+        swept.poses, a + first, a + last, still, b + first * step, b + last * step,
     )  # fmt: skip
 
 
@@ -820,14 +844,14 @@ def _collides_in_block(motion, near, swept, k, n):
     """Whether two pieces collide at configuration k of the block; n is from j to i, in j's frame."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
-    a = one * LANES + k
+    a, margin = one * LANES + k, _margin_at(near, _times_of(motion)[k])
     if other >= motion.counts.moving:
         still = _standing_poses(problem)
         s = other - motion.counts.moving
-        return _collides(motion, near.i, swept.poses, a, near.j, still, s, near.margin, negated(n))
+        return _collides(motion, near.i, swept.poses, a, near.j, still, s, margin, negated(n))
     o = other * LANES + k
     toward = negated(_to_world(swept.poses, o, n))
-    return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, near.margin, toward)
+    return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, margin, toward)
 
 
 @inline
@@ -872,7 +896,7 @@ def _search(motion, e, found, waiting_count, tally):
         k = highest_bit(live)
         live &= ~(1 << k)
         n = N[at + k], N[at + LANES + k], N[at + 2 * LANES + k]
-        keep, least = _kept(near, times[k + 1] - times[k])
+        keep, least = _kept(near, times[k], times[k + 1])
         tally[1] += 1
         proven, n, undecided = _proven(motion, near, swept, k, k + 1, least if near.stray > 0.0 else keep, keep, n)
         if proven:
@@ -886,7 +910,7 @@ def _search(motion, e, found, waiting_count, tally):
             if (left >> k) & 1 == 0:
                 continue
             for end in range(k, k + 2):
-                if gaps[end] > near.margin + (near.slack - near.stray):
+                if gaps[end] > _margin_at(near, times[end]) + (near.slack - near.stray):
                     tested |= 1 << end
         for end in range(k + 1, k - 1, -1):
             found, tested = _test(motion, near, swept, end, n, found, tested, tally)
@@ -913,9 +937,9 @@ def _listed_pair(motion, e):
     """The piece pair in row e of the list."""
     listed, ways, at = _listed_of(motion), _listed_ways_of(motion), e * LISTED_WAYS
     pair = listed[e, 0]
+    margin, rise = _margin(motion, pair)
     return Near(
-        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], _margin(motion, pair),
-        ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
+        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, rise, ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
     )  # fmt: skip
 
 
@@ -957,6 +981,13 @@ def _write_errors(motion, e):
     ways[at + 2] = error_of_strays(seen, astray, far, 0.0) + astray.bend
 
 
+@inline
+def _margin_in_block(motion, pair):
+    """Largest distance that two bodies must keep in the block."""
+    times, (margin, rise) = _times_of(motion), _margin(motion, pair)
+    return margin + max(rise * times[0], rise * times[INTERVALS])
+
+
 @njit()
 def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
     """List the pieces of two bodies that may be near each other in the intervals `live`.
@@ -970,7 +1001,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)
     listed, ways, answers = _listed_of(motion), _listed_ways_of(motion), _answers_of(motion)
-    one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin(motion, pair)
+    one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin_in_block(motion, pair)
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
     width = times[1] - times[0]
     keep = margin + slack + bend * width * width / 8.0
@@ -1047,11 +1078,13 @@ def _find_near_pairs(motion, widest):
     tables, swept, ways, near_pairs = (
         motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
     )  # fmt: skip
+    times, (most, rise) = _times_of(motion), _most_growth_of(motion)
+    grown = (1.0 + motion.skew) * (most + max(rise * times[0], rise * times[INTERVALS]))
     for body in range(motion.counts.moving):
         if swept.done[body] == 0:
             _sweep(motion, body)
         keep = (1.0 + motion.skew) * motion.clear + motion.rounding + ways[body, 2]
-        keep += ways[body, 0] * widest * widest / 8.0
+        keep += ways[body, 0] * widest * widest / 8.0 + grown
         for g in range(tables.group_start[body], tables.group_start[body + 1]):
             live = near_group(tables.groups, g, body, keep, motion.skew, CLEAR_ROUNDINGS, swept)
             for lane in range(LANES):
@@ -1089,7 +1122,7 @@ def _settle_block(motion, low, high, found, tally):
             _find_near_pairs(motion, widest)
         if number >= FIRST_PAIRS and near_pairs[pair] == 0:
             continue
-        one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin(motion, pair)
+        one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin_in_block(motion, pair)
         slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
         if other >= moving:
             k = other - moving
@@ -1110,7 +1143,7 @@ def _settle_block(motion, low, high, found, tally):
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
-        if speed == 0.0:
+        if speed == 0.0 and _margin(motion, pair)[1] == 0.0:
             live &= 1  # the pair is the same everywhere
         if live != 0:
             found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
@@ -1183,10 +1216,25 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
     same, ends, near_pairs = _relative_of(motion), _ends_of(motion), _near_pairs_of(motion)
     for pair in range(len(near_pairs)):
         near_pairs[pair] = 1
+    _growth_of(motion)[:] = 0.0
+    _most_growth_of(motion)[:] = 0.0
     same[:] = 0.0
     ends[:] = 0.0
     for c in range(4):
         same[0, c, c] = 1.0
+
+
+@njit()
+def _write_growth(motion, off):
+    """Write how far points of bodies may be off on a motion, as `certify_motions` is given it."""
+    growth, most, start, end = _growth_of(motion), _most_growth_of(motion), 0.0, 0.0
+    for at in range(motion.counts.dof, len(off), 3):
+        body = int(off[at])
+        if body >= 0:
+            growth[body, 0], growth[body, 1] = off[at + 1], off[at + 2] - off[at + 1]
+        if body >= motion.counts.moving:
+            start, end = max(start, off[at + 1]), max(end, off[at + 2])
+    most[0], most[1] = start, end - start
 
 
 @njit()
@@ -1212,9 +1260,11 @@ def certify_motions(
     ----------
     courses : ndarray, shape (N, degree + 1, dof)
         See `motion_path`.
-    off : ndarray, shape (N, dof) or (0, dof)
+    off : ndarray, shape (N, dof + 3 growing) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
-        and COLLIDING for one on the course itself. No rows: no deviation.
+        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body of which points may be
+        off: its number, and by how many metres at the start and at the end; in between, by as much as on the line
+        through both. COLLIDING refers to margins that are larger by this. A negative number stands for no body.
     clear : ndarray, shape (N,) or (0,)
         Distances in metres that all pairs must keep on a motion in addition to their margins. No rows: none.
     tolerance : float
@@ -1244,6 +1294,8 @@ def certify_motions(
             for point in range(points):
                 course[point, c] = courses[k, point, c]
             strays[c] = off[k, c] if motion.strays else 0.0
+        if motion.strays and off.shape[1] > dof:
+            _write_growth(motion, off[k])
         tallies[k, 0], tallies[k, 1] = 0, 0
         found = _certify(motion, tallies[k])
         out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair

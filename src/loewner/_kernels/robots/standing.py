@@ -228,7 +228,8 @@ def place_static(pack, handle, block, poses):
         Handles of the bodies and of the problem. A block begins there: with the tables of `records.Problem` and
         `records.MotionTables`, which are followed by all arrays that depend on poses.
     block : ndarray
-        Receives the new block, from the first cache line on.
+        Receives the new block, from the first cache line on. If the old one begins there, it is changed in place, which
+        takes no longer for many bodies that stay where they are.
     poses : ndarray, shape (static bodies, 16)
 
     Returns
@@ -239,7 +240,7 @@ def place_static(pack, handle, block, poses):
     words, made = len(block) - LINE, np.int64(block.ctypes.data)
     made += -made % CACHE_LINE
     old, new = integers_at(handle, (words,)), integers_at(made, (words,))
-    for k in range(words):
+    for k in range(words if made != handle else 0):
         new[k] = old[k]
     for row in range(ROWS):
         if handle <= new[ENTRIES * row] < handle + 8 * words:
