@@ -1,0 +1,586 @@
+"""Let chunks of joint targets through as far as they are proven free, and as far as the robot can still brake."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._elementary import arccos
+from loewner._kernels import codes
+from loewner._validate import Floats, Ints
+from loewner.errors import InputError
+from loewner.planners.brakes import Brakes, brake_limits
+from loewner.planners.joint_limits import JointLimits
+from loewner.planners.judge import TOLERANCE, checked_checker
+from loewner.planners.trajectories import Trajectory, expect_straight
+from loewner.pose_paths import PoseBounds, PosePath
+from loewner.robots import CollisionChecker, in_time, motions, verdicts
+from loewner.robots.checker import prepared_of
+from loewner.robots.contacts import OFF
+from loewner.robots.courses import configurations
+from loewner.robots.curves import joint_errors
+from loewner.robots.distances import nearest_columns
+from loewner.robots.motions import Limit
+from loewner.robots.problem import Problem
+
+# Scales of time that are tried if a chunk is not free at its own: half, a quarter and an eighth of its speed.
+SCALES = (0.5, 0.25, 0.125)
+
+# Times that agree to this share of a period belong to the same tick.
+SAME_TICK = 1e-6
+
+# Metres, radians and shares by which bounds must be narrower than older ones to lie within these.
+WITHIN = 1e-12
+
+# Measured positions and velocities.
+State: TypeAlias = tuple[Floats, Floats]
+
+
+class GateState(IntEnum):
+    """What may be executed.
+
+    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no target, but the brake. INSIDE: the robot is
+    in contact already, or nearer to something than its margin, so nothing can be proven.
+    """
+
+    GO = 0
+    PREFIX = 1
+    BRAKE = 2
+    INSIDE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class GateAnswer:
+    """How far a chunk of joint targets may run.
+
+    Attributes
+    ----------
+    state : GateState
+    steps : int
+        How many targets may be executed. The motions to them, and a brake from each of them, are proven free.
+    scale : float
+        1 if all targets may be executed. Otherwise the largest of the scales of time 1/2, 1/4 and 1/8 with which they
+        may, that is, with periods of dt / scale; 0 if there is none, or no work was left to find it.
+    reason : str
+        Why not all targets may be executed: "contact", if the robot collides on the way to a target, or "brake", while
+        it brakes; "may be hit", if it collides only with bodies away from their given poses, or nothing is proven near
+        contact; "limits", if a target is outside the limits or too fast; "budget", if the work was used up. Empty for
+        GO.
+    names : tuple of str
+        The pair of bodies in question, or the joint; empty if there is none.
+    distance, normal : float, ndarray of shape (3,)
+        Distance [m] of these bodies, negative if they overlap, and the direction in which the second one lies, where
+        the proof fails, with all bodies at their given poses; NaN if there is no pair.
+    brake : Trajectory
+        To be executed after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at once if
+        the state is BRAKE.
+    is_proven : bool
+        Whether this brake is proven free. It is unless nothing was proven before, the robot has left the tube that was
+        proven, or the world has left its bounds.
+    work : int
+        Steps of the proofs, see `CollisionChecker.certify_edges`.
+    """
+
+    state: GateState
+    steps: int
+    scale: float
+    reason: str
+    names: tuple[str, ...]
+    distance: float
+    normal: Floats
+    brake: Trajectory
+    is_proven: bool
+    work: int
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+class _World(NamedTuple):
+    """All about bodies of the scene that may change without making the scene another one."""
+
+    structure: int
+    poses: Floats
+    following: dict[str, PosePath]
+    bounds: dict[str, PoseBounds]
+
+
+class _Chunk(NamedTuple):
+    """A chunk, and how far it is proven.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n + 1, dof)
+        Where the chunk begins, and its targets.
+    rates : ndarray, shape (n + 1, dof)
+        Velocities at these ticks, from the motions that end there.
+    dt, t0 : float
+    motions : int
+        How many motions are proven, from the first one on.
+    first, braked : int
+        The first and the last tick from which brakes are proven; all between them are.
+    world : _World
+    """
+
+    rows: Floats
+    rates: Floats
+    dt: float
+    t0: float
+    motions: int
+    first: int
+    braked: int
+    world: _World
+
+    def from_tick(self, j: int) -> _Chunk:
+        """Return the chunk as it is seen from a later tick."""
+        return self._replace(
+            rows=self.rows[j:], rates=self.rates[j:], t0=self.t0 + j * self.dt, motions=max(self.motions - j, 0),
+            first=self.first - j, braked=self.braked - j,
+        )  # fmt: skip
+
+
+class _Block(NamedTuple):
+    """Where a proof fails: the reason, the pair or -1, the configuration and the time."""
+
+    reason: str
+    pair: int
+    q: Floats
+    t: float
+
+
+class Gate:
+    """Judge chunks of joint targets in a control loop: how far may they run so that the robot can still brake?
+
+    A chunk is FREE to run up to a target if the straight motions to it are proven free, and a brake from each target,
+    for all deviations within the errors below and all places of bodies within their bounds (`Scene.follow`,
+    `Scene.move`). The claim is that nothing collides before the robot stands still; a body may then run into it. This
+    is no safety function in the sense of IEC 61508 or ISO 13849.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Whose scene may change between checks.
+    limits : planners.JointLimits, optional
+        Limits of velocity, acceleration and jerk. Default: those of the robot.
+    brake : {"joints", "path"}
+        How the robot brakes. "joints": each joint as fast as its limits allow, off the path, as most controllers do.
+        "path": on the path, along which time runs slower.
+    horizon : float, optional
+        Seconds: only the targets within it are examined. Default: all.
+    interpolation : {"linear"}
+        How the controller moves from one target to the next.
+    joint_error : float or array_like, shape (dof,)
+        Radians or metres by which the robot may deviate from the straight motions and from the brakes.
+    velocity_error : float or array_like, shape (dof,)
+        Rad/s or m/s by which its velocity may differ from the chunk's when it begins to brake.
+    latency : float
+        Seconds from the order to brake until the robot brakes; it goes on along the chunk until then. It is rounded up
+        to whole periods.
+    steps : int, optional
+        How much work a check may take, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
+    acceleration, jerk : float or array_like, shape (dof,), optional
+        Limits that replace those of `limits`; without a limit of jerk, accelerations jump.
+    tolerance : float
+        Metres, as for `CollisionChecker.certify_edges`.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong type, shape or value, a joint has no limit of acceleration, or the robot has a
+        floating or ball joint.
+    UnknownNameError
+        If `brake` or `interpolation` is another text.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 2.4], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> gate = Gate(CollisionChecker(Robot.from_urdf("arm.urdf"), scene), acceleration=2.0)
+    >>> rail = np.linspace(0.04, 2.0, 50)  # 2 m/s at 50 Hz, into the post
+    >>> answer = gate.check([0.0, 0.0], [2.0, 0.0], np.column_stack([rail, np.zeros(50)]), dt=0.02)
+    >>> print(answer.state.name, answer.reason, answer.names)
+    PREFIX brake ('cart', 'post')
+    >>> answer.is_proven, round(answer.brake.duration, 9)
+    (True, 1.0)
+    """
+
+    def __init__(
+        self,
+        checker: CollisionChecker,
+        limits: JointLimits | None = None,
+        *,
+        brake: str = "joints",
+        horizon: float | None = None,
+        interpolation: str = "linear",
+        joint_error: ArrayLike = 0.0,
+        velocity_error: ArrayLike = 0.0,
+        latency: float = 0.0,
+        steps: int | None = None,
+        acceleration: ArrayLike | None = None,
+        jerk: ArrayLike | None = None,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        self._checker = checked_checker(checker)
+        robot = checker.robot
+        expect_straight(robot)
+        _validate.choice(interpolation, "interpolation", ("linear",))
+        self._on_path = _validate.choice(brake, "brake", ("joints", "path")) == "path"
+        self._horizon = math.inf if horizon is None else _validate.positive_scalar(horizon, "horizon")
+        self._error = joint_errors(robot, joint_error)
+        self._rate_error = joint_errors(robot, velocity_error, "velocity_error")
+        self._latency = _validate.positive_scalar(latency, "latency", zero=True)
+        self._steps = codes.NO_LIMIT if steps is None else _validate.whole_number(steps, "steps", 1)
+        self._tolerance = _validate.positive_scalar(tolerance, "tolerance")
+        moves = np.ones(robot.dof, dtype=bool)
+        names = robot.configuration_names
+        self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
+        known = robot.velocity if limits is None else limits.velocity
+        self._fastest = np.where(np.isnan(known), np.inf, known)
+        self._last: _Chunk | None = None
+        self._now = -math.inf
+
+    @property
+    def checker(self) -> CollisionChecker:
+        """The checker whose robot and scene are judged."""
+        return self._checker
+
+    def check(
+        self, q: ArrayLike, dq: ArrayLike, targets: ArrayLike, dt: float, time: float | None = None
+    ) -> GateAnswer:
+        """Judge a chunk of targets, before it is executed, or again at each tick of its execution.
+
+        Parameters
+        ----------
+        q, dq : array_like, shape (dof,)
+            Measured positions and velocities.
+        targets : array_like, shape (n, dof)
+            The robot is to be at the first one after `dt`, at the second one after 2 dt, and so on. A tick later, a
+            chunk that goes on begins with the second of these targets; only what is new is then proven.
+        dt : float
+            Seconds.
+        time : float, optional
+            Seconds on the clock of the scene's moving bodies: the time of this tick, which must not run back. Required
+            if bodies move or are known by growing bounds.
+
+        Returns
+        -------
+        GateAnswer
+
+        Raises
+        ------
+        InputError
+            If an argument has the wrong shape, is not finite, or the time runs back or is missing. The brake of the
+            last answer is then the safe motion.
+
+        Notes
+        -----
+        Proofs of earlier checks are used again if the targets go on as before, the scene has not changed or each body
+        is within what was allowed before, and the measured state is within `joint_error` and `velocity_error` of the
+        motion that was proven. Otherwise everything is proven again.
+        """
+        robot = self._checker.robot
+        period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
+        state = _validate.finite_array(q, "q", (robot.dof,)), _validate.finite_array(dq, "dq", (robot.dof,))
+        rows = _validate.finite_array(targets, "targets", (None, robot.dof))
+        if len(rows) == 0:
+            raise InputError("targets: expected one row or more, found none")
+        ready = prepared_of(self._checker, timed=True)
+        if ready.paths is not None and time is None:
+            raise InputError("time: expected the time of the tick, since bodies of the scene move or grow, found none")
+        self._now = now
+        within = math.ceil(min(self._horizon / period, len(rows)) * (1 - SAME_TICK))
+        return self._judged(ready, state, rows[: max(within, 1)], period, now)
+
+    def _time(self, given: float | None) -> float:
+        """Check the time of a tick."""
+        if given is None:
+            return 0.0
+        time = _validate.real(given, "time")
+        if time < self._now:
+            raise InputError(
+                f"time: expected one that is no earlier than the last one, {self._now:.9g}, found {time:.9g}"
+            )
+        return time
+
+    # -- the order of a check -----------------------------------------------------------------
+
+    def _judged(self, ready: Problem, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
+        """Prove what is new of a chunk, and answer."""
+        late, world = math.ceil(self._latency / dt * (1 - SAME_TICK)), _world(ready, self._checker)
+        count, joint = self._within_limits(state[0], wanted, dt)
+        before = self._here(world, state, now)
+        chunk = next((made for old in before if (made := _going_on(old, wanted[:count], dt))), None)
+        if chunk is None:
+            rows = np.vstack([state[0], wanted[:count]])
+            chunk = _Chunk(rows, _rates(rows, state[1], dt), dt, now, 0, late + 1, late, world)
+            if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
+                self._last = None
+                block = _Block("contact", -1, rows[0], now)
+                return self._answer(ready, GateState.INSIDE, 0, 0.0, block, self._stop(state, now), False, 0)
+        chunk, block, work = self._proven(ready, chunk, late, self._steps)
+        if block is None and count < len(wanted):
+            block = _Block("limits", -1, wanted[count], now)
+        steps, scale = max(chunk.braked - late, 0), 1.0
+        if block is not None:
+            scale, more = self._scale(ready, chunk, late, block, self._steps - work)
+            work += more
+        if block is None or steps > 0:
+            self._last = chunk
+            reached = GateState.GO if block is None else GateState.PREFIX
+            return self._answer(
+                ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work, joint
+            )
+        for old in before:  # the last chunk that may run goes on until the robot brakes
+            if old.first <= late <= old.braked:
+                return self._answer(
+                    ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True, work, joint
+                )
+        brake = self._stop(state, now)
+        proven, more = self._stops_free(ready, state, now, self._steps - work) if late == 0 else (False, 0)
+        return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, proven, work + more, joint)
+
+    def _within_limits(self, q: Floats, wanted: Floats, dt: float) -> tuple[int, str]:
+        """Return how many targets are within the limits, and the name of the joint whose target is not."""
+        robot = self._checker.robot
+        speeds = np.abs(np.diff(np.vstack([q, wanted]), axis=0)) / dt
+        speeds[0] -= self._error / dt  # the command was elsewhere
+        beyond = (wanted < robot.hard_lower) | (wanted > robot.hard_upper) | (speeds > self._fastest * (1 + SAME_TICK))
+        rows, columns = np.nonzero(beyond)
+        return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
+
+    def _here(self, world: _World, state: State, now: float) -> list[_Chunk]:
+        """Return the last chunk from each tick at which the robot may be, if what was proven of it still holds."""
+        last = self._last
+        if last is None or not _is_within(world, last.world, now):
+            return []
+        ticks = range(len(last.rows))
+        if world.following or world.bounds:
+            tick = round((now - last.t0) / last.dt)
+            on_time = abs(last.t0 + tick * last.dt - now) <= SAME_TICK * last.dt
+            ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
+        return [last.from_tick(j) for j in ticks if self._is_in_tube(last, j, state)]
+
+    def _is_in_tube(self, chunk: _Chunk, j: int, state: State) -> bool:
+        """Whether a measured state agrees with a tick of a chunk."""
+        q, dq = state
+        return bool(
+            (np.abs(q - chunk.rows[j]) <= self._error).all() and (np.abs(dq - chunk.rates[j]) <= self._rate_error).all()
+        )
+
+    def _proven(self, ready: Problem, chunk: _Chunk, late: int, most: int) -> tuple[_Chunk, _Block | None, int]:
+        """Prove motions, and then the brakes from their ends, as far as they are free."""
+        n, block, work = len(chunk.rows) - 1, None, 0
+        if chunk.motions < n:
+            courses = np.stack([chunk.rows[chunk.motions : -1], chunk.rows[chunk.motions + 1 :]], axis=1)
+            begin = chunk.t0 + chunk.dt * np.arange(chunk.motions, n)
+            free, block, work = self._first_block(
+                ready, courses, np.tile(self._error, (n - chunk.motions, 1)), begin, begin + chunk.dt, most
+            )
+            chunk = chunk._replace(motions=chunk.motions + free)
+        ticks = np.arange(max(chunk.braked + 1, chunk.first), chunk.motions + 1)
+        if len(ticks):
+            brakes = self._brakes(chunk, ticks)
+            courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
+            owner = np.repeat(np.arange(len(ticks)), np.diff(first))
+            error = np.tile(self._error, (len(ticks), 1))
+            if not self._on_path:
+                error += self._farther(chunk.rates[ticks])
+            end = np.cumsum(seconds)
+            end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
+            free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
+            chunk = chunk._replace(braked=chunk.motions if other is None else int(ticks[owner[free]]) - 1)
+            work += more
+            if other is not None:
+                block = other._replace(reason="brake") if other.reason == "contact" else other
+        return chunk, block, work
+
+    def _first_block(
+        self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats, most: int
+    ) -> tuple[int, _Block | None, int]:
+        """Prove courses in order: how many are free, where the first other one is not, and the steps that this took."""
+        if len(courses) == 0:
+            return 0, None, 0
+        if most <= 0:
+            return 0, _Block("budget", -1, courses[0, 0], float(begin[0])), 0
+        off: Floats | None = error + OFF * np.abs(courses).max(axis=1) if error.any() else None
+        owner, low, high = np.arange(len(courses)), np.zeros(len(courses)), np.ones(len(courses))
+        cut, times = courses, np.stack([begin, end], axis=1)
+        if ready.paths is not None:
+            none = np.zeros((len(courses), courses.shape[2]))
+            owner, low, high, times, cut, off = in_time.pieces(
+                self._checker.robot, ready.paths, courses, none if off is None else off, begin, end
+            )
+        found = motions.settle(ready, cut, self._tolerance, off, limit=Limit(most, np.array([0, len(cut)])))
+        work = int(found.work[:, motions.STEPS].sum())
+        for k in np.flatnonzero(found.verdicts != codes.FREE)[:1]:
+            share = 0.0 if np.isnan(found.fractions[k]) else float(found.fractions[k])
+            at = np.array([low[k] + share * (high[k] - low[k])])
+            q = configurations(self._checker.robot, courses[owner[k]][None], at)[0]
+            t = float(times[k, 0] + share * (times[k, 1] - times[k, 0]))
+            hit = verdicts.classified(ready.as_given, codes.EXACT, self._placed(ready, q[None], t)).verdicts[0]
+            reason = "contact" if hit == codes.COLLIDING else "budget" if work >= most else "may be hit"
+            return int(owner[k]), _Block(reason, int(found.pairs[k]), q, t), work
+        return len(courses), None, work
+
+    def _scale(self, ready: Problem, chunk: _Chunk, late: int, block: _Block, most: int) -> tuple[float, int]:
+        """Find the largest scale of time with which a chunk is proven, and the steps that this took."""
+        spent = 0
+        if block.reason != "brake" and (block.reason == "limits" or ready.paths is None):
+            return 0.0, 0  # slower motions would meet the same
+        for scale in SCALES:
+            dt = chunk.dt / scale
+            slower = _Chunk(
+                chunk.rows, _rates(chunk.rows, scale * chunk.rates[0], dt), dt, chunk.t0, 0, late + 1, late, chunk.world
+            )
+            _, other, work = self._proven(ready, slower, late, most - spent)
+            spent += work
+            if other is None:
+                return scale, spent
+        return 0.0, spent
+
+    # -- brakes -------------------------------------------------------------------------------
+
+    def _brakes(self, chunk: _Chunk, ticks: Ints) -> Brakes:
+        steep = np.full(chunk.rows.shape[1], np.inf) if self._jerk is None else self._jerk
+        if not self._on_path:
+            rates = chunk.rates[ticks]
+            return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
+        at = chunk.dt * np.arange(len(chunk.rows))
+        return Brakes.on_path(chunk.rows, at, at[ticks], self._strongest, steep, beyond=True)
+
+    def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
+        made = self._brakes(chunk, np.array([tick])).one()
+        return self._trajectory(made, chunk.t0 + tick * chunk.dt, self._on_path)
+
+    def _stop(self, state: State, now: float) -> Trajectory:
+        """Brake from a measured state, joint by joint."""
+        return self._trajectory(self._stopping(state).one(), now, False)
+
+    def _stopping(self, state: State) -> Brakes:
+        steep = np.full(len(state[0]), np.inf) if self._jerk is None else self._jerk
+        q, dq = (x[None] for x in state)
+        return Brakes.by_joint(q, dq, np.zeros_like(q), self._strongest, steep)
+
+    def _stops_free(self, ready: Problem, state: State, now: float, most: int) -> tuple[bool, int]:
+        """Whether a brake from a measured state, which is free, is proven, and the steps that this took."""
+        courses, seconds, _ = self._stopping(state).courses(self._jerk is not None)
+        end = now + np.cumsum(seconds)
+        error = np.tile(self._error + self._farther(state[1]), (len(courses), 1))
+        _, block, work = self._first_block(ready, courses, error, end - seconds, end, most)
+        return block is None, work
+
+    def _farther(self, rates: Floats) -> Floats:
+        """Bound how much farther joints go while they brake if their velocities are off by the error."""
+        return self._stopping_distance(np.abs(rates) + self._rate_error) - self._stopping_distance(np.abs(rates))
+
+    def _stopping_distance(self, v: Floats) -> Floats:
+        if self._jerk is None:
+            return v * v / (2.0 * self._strongest)
+        ramped = v <= self._strongest**2 / self._jerk
+        return (
+            v
+            / 2.0
+            * np.where(ramped, 2.0 * np.sqrt(v / self._jerk), v / self._strongest + self._strongest / self._jerk)
+        )
+
+    def _trajectory(self, made: tuple[Floats, ...], start: float, jumps: bool) -> Trajectory:
+        times, knots, rates, bends = made
+        straight = np.zeros(len(times) - 1, dtype=bool)
+        bent = None if self._jerk is None and not jumps else bends
+        return Trajectory(
+            self._checker.robot.configuration_names, times, knots, rates, straight, bent, jumps, start
+        )._read_only()
+
+    # -- answers ------------------------------------------------------------------------------
+
+    def _placed(self, ready: Problem, Q: Floats, t: float) -> Floats:
+        return np.array(in_time.with_bodies(ready, Q, np.full(len(Q), t)), order="C")
+
+    def _answer(
+        self, ready: Problem, state: GateState, steps: int, scale: float, block: _Block | None, brake: Trajectory,
+        proven: bool, work: int, joint: str = "",
+    ) -> GateAnswer:  # fmt: skip
+        """Add the pair in question, with its distance and normal."""
+        reason, names, away, normal = "", (), math.nan, np.full(3, np.nan)
+        if block is not None:
+            reason = block.reason
+            pair = [block.pair] if block.pair >= 0 else np.arange(len(ready.pairs) if reason == "contact" else 0)
+            if len(pair):
+                alone, q = ready.as_given.only(np.array(pair)), self._placed(ready, block.q[None], block.t)
+                lower, upper, away, bodies, _, _, normal = (c[0] for c in nearest_columns(alone, q, True, care=False))
+                names, away = tuple(ready.names[k] for k in bodies.tolist()), float(away)
+            elif reason == "limits":
+                names = (joint,)
+        return GateAnswer(state, steps, scale, reason, names, away, normal, brake, proven, work)
+
+
+# -- chunks and worlds ----------------------------------------------------------------------------
+
+
+def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
+    """Velocities at the ticks of a chunk."""
+    return np.vstack([dq, np.diff(rows, axis=0) / dt])
+
+
+def _going_on(old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
+    """Append new targets to a chunk that goes on; None if these targets are others."""
+    known = old.rows[1:]
+    common = min(len(known), len(wanted))
+    if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
+        return None
+    rows = np.vstack([old.rows[:1], wanted])
+    return old._replace(
+        rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, len(wanted)),
+        braked=min(old.braked, len(wanted)),
+    )  # fmt: skip
+
+
+def _world(ready: Problem, checker: CollisionChecker) -> _World:
+    return _World(ready.structure_version, ready.standing.poses, checker.scene.following, checker.scene.bounds)
+
+
+def _is_within(new: _World, old: _World, now: float) -> bool:
+    """Whether all places that bodies may have from now on were allowed in an older world."""
+    if new.structure != old.structure or new.following.keys() != old.following.keys():
+        return False
+    resting = {name for name, path in new.following.items() if path.rests and name in new.bounds}
+    exact = len(new.poses) - len(resting)  # bodies that rest and grow are the last ones
+    if not np.array_equal(new.poses[:exact], old.poses[:exact]):
+        return False
+    return all(
+        _path_is_within(path, new.bounds.get(name), old.following[name], old.bounds.get(name), now)
+        for name, path in new.following.items()
+    )
+
+
+def _path_is_within(
+    path: PosePath, bounds: PoseBounds | None, old: PosePath, allowed: PoseBounds | None, now: float
+) -> bool:
+    same = path is old or (
+        path.repeat == old.repeat and np.array_equal(path.times, old.times)
+        and np.array_equal(path.positions, old.positions) and np.array_equal(path.quaternions, old.quaternions)
+    )  # fmt: skip
+    if same and bounds == allowed:
+        return True
+    if bounds is None or allowed is None or not (same or (path.rests and old.rests)):
+        return False
+    if max(bounds.since, allowed.since) > now or bounds.speed > allowed.speed or bounds.turn > allowed.turn:
+        return False
+    # From now on, both grow linearly, and the older bounds no less.
+    away = float(np.linalg.norm(path.positions[0] - old.positions[0]))
+    cosine = min(1.0, abs(float(path.quaternions[0] @ old.quaternions[0])))
+    away, turned = (0.0, 0.0) if same else (away, 2.0 * float(arccos(cosine)))
+    more = WITHIN * (1.0 + abs(now) + float(np.abs(path.positions[0]).max()))
+    off = away + bounds.metres + bounds.speed * (now - bounds.since) + more
+    turned += bounds.radians + bounds.turn * (now - bounds.since) + 1e-7 * (turned > 0.0)
+    return bool(
+        off <= allowed.metres + allowed.speed * (now - allowed.since)
+        and turned <= allowed.radians + allowed.turn * (now - allowed.since)
+    )
