@@ -218,16 +218,30 @@ def test_brakes_on_trajectories(robot, alone, path, moment, factor, jerk):
         assert np.abs(smooth).max() <= 1e-9
 
 
-def test_a_brake_slows_before_a_blend(robot, alone):
+@pytest.mark.parametrize("jerk", [None, 40.0])
+def test_a_brake_slows_before_a_blend(robot, alone, jerk):
     """It passes a blend at the speed that is left, and stops before the place where a brake after the blend ends."""
     path = [[-1, 0, 0], [-0.4, 0, 0], [0.2, 0.6, 0], [1, 0.6, 0]]
-    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone)
+    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone, jerk=jerk)
     (begin, end), *_ = moved.blends
-    found = moved.stop_at(begin - 0.05, acceleration=4.0)
+    limits = {"acceleration": 4.0, "jerk": None if jerk is None else 2 * jerk}
+    found = moved.stop_at(begin - 0.1, **limits)
+    assert_lawful(found, moved.positions(begin - 0.1), moved.velocities(begin - 0.1), *limits.values())
+    trail = moved.positions(np.linspace(begin - 0.1, moved.duration, 20_000))
+    assert off_polyline(trail, found.positions(dense(found, 10))).max() <= 1e-8
     assert found.blended.any()
-    assert np.abs(found.velocities(found.times[found.blended.argmax()])).max() < 0.95
-    later = moved.stop_at(end, acceleration=4.0)
+    slowest = np.abs(found.velocities(found.times[found.blended.argmax()])).max()
+    assert slowest < 0.95 * np.abs(moved.velocities(begin)).max()
+    later = moved.stop_at(end, **limits)
     assert found.knots[-1, 0] < later.knots[-1, 0] - 0.01
+
+
+def test_a_brake_does_not_creep(robot, alone):
+    """Wherever it begins, a brake takes no longer than twice the rest of the trajectory."""
+    path = [[-1, 0, 0], [-0.4, 0, 0], [0.2, 0.6, 0], [1, 0.6, 0]]
+    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone)
+    for t in np.linspace(0.0, moved.duration, 200):
+        assert moved.stop_at(t, acceleration=2.0).duration <= 2 * (moved.duration - t) + 1e-9
 
 
 def test_known_brakes_through_targets(robot):

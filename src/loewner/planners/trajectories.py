@@ -184,8 +184,8 @@ class Trajectory(KeepsReadOnly):
         """
         rows = checked_rows(robot, targets)
         period, begin = _validate.positive_scalar(dt, "dt"), _validate.real(start_time, "start_time")
-        times: Floats = period * np.arange(len(rows), dtype=np.float64)
-        with np.errstate(over="ignore"):  # refused below
+        with np.errstate(over="ignore", invalid="ignore"):  # refused below
+            times: Floats = period * np.arange(len(rows), dtype=np.float64)
             made = cls._straight(robot.configuration_names, times, rows, begin)
         if not np.isfinite(made.rates).all():
             raise InputError(
