@@ -237,11 +237,26 @@ def test_a_brake_slows_before_a_blend(robot, alone, jerk):
 
 
 def test_a_brake_does_not_creep(robot, alone):
-    """Wherever it begins, a brake takes no longer than twice the rest of the trajectory."""
+    """From the first moment when it cannot stop before a blend, it takes about as long as from the moments after."""
     path = [[-1, 0, 0], [-0.4, 0, 0], [0.2, 0.6, 0], [1, 0.6, 0]]
     moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone)
-    for t in np.linspace(0.0, moved.duration, 200):
-        assert moved.stop_at(t, acceleration=2.0).duration <= 2 * (moved.duration - t) + 1e-9
+    early, late = moved.blends[0, 0] - 0.3, moved.blends[0, 0]
+    for _ in range(50):
+        t = (early + late) / 2
+        early, late = (early, t) if moved.stop_at(t, acceleration=4.0).blended.any() else (t, late)
+    assert moved.stop_at(early, acceleration=4.0).duration < 0.3
+    assert moved.stop_at(late, acceleration=4.0).duration < 2 * (moved.duration - late)
+
+
+def test_a_brake_is_not_faster_than_the_trajectory(robot):
+    """A line on which the trajectory slows down more strongly than the brake may is not left at a higher speed."""
+    times, rates = [0.0, 0.1, 0.2], [[1.0, 0, 0], [0.5, 0, 0], [0.5, 0.01, 0]]
+    knots = [[0, 0, 0], [0.075, 0, 0], [0.125, 0.0005, 0]]
+    given = (np.array(rows, dtype=float) for rows in (times, knots, rates))
+    moved = Trajectory(robot.configuration_names, *given, np.array([False, True]))
+    assert moved.stop_at(0.0, acceleration=8.0, beyond=True).knots[-1, 0] == pytest.approx(1 / 16, abs=1e-12)
+    with pytest.raises(PlanningError, match="limits: expected .* found lower ones than it needs 0 s after"):
+        moved.stop_at(0.0, acceleration=2.0, beyond=True)
 
 
 def test_known_brakes_through_targets(robot):
