@@ -313,6 +313,19 @@ def test_only_the_path_is_proven(robot):
     assert off.certify(checker).verdict == Verdict.COLLIDING
 
 
+def test_a_brake_is_at_other_times(robot):
+    """Behind a robot that runs through its targets, a body crosses; a brake is there at that time, and is hit."""
+    scene = Scene()
+    scene.add("cart", Body.box([0.3, 0.3, 1.0]))
+    scene.follow("cart", [0.0, 2.0], np.stack([translation(0.0, 3.0), translation(0.0, -3.0)]))
+    checker = CollisionChecker(robot, scene)
+    chunk = Trajectory.of_targets(robot, np.linspace([-0.9, 0, np.pi / 2], [0.9, 0, np.pi / 2], 51), 0.02)
+    assert chunk.certify(checker).verdict == Verdict.FREE
+    moved = chunk.stop_at(0.1, acceleration=2.0)
+    assert moved.certify(checker).verdict == Verdict.COLLIDING
+    assert checker.certify_trajectory(moved, t0=5.0).verdict == Verdict.FREE
+
+
 def test_with_jerk_the_robot_goes_farther(robot):
     """A wall beyond the stop without limits of jerk is hit by the stop with them."""
     scene = Scene()
