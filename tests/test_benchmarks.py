@@ -33,6 +33,7 @@ import robots
 import run
 import samples
 import singles
+import stops
 import surface_samples
 import surfaces
 import threads
@@ -564,3 +565,15 @@ def test_kept_ratios_are_of_runs() -> None:
     assert tuple(rows[0]) == ratios.COLUMNS
     assert all(float(row["ratio"]) > 0 and row["commit"] and row["date"] for row in rows)
     assert len({tuple(row.values()) for row in rows}) == len(rows)
+
+
+def test_stops_are_counted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Stops on the path never leave it, and each stop joint by joint is counted beside them."""
+    monkeypatch.setattr(sys, "argv", ["stops.py", "--chunks", "2"])
+    stops.main()
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("on the path", "joint by joint"))]
+    counts = [line[42:].split() for line in rows]
+    assert len(rows) == 6
+    assert {row[0] for row in counts} == {counts[0][0]}
+    assert [row[1] for row in counts[:2]] == ["0", "0"]
+    assert all(int(row[1]) > 0 for row in counts[2:])

@@ -218,16 +218,45 @@ def test_brakes_on_trajectories(robot, alone, path, moment, factor, jerk):
         assert np.abs(smooth).max() <= 1e-9
 
 
-def test_a_brake_slows_before_a_blend(robot, alone):
+@pytest.mark.parametrize("jerk", [None, 40.0])
+def test_a_brake_slows_before_a_blend(robot, alone, jerk):
     """It passes a blend at the speed that is left, and stops before the place where a brake after the blend ends."""
     path = [[-1, 0, 0], [-0.4, 0, 0], [0.2, 0.6, 0], [1, 0.6, 0]]
-    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone)
+    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone, jerk=jerk)
     (begin, end), *_ = moved.blends
-    found = moved.stop_at(begin - 0.05, acceleration=4.0)
+    limits = {"acceleration": 4.0, "jerk": None if jerk is None else 2 * jerk}
+    found = moved.stop_at(begin - 0.1, **limits)
+    assert_lawful(found, moved.positions(begin - 0.1), moved.velocities(begin - 0.1), *limits.values())
+    trail = moved.positions(np.linspace(begin - 0.1, moved.duration, 20_000))
+    assert off_polyline(trail, found.positions(dense(found, 10))).max() <= 1e-8
     assert found.blended.any()
-    assert np.abs(found.velocities(found.times[found.blended.argmax()])).max() < 0.95
-    later = moved.stop_at(end, acceleration=4.0)
+    slowest = np.abs(found.velocities(found.times[found.blended.argmax()])).max()
+    assert slowest < 0.95 * np.abs(moved.velocities(begin)).max()
+    later = moved.stop_at(end, **limits)
     assert found.knots[-1, 0] < later.knots[-1, 0] - 0.01
+
+
+def test_a_brake_does_not_creep(robot, alone):
+    """From the first moment when it cannot stop before a blend, it takes about as long as from the moments after."""
+    path = [[-1, 0, 0], [-0.4, 0, 0], [0.2, 0.6, 0], [1, 0.6, 0]]
+    moved = trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=alone)
+    early, late = moved.blends[0, 0] - 0.3, moved.blends[0, 0]
+    for _ in range(50):
+        t = (early + late) / 2
+        early, late = (early, t) if moved.stop_at(t, acceleration=4.0).blended.any() else (t, late)
+    assert moved.stop_at(early, acceleration=4.0).duration < 0.3
+    assert moved.stop_at(late, acceleration=4.0).duration < 2 * (moved.duration - late)
+
+
+def test_a_brake_is_not_faster_than_the_trajectory(robot):
+    """A line on which the trajectory slows down more strongly than the brake may is not left at a higher speed."""
+    times, rates = [0.0, 0.1, 0.2], [[1.0, 0, 0], [0.5, 0, 0], [0.5, 0.01, 0]]
+    knots = [[0, 0, 0], [0.075, 0, 0], [0.125, 0.0005, 0]]
+    given = (np.array(rows, dtype=float) for rows in (times, knots, rates))
+    moved = Trajectory(robot.configuration_names, *given, np.array([False, True]))
+    assert moved.stop_at(0.0, acceleration=8.0, beyond=True).knots[-1, 0] == pytest.approx(1 / 16, abs=1e-12)
+    with pytest.raises(PlanningError, match="limits: expected .* found lower ones than it needs 0 s after"):
+        moved.stop_at(0.0, acceleration=2.0, beyond=True)
 
 
 def test_known_brakes_through_targets(robot):
@@ -282,6 +311,19 @@ def test_only_the_path_is_proven(robot):
     on, off = (chunk.stop_at(0.05, how=how, beyond=True, **limits) for how in ("path", "joints"))
     assert on.certify(checker).verdict == Verdict.FREE
     assert off.certify(checker).verdict == Verdict.COLLIDING
+
+
+def test_a_brake_is_at_other_times(robot):
+    """Behind a robot that runs through its targets, a body crosses; a brake is there at that time, and is hit."""
+    scene = Scene()
+    scene.add("cart", Body.box([0.3, 0.3, 1.0]))
+    scene.follow("cart", [0.0, 2.0], np.stack([translation(0.0, 3.0), translation(0.0, -3.0)]))
+    checker = CollisionChecker(robot, scene)
+    chunk = Trajectory.of_targets(robot, np.linspace([-0.9, 0, np.pi / 2], [0.9, 0, np.pi / 2], 51), 0.02)
+    assert chunk.certify(checker).verdict == Verdict.FREE
+    moved = chunk.stop_at(0.1, acceleration=2.0)
+    assert moved.certify(checker).verdict == Verdict.COLLIDING
+    assert checker.certify_trajectory(moved, t0=5.0).verdict == Verdict.FREE
 
 
 def test_with_jerk_the_robot_goes_farther(robot):

@@ -184,8 +184,8 @@ class Trajectory(KeepsReadOnly):
         """
         rows = checked_rows(robot, targets)
         period, begin = _validate.positive_scalar(dt, "dt"), _validate.real(start_time, "start_time")
-        times: Floats = period * np.arange(len(rows), dtype=np.float64)
-        with np.errstate(over="ignore"):  # refused below
+        with np.errstate(over="ignore", invalid="ignore"):  # refused below
+            times: Floats = period * np.arange(len(rows), dtype=np.float64)
             made = cls._straight(robot.configuration_names, times, rows, begin)
         if not np.isfinite(made.rates).all():
             raise InputError(
@@ -391,7 +391,8 @@ class Trajectory(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the trajectory is of another robot, the robot was made otherwise, or has quaternions.
+            If the trajectory is of another robot, the robot was made otherwise, or has quaternions; or if velocities
+            jump and change in between, as on a brake through joint targets.
         MissingExtraError
             If Drake is not installed.
 
@@ -493,8 +494,8 @@ class Trajectory(KeepsReadOnly):
         ------
         InputError
             If the file has any other extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
-            message; if names are repeated, or a ``.csv`` file would read a name as another kind of column; or if the
-            controllers and the columns do not fit together.
+            message; if names are repeated, or a ``.csv`` file would read a name as another kind of column; if the
+            controllers and the columns do not fit together; or if velocities jump and change in between.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
         FileError
