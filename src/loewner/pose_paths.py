@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _elementary, _validate
-from loewner._kernels import tolerances
 from loewner._kept import kept
+from loewner._kernels import tolerances
 from loewner._matrices import product
 from loewner._native import entries
 from loewner._read_only import KeepsReadOnly

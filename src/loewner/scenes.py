@@ -642,7 +642,9 @@ class Scene:
         0.8
         """
         self._known(name)
-        rates = tuple(_validate.positive_scalar(x, w, zero=True) for x, w in ((speed, "speed"), (turn, "turn")))
+        rates = (
+            _validate.positive_scalar(speed, "speed", zero=True), _validate.positive_scalar(turn, "turn", zero=True),
+        )  # fmt: skip
         off = _error(error, "error")
         begin = None if since is None else _validate.real(since, "since")
         if begin is not None and not any(rates):
@@ -1261,7 +1263,7 @@ def _error(given: Any, name: str) -> tuple[float, float]:
 
 
 def _bounds_of(
-    body: Body, error: tuple[float, float], rates: tuple[float, ...] = (0.0, 0.0), since: float = 0.0
+    body: Body, error: tuple[float, float], rates: tuple[float, float] = (0.0, 0.0), since: float = 0.0
 ) -> PoseBounds | None:
     """Make the bounds on a body's pose; None if it is exact."""
     return PoseBounds(*error, *rates, since, reach_of(body)) if any((*error, *rates)) else None

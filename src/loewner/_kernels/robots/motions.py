@@ -701,9 +701,7 @@ def _halve(motion, near, back, low, high, n, tally):
                 by_triangles = False
                 continue
             more = MOST_MORE if depth > 1 or _moved(near, w) <= enough else MORE**depth
-            if _triangles_apart(
-                motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b
-            ):
+            if _triangles_apart(motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b):
                 continue
             if waits:
                 waits = False
@@ -939,7 +937,8 @@ def _listed_pair(motion, e):
     pair = listed[e, 0]
     margin, rise = _margin(motion, pair)
     return Near(
-        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, rise, ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
+        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, rise, ways[at + 2], ways[at + 3],
+        ways[at + 4], ways[at + 5], ways[at + 6],
     )  # fmt: skip
 
 
