@@ -301,9 +301,9 @@ class PackedPaths(NamedTuple):
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and with those between short turns.
     bounds : tuple of PoseBounds
-        How far bodies may be from their motions, those that have bounds, and bodies that rest.
+        How far bodies may be from their motions or from their places.
     numbers : ndarray, shape (len(bounds),)
-        The numbers of these bodies among all; negative for a body without pieces.
+        The numbers of the bodies in `bounds` among all; negative for a body without pieces.
     """
 
     paths: tuple[PosePath, ...]

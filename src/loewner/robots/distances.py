@@ -109,7 +109,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
-    if ready.given is not None:  # of all poses within the errors; the distance is that of the given ones
+    if ready.given is not None:  # for all poses within the errors; the distance belongs to the given ones
         bounds = np.array(
             [np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error]
         )

@@ -1261,7 +1261,7 @@ def certify_motions(
         See `motion_path`.
     off : ndarray, shape (N, dof + 3 growing) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
-        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body of which points may be
+        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body whose points may be
         off: its number, and by how many metres at the start and at the end; in between, by as much as on the line
         through both. COLLIDING refers to margins that are larger by this. A negative number stands for no body.
     clear : ndarray, shape (N,) or (0,)
