@@ -349,7 +349,6 @@ def test_bodies_known_by_bounds_are_proven_as_in_python(pair, rng):
     np.testing.assert_array_equal(mine.verdicts("collide", a) == 1, checker.collide(a))
 
 
-
 def test_a_piece_behind_a_surface_is_no_surface(pair, tmp_path, rng):
     """Of a solid and a box, the box has no parts, wherever it comes to lie: classify once said FREE of it."""
     import trimesh

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, PPoly
@@ -21,10 +22,10 @@ from loewner import (
     planners,
     save_scene,
 )  # fmt: skip
-from test_moving_bodies import moving_scene
+from test_moving_bodies import moving_scene, turned
 
 RADIUS = 0.1  # of the ball that slides along x and y
-SAMPLES = 24
+SAMPLES = 20
 
 
 @pytest.fixture(scope="module")
@@ -190,9 +191,7 @@ def test_bounds_of_zero_change_nothing(slider, seed):
     scene = moving_scene(rng, 3)
     same = scene.copy()
     for name, path in scene.following.items():
-        same.follow(
-            name, path.times, path.poses(path.times), repeat=path.repeat, speed=0.0, turn=0.0, error=(0.0, 0.0)
-        )
+        same.follow(name, path.times, path.poses(path.times), repeat=path.repeat, speed=0.0, turn=0.0, error=(0.0, 0.0))
     a, b = rng.uniform(-1, 1, (2, 12, 3)) * [1, 1, 3]
     t0 = rng.uniform(-1, 4, 12)
     t1 = t0 + rng.uniform(0, 2, 12)
@@ -251,23 +250,74 @@ def test_a_curve_is_free_until_first_contact_within_bounds(slider, seed):
     assert not contact_within_bounds(checker, curve, times[times < free], rng)
 
 
-@given(st.integers(0, 2**31))
-def test_proofs_are_as_sharp_as_the_bounds(slider, seed):
-    """Two balls are FREE exactly where the growth of one leaves a gap, up to the tolerance."""
+@given(st.integers(0, 2**31), st.booleans())
+def test_proofs_are_as_sharp_as_the_bounds(slider, seed, back):
+    """Two balls are FREE exactly where the growth of one leaves a gap, up to the tolerance; also on a way and back."""
     rng = np.random.default_rng(seed)
     speed, since, room, height = rng.uniform([0.05, -1.0, 0.01, 0.0], [1.0, 2.0, 0.2, 1.0])
     a, b, c = rng.uniform(-1, 1, (3, 3)) * [1, 1, 0] + [0, 0, np.pi]
-    f = np.linspace(0.0, 1.0, 20001)[:, None]
-    apart = np.hypot(np.linalg.norm(((1 - f) * a + f * b - c)[:, :2], axis=1), height)
-    least = (apart - speed * np.abs(f[:, 0] - since) - RADIUS - room).min()
+    rise = np.zeros(3)
+    if back:  # along one line, nearest in the middle
+        way = (a - c) / np.linalg.norm(a - c)
+        rise, a, b = way * rng.uniform(0.0, 3.0), a, a + way * rng.uniform(0.0, 1.0)
+    curve = PPoly(np.stack([rise, b - a - rise, a])[:, None], [0.0, 1.0])
+    t = np.linspace(0.0, 1.0, 20001)
+    apart = np.hypot(np.linalg.norm((curve(t) - c)[:, :2], axis=1), height)
+    least = (apart - speed * np.abs(t - since) - RADIUS - room).min()
     scene, T = Scene(), translation(x=c[0], y=c[1])
     T[2, 3] = height
     scene.add("other", Body.sphere(room))
     scene.allow("other", "rod")
     scene.follow("other", [since], [T], speed=speed)
-    found = CollisionChecker(slider, scene).certify_edges(a, b, t0=0.0, t1=1.0, tolerance=1e-6)
+    checker = CollisionChecker(slider, scene)
+    found = [checker.certify_trajectory(curve, tolerance=1e-6)]
+    if not back:
+        found.append(checker.certify_edges(a, b, t0=0.0, t1=1.0, tolerance=1e-6))
     if abs(least) > 1e-5:
-        assert (found.verdict == Verdict.FREE) == (least > 0)
+        assert all((one.verdict == Verdict.FREE) == (least > 0) for one in found)
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.55])
+def test_a_plane_that_holds_later_is_not_enough_in_the_middle(slider, speed):
+    """The ball comes near and goes back on one line while the body grows: at both ends the gap is wide, not between."""
+    scene = Scene()
+    scene.add("other", Body.sphere(0.1))
+    scene.allow("other", "rod")
+    scene.follow("other", [0.0], [translation(x=-0.5)], speed=speed)
+    curve = PPoly(np.array([[[2.0, 0.0, 0.0]], [[-2.0, 0.0, 0.0]], [[0.5, 0.0, np.pi]]]), [0.0, 1.0])
+    t = np.linspace(0.0, 1.0, 10001)
+    least = (curve(t)[:, 0] + 0.5 - 0.1 - RADIUS - speed * t).min()
+    assert (least < 0) == (speed > 0.52)
+    found = CollisionChecker(slider, scene).certify_trajectory(curve).verdict
+    assert found == (Verdict.FREE if least > 0 else Verdict.AMBIGUOUS)
+
+
+@given(st.integers(0, 2**31), st.booleans())
+def test_surfaces_grow_like_hulls(slider, seed, solid):
+    """The triangles of a box, of itself or around its inside, have the verdicts of the box, and so do many boxes."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(-1, 1, (2, 12, 3)) * [1, 1, 3]
+    t1 = rng.uniform(0.0, 1.0, 12)
+    found, scenes = [], [Scene(), Scene(), Scene()]
+    for k in range(2):
+        mesh, T = trimesh.creation.box(rng.uniform(0.1, 0.5, 3)), turned(rng, 1, 0.6)[0]
+        speed, turn, since = rng.uniform([0.0, 0.0, -0.5], [0.4, 0.4, 1.0])
+        halves = [mesh.vertices * [0.5, 1, 1] + [side * mesh.extents[0] / 4, 0, 0] for side in (-1, 1)]
+        bodies = (
+            Body.from_points(mesh.vertices),
+            Body.from_surface(mesh, solid=solid),
+            Body.union([Body.from_points(half) for half in halves]),
+        )
+        for scene, body in zip(scenes, bodies, strict=True):
+            scene.add(f"body {k}", body)
+            scene.follow(f"body {k}", [since], [T], speed=speed, turn=turn)
+    for scene in scenes:
+        found.append(CollisionChecker(slider, scene).certify_edges(a, b, t0=np.zeros(12), t1=t1, tolerance=1e-6))
+    for other in found[1:]:
+        alike = other.verdict == found[0].verdict
+        if not solid and other is found[1]:  # inside there is nothing to collide with
+            alike |= found[0].verdict == Verdict.COLLIDING
+        assert alike.all()
 
 
 # -- elsewhere --------------------------------------------------------------------------------

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _elementary, _validate
-from loewner._kernels import tolerances
 from loewner._kept import kept
+from loewner._kernels import tolerances
 from loewner._matrices import product
 from loewner._native import entries
 from loewner._read_only import KeepsReadOnly
@@ -301,9 +301,9 @@ class PackedPaths(NamedTuple):
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and with those between short turns.
     bounds : tuple of PoseBounds
-        How far bodies may be from their motions, those that have bounds, and bodies that rest.
+        How far bodies may be from their motions or from their places.
     numbers : ndarray, shape (len(bounds),)
-        The numbers of these bodies among all; negative for a body without pieces.
+        The numbers of the bodies in `bounds` among all; negative for a body without pieces.
     """
 
     paths: tuple[PosePath, ...]

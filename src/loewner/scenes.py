@@ -478,7 +478,7 @@ class Scene:
         -----
         An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
         pose with the same error is as fast as one without. `collide` is True where the body may collide. COLLIDING
-        means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances are those of
+        means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances belong to
         the given poses; their bounds, and clearances, hold for all.
 
         Examples
@@ -607,7 +607,7 @@ class Scene:
         -----
         With bounds, answers hold for all motions within them: FREE means free for each, and `collide` is True where the
         body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
-        free is AMBIGUOUS. Distances are those of the given motion. To follow a motion again without bounds drops them.
+        free is AMBIGUOUS. Distances belong to the given motion. To follow a motion again without bounds drops them.
 
         Raises
         ------
@@ -634,7 +634,7 @@ class Scene:
         ((), [-0.5, 0.0, 0.0])
         >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
 
-        A person who stood there at 2 s and may have walked anywhere since:
+        A person who was seen there at 2 s and may have walked anywhere since:
 
         >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
         >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
@@ -642,7 +642,9 @@ class Scene:
         0.8
         """
         self._known(name)
-        rates = tuple(_validate.positive_scalar(x, w, zero=True) for x, w in ((speed, "speed"), (turn, "turn")))
+        rates = (
+            _validate.positive_scalar(speed, "speed", zero=True), _validate.positive_scalar(turn, "turn", zero=True),
+        )  # fmt: skip
         off = _error(error, "error")
         begin = None if since is None else _validate.real(since, "since")
         if begin is not None and not any(rates):
@@ -1205,7 +1207,7 @@ class Scene:
 
 
 def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseBounds]]:
-    """Return what a checker takes of a scene that can change while its structure stays the same.
+    """Return the poses, motions and bounds of a scene, which can change while its structure stays the same.
 
     Returns
     -------
@@ -1261,7 +1263,7 @@ def _error(given: Any, name: str) -> tuple[float, float]:
 
 
 def _bounds_of(
-    body: Body, error: tuple[float, float], rates: tuple[float, ...] = (0.0, 0.0), since: float = 0.0
+    body: Body, error: tuple[float, float], rates: tuple[float, float] = (0.0, 0.0), since: float = 0.0
 ) -> PoseBounds | None:
     """Make the bounds on a body's pose; None if it is exact."""
     return PoseBounds(*error, *rates, since, reach_of(body)) if any((*error, *rates)) else None

@@ -109,8 +109,10 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
-    if ready.given is not None:  # of all poses within the errors; the distance is that of the given ones
-        bounds = np.array([np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error])
+    if ready.given is not None:  # for all poses within the errors; the distance belongs to the given ones
+        bounds = np.array(
+            [np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error]
+        )
         columns[0], columns[1] = bounds.min(axis=0)
     if gradient:
         columns.append(gradients(ready, Q, *(columns[k] for k in (3, 4, 6))))
@@ -248,7 +250,9 @@ def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) 
     shares = np.exp((least - each) / softness)
     total = shares.sum(axis=0)
     lower = least - softness * np.log(total)
-    slopes = sum(share[:, None] * slope for share, (_, (_, slope)) in zip(shares / total, parts, strict=True) if gradient)
+    slopes = sum(
+        share[:, None] * slope for share, (_, (_, slope)) in zip(shares / total, parts, strict=True) if gradient
+    )
     roundings = 2.0**-48 * (np.abs(each).max(axis=0) + softness * (1.0 + np.log(len(parts))))
     return lower - roundings, np.asarray(slopes) if gradient else np.empty((0, Q.shape[1]))
 

@@ -35,7 +35,7 @@ TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B57
 ARC_ERROR = 1.0 / 384.0
 
 
-# The tolerance of a proof of a robot that stands still [m], for which nothing has to be halved.
+# The tolerance of a proof of a robot at rest [m], for which nothing has to be halved.
 STILL = 1e-9
 
 

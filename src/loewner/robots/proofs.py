@@ -50,8 +50,8 @@ def doubt_bounds(ready: Problem, courses: Floats, tolerance: float, off: Floats 
     found.verdicts[at] = codes.AMBIGUOUS
     given = motions.settle(known, courses[at], tolerance, None if exact is None else np.ascontiguousarray(exact[at]))
     hit = np.isin(given.verdicts, (codes.COLLIDING, codes.BY_CARE))
-    for array, values in zip(found[:3], given[:3], strict=True):
-        array[at[hit]] = values[hit]
+    found.verdicts[at[hit]], found.fractions[at[hit]] = given.verdicts[hit], given.fractions[hit]
+    found.pairs[at[hit]] = given.pairs[hit]
     found.work[at] += given.work
 
 

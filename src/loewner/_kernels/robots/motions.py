@@ -701,9 +701,7 @@ def _halve(motion, near, back, low, high, n, tally):
                 by_triangles = False
                 continue
             more = MOST_MORE if depth > 1 or _moved(near, w) <= enough else MORE**depth
-            if _triangles_apart(
-                motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b
-            ):
+            if _triangles_apart(motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b):
                 continue
             if waits:
                 waits = False
@@ -939,7 +937,8 @@ def _listed_pair(motion, e):
     pair = listed[e, 0]
     margin, rise = _margin(motion, pair)
     return Near(
-        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, rise, ways[at + 2], ways[at + 3], ways[at + 4], ways[at + 5], ways[at + 6],
+        pair, listed[e, 1], listed[e, 2], ways[at], ways[at + 1], margin, rise, ways[at + 2], ways[at + 3],
+        ways[at + 4], ways[at + 5], ways[at + 6],
     )  # fmt: skip
 
 
@@ -1262,7 +1261,7 @@ def certify_motions(
         See `motion_path`.
     off : ndarray, shape (N, dof + 3 growing) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
-        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body of which points may be
+        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body whose points may be
         off: its number, and by how many metres at the start and at the end; in between, by as much as on the line
         through both. COLLIDING refers to margins that are larger by this. A negative number stands for no body.
     clear : ndarray, shape (N,) or (0,)
