@@ -496,8 +496,8 @@ static void evaluate(const File *file, const double *course, int32_t degree, dou
 }
 
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
-                     int32_t degree, double tolerance, const double *joint_error, int8_t *verdicts, double *fractions,
-                     int64_t *pairs)
+                     int32_t degree, double tolerance, const double *joint_error, int64_t steps, int8_t *verdicts,
+                     double *fractions, int64_t *pairs)
 {
     const State *state = &checker->state;
     const File *file = checker->file;
@@ -536,9 +536,11 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         {verdicts, count},
         {fractions, count},
         {pairs, count},
-        {workspace->work, count, 2},
+        {workspace->work, count, WORK},
         workspace->memory,
     };
+    for (int64_t k = 0; k < count; k++)
+        workspace->work[WORK * k + WORK - 1] = steps;
     TRY(call(kernels()->certify_motions, &arguments, &nothing));
     double *q = workspace->slopes;
     for (int64_t k = 0; k < count; k++) {
@@ -578,6 +580,8 @@ static loewner_status check_options(const loewner_checker *checker, const loewne
         return LOEWNER_OK;
     if (!(options->tolerance >= 0 && options->tolerance < INFINITY))
         return fail(LOEWNER_BAD_ARGUMENT, "tolerance: expected a number >= 0, found %g", options->tolerance);
+    if (options->steps < 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)options->steps);
     for (int64_t c = 0; options->joint_error != NULL && c < checker->file->dof; c++)
         if (!(options->joint_error[c] >= 0 && options->joint_error[c] < INFINITY))
             return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", options->joint_error[c]);
@@ -605,6 +609,20 @@ static size_t write_courses(const loewner_checker *checker, loewner_workspace *w
     return count;
 }
 
+/* How many steps each motion may take. */
+static int64_t steps_of(const loewner_proof_options *options)
+{
+    return options != NULL && options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
+}
+
+/* Write how many steps the motions from the first on took. */
+static void write_steps(const loewner_workspace *workspace, const loewner_proof_options *options, size_t first,
+                        size_t count)
+{
+    for (size_t k = 0; options != NULL && options->steps_taken != NULL && k < count; k++)
+        options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
+}
+
 /* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
 static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t count,
                                   int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
@@ -612,7 +630,8 @@ static loewner_status prove_block(const loewner_checker *checker, loewner_worksp
 {
     TRY(prove(checker, workspace, workspace->courses, count, degree,
               options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
-              options != NULL ? options->joint_error : NULL, verdicts, workspace->fractions, workspace->found_pairs));
+              options != NULL ? options->joint_error : NULL, steps_of(options), verdicts, workspace->fractions,
+              workspace->found_pairs));
     if (fractions != NULL)
         memcpy(fractions, workspace->fractions, count * sizeof *fractions);
     for (size_t k = 0; bodies != NULL && k < count; k++)
@@ -635,6 +654,7 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
         size_t count = write_courses(checker, workspace, starts, ends, first, n);
         TRY(prove_block(checker, workspace, count, 1, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
+        write_steps(workspace, options, first, count);
     }
     return LOEWNER_OK;
 }
@@ -644,7 +664,7 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
                                 const loewner_proof_options *options, int8_t *is_free)
 {
     const Half *half = half_of(checker, CUT);
-    int64_t tally[2] = {0, 0}, dof = checker->file->dof, nothing;
+    int64_t dof = checker->file->dof, nothing;
     const double *error = options != NULL ? options->joint_error : NULL;
     int is_off = 0;
     for (int64_t c = 0; error != NULL && c < dof; c++)
@@ -655,7 +675,8 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
         int64_t error;
         double tolerance;
         int64_t pack, problem, tables;
-        Array1 tally, out;
+        Array2 work;
+        Array1 out;
         void *memory;
     } arguments = {
         workspace->is_ready,
@@ -667,10 +688,12 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
         (int64_t)half->words,
         half->handle,
         half->motions,
-        {tally, 2},
+        {workspace->work, count, WORK},
         {is_free, count},
         workspace->validator,
     };
+    for (int64_t k = 0; k < count; k++)
+        workspace->work[WORK * k + WORK - 1] = steps_of(options);
     workspace->is_ready = 0;
     TRY(call(kernels()->free_motions, &arguments, &nothing));
     workspace->is_ready = 1;
@@ -693,6 +716,7 @@ loewner_status loewner_checker_motions_free(const loewner_checker *checker, loew
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
         size_t count = write_courses(checker, workspace, starts, ends, first, n);
         TRY(find_free(checker, workspace, (int64_t)count, options, is_free + first));
+        write_steps(workspace, options, first, count);
     }
     return LOEWNER_OK;
 }
@@ -719,6 +743,7 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
         memcpy(workspace->courses, points + first * each, count * each * sizeof *points);
         TRY(prove_block(checker, workspace, count, degree, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
+        write_steps(workspace, options, first, count);
     }
     return LOEWNER_OK;
 }
