@@ -174,8 +174,9 @@ def more_than_the_limit(checker):
 
 
 def limits(most):
-    """Limits below a number of steps, at it, and above."""
-    return [*np.unique(np.geomspace(1, most - 1, 14).astype(int)).tolist(), most, most + 1, 2 * most]
+    """Limits below a number of steps, shortly before it, at it, and above."""
+    late = [most - left for left in (500, 250, 150, 110) if left < most]
+    return [*np.unique(np.geomspace(1, most - 1, 14).astype(int)).tolist(), *late, most, most + 1, 2 * most]
 
 
 def held(whole, limited, most, more, taken):
