@@ -89,7 +89,19 @@ DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEA
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "pairs.c")
 FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
-API_CODES = (*CODES, "INEXACT", "TOO_LONG", "BY_CARE", "MOST_POINTS", "MET", "SPENT", "FULL", "SINE_OF", "ARC_COSINE")
+API_CODES = (
+    *CODES,
+    "INEXACT",
+    "TOO_LONG",
+    "BY_CARE",
+    "NO_LIMIT",
+    "MOST_POINTS",
+    "MET",
+    "SPENT",
+    "FULL",
+    "SINE_OF",
+    "ARC_COSINE",
+)
 API_COLUMNS = (
     "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
     "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",

@@ -38,12 +38,17 @@ class Distance(ctypes.Structure):
 class ProofOptions(ctypes.Structure):
     _fields_ = [
         ("tolerance", ctypes.c_double), ("joint_error", ctypes.c_void_p), ("t0", ctypes.c_void_p),
-        ("t1", ctypes.c_void_p),
+        ("t1", ctypes.c_void_p), ("steps", ctypes.c_int64), ("steps_taken", ctypes.c_void_p),
     ]  # fmt: skip
 
 
 class Bounds(ctypes.Structure):
     _fields_ = [(name, ctypes.c_double) for name in ("metres", "radians", "speed", "turn", "since")]
+
+
+def options_of(tolerance: float, errors: Any, steps: int, taken: Any, t0: Any = None, t1: Any = None) -> ProofOptions:
+    address, begin, end, to = (None if x is None else x.ctypes.data for x in (errors, t0, t1, taken))
+    return ProofOptions(tolerance, address, begin, end, steps, to)
 
 
 class PlanOptions(ctypes.Structure):
@@ -190,31 +195,40 @@ class Checker(Handle):
         return out, slopes
 
     def certify(
-        self, Q0: Any, Q1: Any, tolerance: float = 1e-5, joint_error: Any = None, times: Any = None
+        self,
+        Q0: Any,
+        Q1: Any,
+        tolerance: float = 1e-5,
+        joint_error: Any = None,
+        steps: int = 0,
+        taken: Any = None,
+        times: Any = None,
     ) -> tuple[np.ndarray, ...]:
         a, b = self._rows(Q0), self._rows(Q1)
         out, at = np.full(len(a), 9, dtype=np.int8), np.empty(len(a))
         bodies = np.empty((len(a), 2), dtype=np.int32)
         errors = None if joint_error is None else np.array(joint_error, dtype=float)
         t0, t1 = (None, None) if times is None else np.ascontiguousarray(times, dtype=float)
-        addresses = [None if x is None else x.ctypes.data for x in (errors, t0, t1)]
-        options = ProofOptions(tolerance, *addresses)
+        options = options_of(tolerance, errors, steps, taken, t0, t1)
         ask("checker_certify_edges", self, self.workspace, a, b, size(len(a)), ctypes.byref(options), out, at, bodies)
         return out, at, bodies
 
-    def free(self, Q0: Any, Q1: Any, tolerance: float = 1e-5, joint_error: Any = None) -> np.ndarray:
+    def free(
+        self, Q0: Any, Q1: Any, tolerance: float = 1e-5, joint_error: Any = None, steps: int = 0, taken: Any = None
+    ) -> np.ndarray:
         a, b = self._rows(Q0), self._rows(Q1)
         out = np.full(len(a), 9, dtype=np.int8)
         errors = None if joint_error is None else np.array(joint_error, dtype=float)
-        options = ProofOptions(tolerance, None if errors is None else errors.ctypes.data)
+        options = options_of(tolerance, errors, steps, taken)
         ask("checker_motions_free", self, self.workspace, a, b, size(len(a)), ctypes.byref(options), out)
         return out
 
-    def certify_curves(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
+    def certify_curves(self, points: Any, steps: int = 0, taken: Any = None) -> tuple[np.ndarray, np.ndarray]:
         points = np.ascontiguousarray(points)
         out, at = np.full(len(points), 9, dtype=np.int8), np.empty(len(points))
         shape = size(len(points)), points.shape[1] - 1
-        ask("checker_certify_curves", self, self.workspace, points, *shape, None, out, at, None)
+        options = options_of(0.0, None, steps, taken)
+        ask("checker_certify_curves", self, self.workspace, points, *shape, ctypes.byref(options), out, at, None)
         return out, at
 
     def plan(self, start: Any, goals: Any, seed: int = 0, joints: Any = None, cuts: int = 0) -> np.ndarray:

@@ -373,9 +373,7 @@ class Course:
 
 def courses(count: int, gate: type[Gate] = Gate, seed: int = 0) -> tuple[int, int, int]:
     """Ticks, stops and moments of contact of many runs."""
-    made = [
-        Course(seed + k, ("joints", "path")[k % 2], (None, JERK)[k // 2 % 2], gate).run(150) for k in range(count)
-    ]
+    made = [Course(seed + k, ("joints", "path")[k % 2], (None, JERK)[k // 2 % 2], gate).run(150) for k in range(count)]
     return sum(c.ticks for c in made), sum(c.stops for c in made), sum(c.hits for c in made)
 
 

@@ -44,7 +44,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(check_configurations, CHECK_TAKES, "")                                                                           \
     X(memory_size, "i i i", "i")                                                                                       \
     X(certify_motions, "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", "")                                                          \
-    X(free_motions, "i i i F3 i f i i i I1 B1 i", "")                                                                  \
+    X(free_motions, "i i i F3 i f i i i I2 B1 i", "")                                                                  \
     X(motion_memory, "i i i", "i")                                                                                     \
     X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \
     X(shorten_path, "i i I1 F1 F2 I1 F2 F2", "i")                                                                      \
@@ -254,6 +254,7 @@ static inline void leave_workspace(loewner_workspace **held)
 
 /* Configurations and motions that are handled together. */
 enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
+enum { WORK = 3 }; /* numbers of a tally of `certify_motions`; the last one counts the steps */
 #define TOLERANCE 1e-5 /* of proofs of motions, in metres, unless a caller gives another */
 
 /* Take over changes of the scene, and prepare a workspace. */
@@ -277,10 +278,11 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
                        const double *configurations, size_t n, int8_t *verdicts);
 
 /* Prove motions by their control points, shape (n, degree + 1, dof), which were checked; n <= MOTIONS_AT_ONCE.
-   `fractions` and `pairs` have room for n. `t0` and `t1`, shape (n,), may be NULL. */
+   `fractions` and `pairs` have room for n. `t0` and `t1`, shape (n,), may be NULL. Each motion may take `steps`, and
+   row k of `workspace->work` receives its poses, searches and steps. */
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
                      int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
-                     int8_t *verdicts, double *fractions, int64_t *pairs);
+                     int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs);
 
 /* Write the course of the straight motion from a to b, shape (2, dof). */
 void straight(const loewner_checker *checker, const double *a, const double *b, double *course);

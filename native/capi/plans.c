@@ -8,7 +8,7 @@
 #include <time.h>
 
 /* Of the state of a search, `columns.py`. */
-enum { ITERATION, STARTS, GOALS, OF_START, OF_GOAL, MOTIONS, RANDOM, STATE = 9 };
+enum { ITERATION, STARTS, GOALS, OF_START, OF_GOAL, MOTIONS, RANDOM, STATE = 10 };
 
 typedef struct {
     const loewner_checker *checker;
@@ -58,8 +58,8 @@ static loewner_status is_free(const Judge *judge, const double *path, int64_t co
         int64_t motions = count - 1 - first < MOTIONS_AT_ONCE ? count - 1 - first : MOTIONS_AT_ONCE;
         for (int64_t k = 0; k < motions; k++)
             straight(checker, path + (first + k) * dof, path + (first + k + 1) * dof, workspace->courses + 2 * k * dof);
-        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error, NULL, NULL,
-                  workspace->found, workspace->fractions, workspace->found_pairs));
+        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error, NULL,
+                  NULL, CODE_NO_LIMIT, workspace->found, workspace->fractions, workspace->found_pairs));
         for (int64_t k = motions - 1; k >= 0; k--)
             if (workspace->found[k] != LOEWNER_FREE)
                 *at = first + k;
@@ -77,8 +77,8 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
         return LOEWNER_OK;
     double *course = judge->workspace->courses;
     straight(judge->checker, q, q, course);
-    TRY(prove(judge->checker, judge->workspace, course, 1, 1, PLAN_TOLERANCE, judge->joint_error, NULL, NULL, &verdict,
-              judge->workspace->fractions, judge->workspace->found_pairs));
+    TRY(prove(judge->checker, judge->workspace, course, 1, 1, PLAN_TOLERANCE, judge->joint_error, NULL, NULL,
+              CODE_NO_LIMIT, &verdict, judge->workspace->fractions, judge->workspace->found_pairs));
     *is = verdict == LOEWNER_FREE;
     return LOEWNER_OK;
 }

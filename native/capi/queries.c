@@ -495,10 +495,11 @@ static void evaluate(const File *file, const double *course, int32_t degree, dou
     }
 }
 
-/* Let the kernel prove courses; `off` has rows of `width`, with what bodies may be off behind the values. */
+/* Let the kernel prove courses; `off` has rows of `width`, with what bodies may be off behind the values. Each may take
+   `steps`, and `work`, shape (count, WORK), receives what it took. */
 static loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses,
                               int64_t count, int64_t points, double *off, int64_t width, double tolerance,
-                              int8_t *verdicts, double *fractions, int64_t *pairs)
+                              int64_t steps, int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs)
 {
     const Half *half = half_of(checker, CUT);
     int64_t dof = checker->file->dof, nothing;
@@ -525,9 +526,11 @@ static loewner_status certify(const loewner_checker *checker, loewner_workspace 
         {verdicts, count},
         {fractions, count},
         {pairs, count},
-        {workspace->work, count, 2},
+        {work, count, WORK},
         workspace->memory,
     };
+    for (int64_t k = 0; k < count; k++)
+        work[WORK * k + WORK - 1] = steps;
     return call(kernels()->certify_motions, &arguments, &nothing);
 }
 
@@ -561,17 +564,22 @@ static void write_growth(const loewner_checker *checker, double t0, double t1, d
     }
 }
 
-/* Keep COLLIDING only where a course collides with all bodies at their poses. */
+/* Keep COLLIDING only where a course collides with all bodies at their poses; the steps that are left may be taken. */
 static loewner_status doubt_bounds(const loewner_checker *checker, loewner_workspace *workspace, double *course,
-                                   int64_t points, double *off, int64_t width, double tolerance, int8_t *verdict,
-                                   double *fraction, int64_t *pair)
+                                   int64_t points, double *off, int64_t width, double tolerance, int64_t steps,
+                                   int64_t *work, int8_t *verdict, double *fraction, int64_t *pair)
 {
+    int64_t before[WORK];
+    memcpy(before, work, sizeof before);
     int8_t given;
     double at;
     int64_t which;
     if (*verdict == LOEWNER_FREE || *verdict == CODE_TOO_LONG)
         return LOEWNER_OK;
-    TRY(certify(checker, workspace, course, 1, points, off, width, tolerance, &given, &at, &which));
+    int64_t left = steps > before[WORK - 1] ? steps - before[WORK - 1] : 0;
+    TRY(certify(checker, workspace, course, 1, points, off, width, tolerance, left, work, &given, &at, &which));
+    for (int64_t k = 0; k < WORK; k++)
+        work[k] += before[k];
     int is_hit = given == LOEWNER_COLLIDING || given == CODE_BY_CARE;
     *verdict = is_hit ? given : LOEWNER_AMBIGUOUS;
     *fraction = is_hit ? at : *fraction;
@@ -581,7 +589,7 @@ static loewner_status doubt_bounds(const loewner_checker *checker, loewner_works
 
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
                      int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
-                     int8_t *verdicts, double *fractions, int64_t *pairs)
+                     int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs)
 {
     const State *state = &checker->state;
     const File *file = checker->file;
@@ -600,11 +608,12 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         }
         write_growth(checker, t0 == NULL ? 0 : t0[k], t1 == NULL ? 0 : t1[k], row + dof);
     }
-    TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, verdicts,
-                fractions, pairs));
+    TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, steps,
+                workspace->work, verdicts, fractions, pairs));
     for (int64_t k = 0; state->growing > 0 && k < count; k++)
         TRY(doubt_bounds(checker, workspace, courses + k * points * dof, points, workspace->off + k * width,
-                         is_off ? dof : 0, tolerance, verdicts + k, fractions + k, pairs + k));
+                         is_off ? dof : 0, tolerance, steps, workspace->work + WORK * k, verdicts + k, fractions + k,
+                         pairs + k));
     double *q = workspace->slopes;
     for (int64_t k = 0; k < count; k++) {
         const double *course = courses + k * points * dof;
@@ -643,6 +652,8 @@ static loewner_status check_options(const loewner_checker *checker, const loewne
         return LOEWNER_OK;
     if (!(options->tolerance >= 0 && options->tolerance < INFINITY))
         return fail(LOEWNER_BAD_ARGUMENT, "tolerance: expected a number >= 0, found %g", options->tolerance);
+    if (options->steps < 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)options->steps);
     for (int64_t c = 0; options->joint_error != NULL && c < checker->file->dof; c++)
         if (!(options->joint_error[c] >= 0 && options->joint_error[c] < INFINITY))
             return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", options->joint_error[c]);
@@ -688,6 +699,20 @@ static size_t write_courses(const loewner_checker *checker, loewner_workspace *w
     return count;
 }
 
+/* How many steps each motion may take. */
+static int64_t steps_of(const loewner_proof_options *options)
+{
+    return options != NULL && options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
+}
+
+/* Write how many steps the motions from the first on took. */
+static void write_steps(const loewner_workspace *workspace, const loewner_proof_options *options, size_t first,
+                        size_t count)
+{
+    for (size_t k = 0; options != NULL && options->steps_taken != NULL && k < count; k++)
+        options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
+}
+
 /* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
 static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t first,
                                   size_t count, int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
@@ -697,7 +722,8 @@ static loewner_status prove_block(const loewner_checker *checker, loewner_worksp
     TRY(prove(checker, workspace, workspace->courses, count, degree,
               options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
               options != NULL ? options->joint_error : NULL, is_timed ? options->t0 + first : NULL,
-              is_timed ? options->t1 + first : NULL, verdicts, workspace->fractions, workspace->found_pairs));
+              is_timed ? options->t1 + first : NULL, steps_of(options), verdicts, workspace->fractions,
+              workspace->found_pairs));
     if (fractions != NULL)
         memcpy(fractions, workspace->fractions, count * sizeof *fractions);
     for (size_t k = 0; bodies != NULL && k < count; k++)
@@ -721,6 +747,7 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
         size_t count = write_courses(checker, workspace, starts, ends, first, n);
         TRY(prove_block(checker, workspace, first, count, 1, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
+        write_steps(workspace, options, first, count);
     }
     return LOEWNER_OK;
 }
@@ -730,7 +757,7 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
                                 const loewner_proof_options *options, int8_t *is_free)
 {
     const Half *half = half_of(checker, CUT);
-    int64_t tally[2] = {0, 0}, dof = checker->file->dof, nothing;
+    int64_t dof = checker->file->dof, nothing;
     const double *error = options != NULL ? options->joint_error : NULL;
     int is_off = 0;
     for (int64_t c = 0; error != NULL && c < dof; c++)
@@ -741,7 +768,8 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
         int64_t error;
         double tolerance;
         int64_t pack, problem, tables;
-        Array1 tally, out;
+        Array2 work;
+        Array1 out;
         void *memory;
     } arguments = {
         workspace->is_ready,
@@ -753,10 +781,12 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
         (int64_t)half->words,
         half->handle,
         half->motions,
-        {tally, 2},
+        {workspace->work, count, WORK},
         {is_free, count},
         workspace->validator,
     };
+    for (int64_t k = 0; k < count; k++)
+        workspace->work[WORK * k + WORK - 1] = steps_of(options);
     workspace->is_ready = 0;
     TRY(call(kernels()->free_motions, &arguments, &nothing));
     workspace->is_ready = 1;
@@ -779,6 +809,7 @@ loewner_status loewner_checker_motions_free(const loewner_checker *checker, loew
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
         size_t count = write_courses(checker, workspace, starts, ends, first, n);
         TRY(find_free(checker, workspace, (int64_t)count, options, is_free + first));
+        write_steps(workspace, options, first, count);
     }
     return LOEWNER_OK;
 }
@@ -806,6 +837,7 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
         memcpy(workspace->courses, points + first * each, count * each * sizeof *points);
         TRY(prove_block(checker, workspace, first, count, degree, options, verdicts + first,
                         fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
+        write_steps(workspace, options, first, count);
     }
     return LOEWNER_OK;
 }

@@ -763,7 +763,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         {(void **)&workspace->vectors, 8 * 9 * MOTIONS_AT_ONCE},
         {(void **)&workspace->slopes, 8 * dof * MOTIONS_AT_ONCE},
         {(void **)&workspace->found_pairs, 8 * MOTIONS_AT_ONCE},
-        {(void **)&workspace->work, 16 * MOTIONS_AT_ONCE},
+        {(void **)&workspace->work, 8 * WORK * MOTIONS_AT_ONCE},
         {(void **)&workspace->pieces, 16 * MOTIONS_AT_ONCE},
         {(void **)&workspace->tiers, CHUNK},
         {(void **)&workspace->pair_verdicts, pairs},

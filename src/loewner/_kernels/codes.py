@@ -3,8 +3,12 @@
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 
 # Codes in place of a verdict: whole numbers must decide (`fallback`); a GPU thread leaves the pair to the CPU (above
-# AMBIGUOUS, see `threads.pairs`); a motion takes too many intervals, or collides if `collide` confirms it.
-INEXACT, LEFT, TOO_LONG, BY_CARE = 3, 4, 5, 6
+# AMBIGUOUS, see `threads.pairs`); a motion takes too many intervals, or collides if `collide` confirms it, or has no
+# steps left.
+INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED = 3, 4, 5, 6, 7
+
+# Steps of a proof without a limit.
+NO_LIMIT = 2**62
 
 # Largest number of intervals into which a motion is cut before any is halved.
 MOST_INTERVALS = 7 * 2**16

@@ -162,7 +162,14 @@ typedef struct {
     double tolerance;          /* motions that come nearer than this to contact may be AMBIGUOUS [m]; 0: 1e-5 */
     const double *joint_error; /* shape (dof,), or NULL: FREE then holds for all deviations up to these */
     const double *t0, *t1;     /* shape (n,), or NULL: seconds at which the motions begin and end, see loewner_bounds */
-} loewner_proof_options;
+    int64_t steps;             /* a motion whose proof takes more steps than this is given up as AMBIGUOUS; 0: none is */
+    int64_t *steps_taken;      /* shape (n,), or NULL: receives the steps that each motion took */
+} loewner_proof_options;       /* fields that are 0 have no effect, so new ones come last */
+
+/* STEPS count the work of a proof: configurations placed, pairs of bodies and of pieces compared, searches, and boxes of
+   surfaces opened. A motion takes no more than `steps` and a number that depends on the scene only; docs/certified.md,
+   "Bounded work", has both and their time. Beside the steps, COLLIDING on a curve is confirmed as by `..._collide`, and
+   so is the start of a motion that is free among solid surfaces: once for each motion. */
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
    take the shorter way. FREE holds at every real fraction of the motion; COLLIDING at the fraction that `fractions`,

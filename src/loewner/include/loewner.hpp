@@ -107,6 +107,7 @@ struct Motion {
     Verdict verdict;
     double fraction;                    /* NaN for Free */
     std::array<std::int32_t, 2> bodies; /* -1 for none */
+    std::int64_t steps = 0;             /* that the proof took */
 };
 
 /* A robot in a scene, from a file that `CollisionChecker.save` wrote. */
@@ -201,11 +202,12 @@ public:
         return found;
     }
 
-    /* Prove one straight motion. */
-    /* `times` has the two at which the motion begins and ends [s], for bodies with bounds that grow. */
+    /* Prove one straight motion, in no more steps than are allowed; see loewner.h. `times` has the two at which it begins
+       and ends [s], for bodies with bounds that grow. */
     Motion certify_edge(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5,
-                        Numbers joint_error = {}, Numbers times = {}) const
+                        Numbers joint_error = {}, std::int64_t steps = 0, Numbers times = {}) const
     {
+        std::int64_t taken = 0;
         std::int8_t found = LOEWNER_AMBIGUOUS;
         std::int32_t bodies[1][2] = {{-1, -1}};
         double fraction = NAN;
@@ -213,23 +215,23 @@ public:
             throw Error(LOEWNER_BAD_ARGUMENT, "times: expected two, found " + std::to_string(times.size()));
         const double *t0 = times.size() == 2 ? times.data() : nullptr, *t1 = t0 == nullptr ? t0 : t0 + 1;
         const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(), t0,
-                                               t1};
+                                               t1,        steps, &taken};
         expect_rows(start, 1);
         expect_rows(end, 1);
         if (joint_error.size() != 0)
             expect_rows(joint_error, 1);
         expect(loewner_checker_certify_edges(get(), workspace.get(), start.data(), end.data(), 1, &options, &found,
                                              &fraction, bodies));
-        return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}};
+        return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}, taken};
     }
 
     /* Whether one straight motion is proven free, for a planner's validator of motions. */
-    bool is_free(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5,
-                 Numbers joint_error = {}) const
+    bool is_free(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5, Numbers joint_error = {},
+                 std::int64_t steps = 0) const
     {
         std::int8_t found = 0;
         const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(),
-                                               nullptr, nullptr};
+                                               nullptr,   nullptr, steps, nullptr};
         expect_rows(start, 1);
         expect_rows(end, 1);
         if (joint_error.size() != 0)
@@ -240,9 +242,9 @@ public:
 
     /* Prove motions, whose starts follow each other, and so do their ends. */
     void certify_edges(Workspace &workspace, Numbers starts, Numbers ends, View<std::int8_t> verdicts,
-                       double tolerance = 1e-5) const
+                       double tolerance = 1e-5, std::int64_t steps = 0) const
     {
-        const loewner_proof_options options = {tolerance, nullptr, nullptr, nullptr};
+        const loewner_proof_options options = {tolerance, nullptr, nullptr, nullptr, steps, nullptr};
         expect_rows(starts, verdicts.size());
         expect_rows(ends, verdicts.size());
         expect(loewner_checker_certify_edges(get(), workspace.get(), starts.data(), ends.data(), verdicts.size(),

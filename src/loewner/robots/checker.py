@@ -384,6 +384,7 @@ class CollisionChecker:
         joint_error: ArrayLike = 0.0,
         t0: ArrayLike | None = None,
         t1: ArrayLike | None = None,
+        steps: int | None = None,
         proof: bool = False,
     ) -> CertifiedMotions:
         """Prove which straight motions are free of collisions everywhere along the motion.
@@ -401,6 +402,11 @@ class CollisionChecker:
         t0, t1 : float or array_like, shape (...), optional
             Seconds at which the motions begin and end, broadcast with them; required if bodies of the scene follow
             motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
+        steps : int, optional
+            How much work each motion may take: configurations placed, pairs of bodies and of pieces compared, searches,
+            and boxes of surfaces opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the
+            pair where its proof stopped. docs/certified.md, "Bounded work", describes what a step takes. Default: as
+            much as it takes.
         proof : bool
             Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
             proof exists for joints that turn or slide, and for bodies that follow no motions. It states where bodies
@@ -416,8 +422,8 @@ class CollisionChecker:
         InputError
             If the width is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is not positive
             and finite, or a joint error is negative; if a motion is so long that it would take more than 458,752
-            intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; or if a proof
-            of such a robot or scene cannot be written.
+            intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; if `steps` is
+            not an integer >= 1; or if a proof of such a robot or scene cannot be written.
         UnknownNameError
             As for `collide`.
         ConvergenceError
@@ -454,6 +460,7 @@ class CollisionChecker:
         True
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
+        most = None if steps is None else _validate.whole_number(steps, "steps", 1, codes.NO_LIMIT)
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
         ready = self._ready(timed=times is not None)
@@ -467,9 +474,9 @@ class CollisionChecker:
             shape, times = whole, (np.broadcast_to(times[0], whole), np.broadcast_to(times[1], whole))
         if times is not None and ready.paths is not None:
             begin_and_end = times[0].ravel(), times[1].ravel()
-            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), begin_and_end, tolerance, errors)
+            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), begin_and_end, tolerance, errors, most)
         else:
-            found = proofs.prove_by_rules(ready, a, b, tolerance, errors)
+            found = proofs.prove_by_rules(ready, a, b, tolerance, errors, most)
         found.expect_short(a, b)
         motions = found.of_shape(shape, ready)
         if model is None or not (found.verdicts == codes.FREE).all():
@@ -485,6 +492,7 @@ class CollisionChecker:
         tolerance: float = ...,
         joint_error: ArrayLike = ...,
         t0: float | None = ...,
+        steps: int | None = ...,
         proof: bool = ...,
     ) -> tuple[CertifiedTrajectory, ...]: ...
     @overload
@@ -495,6 +503,7 @@ class CollisionChecker:
         tolerance: float = ...,
         joint_error: ArrayLike = ...,
         t0: float | None = ...,
+        steps: int | None = ...,
         proof: bool = ...,
     ) -> CertifiedTrajectory: ...
     def certify_trajectory(
@@ -504,6 +513,7 @@ class CollisionChecker:
         tolerance: float = 1e-5,
         joint_error: ArrayLike = 0.0,
         t0: float | None = None,
+        steps: int | None = None,
         proof: bool = False,
     ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
         """Prove that a curve executed by a robot is free of collisions at every instant.
@@ -525,6 +535,9 @@ class CollisionChecker:
             Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
             bodies that follow motions, and the times of the result include it. Default: the `start_time` of a
             `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other curves.
+        steps : int, optional
+            How much work each curve may take, as for `certify_edges`. Its segments share it: those that are left over
+            are AMBIGUOUS.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
 
@@ -567,8 +580,9 @@ class CollisionChecker:
         errors = curves.joint_errors(self.robot, joint_error)
         ready = self._ready(timed=True)
         model = model_of(ready) if _validate.flag(proof, "proof") else None
+        most = None if steps is None else _validate.whole_number(steps, "steps", 1, codes.NO_LIMIT)
         given = curves.curves_of(self.robot, self.scene, curve, t0)
-        found = curves.certified(self.robot, ready, given, tolerance, errors, model)
+        found = curves.certified(self.robot, ready, given, tolerance, errors, model, most)
         return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     joint_error = tracking.joint_error

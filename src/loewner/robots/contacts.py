@@ -8,6 +8,7 @@ so the proof of motions also settles whether the piece stays in front; see docs/
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
 from loewner.robots import motions
 from loewner.robots.courses import CURVE_ROUNDINGS, between, configurations
-from loewner.robots.motions import Found
+from loewner.robots.motions import STEPS, Found, Limit
 from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 
@@ -148,7 +149,19 @@ class Stage(NamedTuple):
     least: float | None = None
 
 
-def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> Settled:
+@dataclass
+class Work:
+    """How many steps proofs may take, None for no limit, and how many they took."""
+
+    most: int | None
+    taken: int = 0
+
+    def is_spent(self) -> bool:
+        """Return whether they took more than they may."""
+        return self.most is not None and self.taken > self.most
+
+
+def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float, work: Work) -> Settled:
     """Settle a curve for one pair that may be in contact at the curve's start or end.
 
     Parameters
@@ -162,10 +175,12 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
         How far values may deviate from the courses.
     tolerance : float
         Distance in metres by which the contact may get deeper.
+    work : Work
+        Counts the steps.
     """
     verdicts, fractions = np.full(len(courses), codes.FREE, dtype=np.int8), np.full(len(courses), np.nan)
     for run, _, deepest in _runs(ready, pair, courses, off, tolerance):
-        left = _leave(ready, pair, run, tolerance, deepest)
+        left = _leave(ready, pair, run, tolerance, deepest, work)
         if not left.doubts:
             continue
         numbers, places = (
@@ -190,7 +205,7 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     """
     found, alone = [], ready.only(np.array([pair]))
     for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
-        left = _leave(ready, pair, run, tolerance, deepest)
+        left = _leave(ready, pair, run, tolerance, deepest, Work(None))
         if left.beside is None or (left.doubts and not leaving):
             found.append(Stage(alone, run if leaving else run.backwards(), tolerance))
             continue
@@ -265,11 +280,11 @@ def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: fl
     return [run for run in runs if len(run[0].number)]  # the distance may be largest at an end
 
 
-def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float) -> _Left:
+def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float, work: Work) -> _Left:
     """Prove that a pair that may be in contact at the start of a run leaves it."""
     alone = ready.only(np.array([pair]))
     margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, run.courses[0, 0])
-    found = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off)
+    found = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off, work)
     unproven = np.flatnonzero(found.verdicts != codes.FREE).tolist()
     apart = [(k, float(found.fractions[k]), margin) for k in unproven]
     if not unproven or at_start > margin + tolerance:  # no contact to end
@@ -280,28 +295,30 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
     least = at_start - tolerance if at_start <= margin + TOUCHING * reach else margin
     end, most = _end_of_contact(ready, pair, run.rows(0, unproven[-1] + 1), margin + tolerance, PARTED * reach)
     beside, for_proof = _beside_planes(ready, pair, run, end + most, tolerance)
-    before = _settled(beside, run.courses[:end], for_proof, run.off[:end])
+    before = _settled(beside, run.courses[:end], for_proof, run.off[:end], work)
     doubts = [(k, float(before.fractions[k]), least) for k in np.flatnonzero(before.verdicts != codes.FREE).tolist()]
     after, last, within = [doubt for doubt in apart if doubt[0] > end], run.rows(end, end + 1), []
     for share in (most * STRETCHES).tolist():
         first, rest = last.cut(ready.robot, (0, share))
-        proven = _settled(beside, first.courses, for_proof, first.off)
+        proven = _settled(beside, first.courses, for_proof, first.off, work)
         if proven.verdicts[0] == codes.FREE:
             break
         within.append((end, share * float(proven.fractions[0]), least))
     else:
         return _Left([*doubts, *within, *after], (end, most), beside, for_proof, least)
     if len(rest.number):
-        proven = _settled(alone, rest.courses, FOR_PROOF * tolerance, rest.off)
+        proven = _settled(alone, rest.courses, FOR_PROOF * tolerance, rest.off, work)
     if proven.verdicts[0] == codes.FREE:
         return _Left([*doubts, *after], (end, share), beside, for_proof, least)
     within.append((end, share + (1.0 - share) * float(proven.fractions[0]), least if most == 1.0 else margin))
     return _Left([*doubts, *within, *after], (end, most), beside, for_proof, least)
 
 
-def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats) -> Found:
+def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats, work: Work) -> Found:
     """Let the kernel settle motions; a motion that is too long to be settled is doubtful from its start."""
-    found = motions.settle(problem, courses, tolerance, off)
+    limit = None if work.most is None else Limit(work.most - work.taken, np.array([0, len(courses)]))
+    found = motions.settle(problem, courses, tolerance, off, limit=limit)
+    work.taken += int(found.work[:, STEPS].sum())
     return found._replace(fractions=np.nan_to_num(found.fractions))
 
 

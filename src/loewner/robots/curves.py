@@ -22,7 +22,7 @@ from loewner.queries import Verdict
 from loewner.robots import in_time
 from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated, straight
 from loewner.robots.edges import checked_path
-from loewner.robots.motions import CertifiedMotions, Found
+from loewner.robots.motions import CertifiedMotions, Found, Limit
 from loewner.robots.problem import Problem
 from loewner.robots.proof_models import Model
 from loewner.robots.proofs import apply_rules, prove
@@ -133,10 +133,11 @@ def certified(
     tolerance: float,
     joint_error: Floats,
     model: Model | None = None,
+    steps: int | None = None,
 ) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`.
 
-    Proofs of free curves are written if there is a model for them.
+    Proofs of free curves are written if there is a model for them. Each curve may take this number of steps.
     """
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
@@ -147,9 +148,9 @@ def certified(
         courses = np.concatenate([curves[k].courses for k in at])
         off = np.concatenate([curves[k].off for k in at])
         firsts = np.cumsum([0, *(len(curves[k].courses) for k in at)])
-        proven = prove(ready, courses, tolerance, off)
+        proven = prove(ready, courses, tolerance, off, None if steps is None else Limit(steps, firsts))
         if not joint_error.any():
-            apply_rules(ready, courses, off, firsts, tolerance, proven)
+            apply_rules(ready, courses, off, firsts, tolerance, proven, steps)
         for k, first, last in zip(at, firsts[:-1].tolist(), firsts[1:].tolist(), strict=True):
             expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)

@@ -19,7 +19,7 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.pose_paths import PackedPaths
 from loewner.robots import motions, verdicts
 from loewner.robots.courses import CURVE_ROUNDINGS, between, elevated, straight
-from loewner.robots.motions import Found
+from loewner.robots.motions import Found, Limit
 from loewner.robots.problem import Problem
 from loewner.robots.proofs import apply_rules, deviations, doubt_bounds, refuse_starts
 from loewner.robots.robot import Robot, interpolated
@@ -196,21 +196,24 @@ def prove_edges(
     times: tuple[Floats, Floats],
     tolerance: float,
     joint_error: Floats,
+    steps: int | None = None,
 ) -> Found:
     """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
 
-    COLLIDING is confirmed at the configuration and the time that a user computes from the fraction.
+    COLLIDING is confirmed at the configuration and the time that a user computes from the fraction. Each motion may
+    take this number of steps.
     """
     (a, b), (t0, t1) = ends, times
     courses = straight(robot, a, b)
     off = deviations(courses, joint_error)
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
-    found = motions.settle(ready, cut.courses, tolerance, cut.off)
-    doubt_bounds(ready, cut.courses, tolerance, cut.off, found)
+    first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
+    limit = None if steps is None else Limit(steps, first)
+    found = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit)
+    doubt_bounds(ready, cut.courses, tolerance, cut.off, found, limit)
     refuse_starts(ready.as_given, cut.courses[:, 0], found)
     if off is None:
-        first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
-        apply_rules(ready, cut.courses, cut.off, first, tolerance, found)
+        apply_rules(ready, cut.courses, cut.off, first, tolerance, found, steps)
     found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
     made = found if len(cut.owner) == len(a) else _gathered(cut, found, len(a))
     at = (made.verdicts == codes.COLLIDING).nonzero()[0]

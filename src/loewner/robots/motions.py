@@ -22,6 +22,9 @@ from loewner.robots.problem import Problem
 # Smallest number of motions that a thread takes at a time: about 0.3 ms of work.
 LEAST_SHARE = 16
 
+# Column of the work of motions that counts steps.
+STEPS = 2
+
 NO_STRAYS = np.empty((0, 0))
 NO_CLEARANCES = np.empty(0)
 
@@ -44,6 +47,9 @@ class CertifiedMotions:
     poses, searches : int or ndarray of int64
         Work of the proof: the number of configurations at which the robot was placed, and the number of searches on
         pairs of pieces.
+    steps : int or ndarray of int64
+        The whole work, in steps, as `CollisionChecker.certify_edges` limits it. An AMBIGUOUS motion that took more than
+        it might was given up at `fraction`, and nothing more is known about it; `names` are empty if nothing was begun.
     proof : Proof or None
         A proof that all motions are free, if one was requested and all of them are.
 
@@ -63,6 +69,7 @@ class CertifiedMotions:
     names: Any
     poses: Any
     searches: Any
+    steps: Any
     proof: Any = None
 
     def __repr__(self) -> str:
@@ -72,6 +79,20 @@ class CertifiedMotions:
     def _repr_html_(self) -> str:
         found = np.ravel(self.verdict)
         return verdicts(found, np.arange(len(found) + 1.0), "number of the motion")
+
+
+class Limit(NamedTuple):
+    """How much work motions may take, in groups of successive ones that share it.
+
+    Attributes
+    ----------
+    steps : int or ndarray of int64, shape (groups,)
+    first : ndarray of int, shape (groups + 1,)
+        The first motion of each group, and the number of motions.
+    """
+
+    steps: int | Ints
+    first: Ints
 
 
 class Found(NamedTuple):
@@ -85,8 +106,8 @@ class Found(NamedTuple):
     fractions : ndarray, shape (N,)
     pairs : ndarray of int64, shape (N,)
         Indices of the pairs; -1 for none.
-    work : ndarray of int64, shape (N, 2)
-        Numbers of poses and of searches.
+    work : ndarray of int64, shape (N, 3)
+        Numbers of poses, of searches, and of steps.
     """
 
     verdicts: NDArray[np.int8]
@@ -113,17 +134,22 @@ class Found(NamedTuple):
         if not shape:
             pair = int(self.pairs[0])
             names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
-            poses, searches = self.work[0].tolist()
-            return CertifiedMotions(Verdict(int(self.verdicts[0])), float(self.fractions[0]), names, poses, searches)
-        poses, searches = self.work.T.reshape(2, *shape)
+            return CertifiedMotions(
+                Verdict(int(self.verdicts[0])), float(self.fractions[0]), names, *self.work[0].tolist()
+            )
         return CertifiedMotions(
             self.verdicts.reshape(shape), self.fractions.reshape(shape),
-            ready.names_of_pairs[self.pairs].reshape(*shape, 2), poses, searches,
+            ready.names_of_pairs[self.pairs].reshape(*shape, 2), *self.work.T.reshape(3, *shape),
         )  # fmt: skip
 
 
 def settle(
-    ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None, clear: Floats = NO_CLEARANCES
+    ready: Problem,
+    courses: Floats,
+    tolerance: float,
+    off: Floats | None = None,
+    clear: Floats = NO_CLEARANCES,
+    limit: Limit | None = None,
 ) -> Found:
     """Let the kernel settle motions along courses.
 
@@ -140,6 +166,7 @@ def settle(
     clear : ndarray, shape (N,), optional
         Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING, too, then
         refers to them.
+    limit : Limit, optional
 
     Notes
     -----
@@ -149,16 +176,20 @@ def settle(
     total = len(courses)
     found = Found(
         np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
-        np.empty((total, 2), dtype=np.int64),
+        np.full((total, 3), codes.NO_LIMIT if limit is None else -1, dtype=np.int64),
     )  # fmt: skip
+    first = np.arange(total + 1) if limit is None else limit.first
+    if limit is not None:
+        full = first[:-1] < first[1:]
+        found.work[first[:-1][full], STEPS] = np.maximum(np.broadcast_to(limit.steps, full.shape), 0)[full]
     prepared = ready.motions
     strays = NO_STRAYS if off is None else off
 
-    def share(first: int, last: int) -> None:
+    def share(begin: int, end: int) -> None:
         entries.certify_motions(
-            first, last, courses, strays, clear, tolerance, ready.packed.handle, ready.handle, prepared.handle, *found,
-            workspace(prepared.memory),
+            first[begin], first[end], courses, strays, clear, tolerance, ready.packed.handle, ready.handle,
+            prepared.handle, *found, workspace(prepared.memory),
         )  # fmt: skip
 
-    in_shares(share, total, LEAST_SHARE)
+    in_shares(share, len(first) - 1, LEAST_SHARE)
     return found

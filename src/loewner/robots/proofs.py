@@ -8,11 +8,13 @@ from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.robots import contacts, motions, verdicts
 from loewner.robots.courses import configurations, straight
-from loewner.robots.motions import Found
+from loewner.robots.motions import STEPS, Found, Limit
 from loewner.robots.problem import Problem
 
 
-def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
+def prove(
+    ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None, limit: Limit | None = None
+) -> Found:
     """Prove which courses are free; contact is never allowed.
 
     Parameters
@@ -24,23 +26,27 @@ def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None 
         In metres.
     off : ndarray, shape (N, dof), optional
         How far joint values may deviate from the course at any fraction; FREE covers all such deviations.
+    limit : Limit, optional
 
     Returns
     -------
     Found
         Results whose verdict is TOO_LONG for motions that would take too many intervals.
     """
-    found = motions.settle(ready, courses, tolerance, off)
-    doubt_bounds(ready, courses, tolerance, off, found)
+    found = motions.settle(ready, courses, tolerance, off, limit=limit)
+    doubt_bounds(ready, courses, tolerance, off, found, limit)
     _confirm(ready.as_given, courses, found)
     refuse_starts(ready.as_given, courses[:, 0], found)
     return found
 
 
-def doubt_bounds(ready: Problem, courses: Floats, tolerance: float, off: Floats | None, found: Found) -> None:
+def doubt_bounds(
+    ready: Problem, courses: Floats, tolerance: float, off: Floats | None, found: Found, limit: Limit | None = None
+) -> None:
     """Keep COLLIDING only for courses that collide with all bodies at their given poses; the others are AMBIGUOUS.
 
-    The results of `motions.settle`, which counts the errors of poses as margins, are changed.
+    The results of `motions.settle`, which counts the errors of poses as margins, are changed. What is left of a limit
+    may be used.
     """
     known, dof = ready.as_given, courses.shape[2]
     exact = off if off is None else off[:, :dof]
@@ -48,27 +54,50 @@ def doubt_bounds(ready: Problem, courses: Floats, tolerance: float, off: Floats 
         return
     at = np.flatnonzero(np.isin(found.verdicts, (codes.COLLIDING, codes.AMBIGUOUS, codes.BY_CARE)))
     found.verdicts[at] = codes.AMBIGUOUS
-    given = motions.settle(known, courses[at], tolerance, None if exact is None else np.ascontiguousarray(exact[at]))
+    left = None
+    if limit is not None and len(at):
+        taken = np.diff(np.append(0, np.cumsum(found.work[:, STEPS]))[limit.first])
+        left = Limit(np.maximum(limit.steps - taken, 0), np.searchsorted(at, limit.first))
+    exact = None if exact is None else np.ascontiguousarray(exact[at])
+    given = motions.settle(known, courses[at], tolerance, exact, limit=left)
     hit = np.isin(given.verdicts, (codes.COLLIDING, codes.BY_CARE))
     found.verdicts[at[hit]], found.fractions[at[hit]] = given.verdicts[hit], given.fractions[hit]
     found.pairs[at[hit]] = given.pairs[hit]
     found.work[at] += given.work
 
 
-def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None) -> Found:
+def prove_by_rules(
+    ready: Problem,
+    a: Floats,
+    b: Floats,
+    tolerance: float,
+    joint_error: Floats | None = None,
+    steps: int | None = None,
+) -> Found:
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
-    Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error.
+    Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error. Each
+    motion may take this number of steps.
     """
     courses = straight(ready.robot, a, b)
     off = deviations(courses, joint_error)
-    found = prove(ready, courses, tolerance, off)
+    first = np.arange(len(courses) + 1)
+    limit = None if steps is None else Limit(steps, first)
+    found = prove(ready, courses, tolerance, off, limit)
     if off is None:
-        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), np.arange(len(courses) + 1), tolerance, found)
+        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), first, tolerance, found, steps)
     return found
 
 
-def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, tolerance: float, found: Found) -> None:
+def apply_rules(
+    ready: Problem,
+    courses: Floats,
+    off: Floats,
+    first: Ints,
+    tolerance: float,
+    found: Found,
+    steps: int | None = None,
+) -> None:
     """Prove curves that are not proven free, with contact at their ends as `Scene.leave` and `Scene.reach` allow.
 
     Parameters
@@ -84,11 +113,16 @@ def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, toler
         In metres.
     found : Found
         The results of `prove`, which are changed.
+    steps : int, optional
+        How much work each curve may take, with what `found` took.
     """
     at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
     if len(at) == 0:
         return
-    rest = prove(ready.unruled, courses[at], tolerance, off[at] if off.any() else None)
+    limit = None
+    if steps is not None:
+        limit = Limit(steps - np.add.reduceat(found.work[:, STEPS], first[:-1]), np.searchsorted(at, first))
+    rest = prove(ready.unruled, courses[at], tolerance, off[at] if off.any() else None, limit)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
     found.work[at] += rest.work
@@ -96,7 +130,11 @@ def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, toler
         own = slice(first[curve], first[curve + 1])
         verdicts, fractions, pairs = (array[own] for array in (found.verdicts, found.fractions, found.pairs))
         for pair in ready.ruled.tolist():
-            settled = contacts.settle(ready, pair, courses[own], off[own, : courses.shape[2]], tolerance)
+            work = contacts.Work(None if steps is None else steps - int(found.work[own, STEPS].sum()))
+            settled = contacts.settle(ready, pair, courses[own], off[own, : courses.shape[2]], tolerance, work)
+            found.work[own.start, STEPS] += work.taken
+            if work.is_spent():
+                settled.verdicts[settled.verdicts == codes.COLLIDING] = codes.AMBIGUOUS
             worse = (settled.verdicts != codes.FREE) & np.isin(verdicts, (codes.FREE, codes.AMBIGUOUS))
             verdicts[worse], fractions[worse], pairs[worse] = settled.verdicts[worse], settled.fractions[worse], pair
             if (verdicts == codes.COLLIDING).any():

@@ -19,6 +19,7 @@ from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surface_meets import surface_pair
 from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
+from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import radius
 
@@ -26,7 +27,7 @@ SIZE = max(MEMORY.size(), SURFACE_SIZE)  # bytes of memory to which `exact_piece
 
 
 @apart
-def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, memory):
+def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, steps, memory):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
     It takes handles, since placed pieces would be many arguments of a call that is not inlined.
@@ -44,6 +45,8 @@ def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, 
         Distance that the pieces must keep, >= 0.
     n : tuple of 3 float
         First direction from A to B: the contact normal of the outer ellipsoids.
+    steps : int
+        As for `surface_pair`.
     memory : int
         Address of SIZE bytes of scratch memory.
 
@@ -51,12 +54,14 @@ def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, 
     -------
     verdict, tier : int
         AMBIGUOUS with tier OPEN if the searches could not settle it.
+    taken : int
+        Steps of walks through surfaces.
     """
     A, B = placed(pieces_of(pack_a), i, poses_a, ka), placed(pieces_of(pack_b), j, poses_b, kb)
     if is_surface(A) or is_surface(B):
         near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
-        verdict, _ = surface_pair(A, B, near, far, memory, memory, 0)
-        return verdict, OPEN if verdict == AMBIGUOUS else BY_SEARCH
+        verdict, _ = surface_pair(A, B, near, far, memory, memory, 0, steps)
+        return verdict, OPEN if verdict == AMBIGUOUS else BY_SEARCH, steps - left_of(memory)[0]
     if not dot(n, n) > 0.0:
         n = (1.0, 0.0, 0.0)
     shift = shift_between(A, B)
@@ -68,8 +73,9 @@ def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, 
     if margin == 0.0 and radii == 0.0:
         status, n, points = decide(A, B, shift, W, ends, n, error)
     if status == UNSETTLED:
-        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory)
-    return FREE if status == APART else COLLIDING, BY_PLANE if points == 0 else BY_SEARCH
+        verdict, tier = _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory)
+        return verdict, tier, 0
+    return FREE if status == APART else COLLIDING, BY_PLANE if points == 0 else BY_SEARCH, 0
 
 
 @njit()

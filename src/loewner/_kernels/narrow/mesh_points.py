@@ -8,6 +8,7 @@ triangle is: its error is a few roundoffs of the coordinates (certified.md B44).
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import NO_LIMIT
 from loewner._kernels.linalg3 import along, dot, minus, plus, scaled
 from loewner._kernels.narrow import surface_walk as walk
 from loewner._kernels.narrow.surface_boxes import ROUNDINGS, boxes_of, singles, squared_gap, tree_at
@@ -114,6 +115,7 @@ def winding_numbers(table, size, points, numbers, memory):
     """
     tree = tree_at(table)
     for n in range(len(points)):
+        walk.left_of(memory)[0] = NO_LIMIT
         numbers[n] = winding_number(tree, _point(points, n), size, memory)
 
 

@@ -7,7 +7,7 @@ deep. For solids a ball of one body, or a point, that lies within the other may 
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import DEPTH_FOUND
+from loewner._kernels.codes import DEPTH_FOUND, NO_LIMIT
 from loewner._kernels.columns import (
     FRAME_CENTER,
     FRAME_FACTOR,
@@ -216,6 +216,7 @@ def _deepest_point(A, B, shift, found, sign, memory, own, result):
 @njit()
 def _deeper_point(A, x, ball, size, found, shift, sign, memory, own, result):
     """Depth of a ball about a point within the solid A, if it is more than `found`."""
+    walk.left_of(memory)[0] = NO_LIMIT
     if point_within(A, x, size, memory) != WITHIN:
         return found
     depth, near = nearest_point(A, x, size, memory)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import apart, inline
-from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, OVERLAPPING, TOUCHING, UNSETTLED
+from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, NO_LIMIT, OVERLAPPING, TOUCHING, UNSETTLED
 from loewner._kernels.linalg3 import apply, cross, minus, plus
 from loewner._kernels.narrow import surface_walk as walk
 from loewner._kernels.narrow.gjk_fast import place_piece
@@ -39,7 +39,7 @@ class Asked(NamedTuple):
 
 
 @inline
-def surface_pair(A, B, near, far, memory, listed_at, room):
+def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
     """Settle two pieces, at least one of them a surface.
 
     Parameters
@@ -53,6 +53,9 @@ def surface_pair(A, B, near, far, memory, listed_at, room):
     listed_at, room : int
         Address of integers, two for each open pair that there is room to list. For two surfaces these are the
         triangles, by block and lane; for a surface and a convex piece, the triangle and -1.
+    steps : int
+        The verdict is AMBIGUOUS if boxes, triangles and points to be examined are more than this. The number that is
+        left can be read from the memory.
 
     Returns
     -------
@@ -62,6 +65,7 @@ def surface_pair(A, B, near, far, memory, listed_at, room):
     """
     # Addresses of NumPy's arrays have another type, for which all of this would be compiled again.
     asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
+    walk.left_of(asked.memory)[0] = steps
     return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
 
 
@@ -96,11 +100,11 @@ def _two_surfaces(A, B, shift, size, asked):
     """Settle the triangles of two surfaces; MEETING, or how many pairs are open."""
     a, b = surface_of(A), surface_of(B)
     about = relation(A, B, shift, size, asked.far)
-    height, open_pairs = walk.begun(asked.memory), 0
+    height, open_pairs = walk.resumed(asked.memory), 0
     while open_pairs != MEETING:
         child_a, child_b, height = walk.next_meeting(about, a, b, asked.memory, height)
         if child_a >= 0:
-            break
+            return open_pairs + (height > 0)
         open_pairs = _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs)
     return open_pairs
 
@@ -170,8 +174,9 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
     """Settle a triangle and some of eight one by one; MEETING, or how many pairs are open by now."""
     near, far, memory = asked.near, asked.far, asked.memory
     placed, W, result = walk.placed_of(memory), walk.vertices_of(memory), walk.result_of(memory)
-    error = rounding_error(A, B, shift)
+    error, left = rounding_error(A, B, shift), walk.left_of(memory)
     while bits != 0:
+        left[0] -= 1
         lane_b, bits = next_lane(bits)
         a, b = walk.corners_at(placed, 0, lane_a), walk.corners_at(placed, BLOCK, lane_b)
         walk.write_triangle(W, 0, a)
@@ -203,12 +208,12 @@ def _with_piece(A, B, shift, size, asked):
     placed, planes = walk.placed_of(memory), walk.planes_of(memory)
     box, ends = oval_in_frame(A, B, shift, far, size), (LEAF, LEAF)
     center, closer = walk.ORIGIN, False
-    height, open_pairs, found = walk.begun(memory), 0, 0
+    height, open_pairs, found, left = walk.resumed(memory), 0, 0, walk.left_of(memory)
     while True:
         kept = min(found, walk.PLANES)
         child, height = walk.next_in_box(a, box, kept, far, memory, height)
         if child >= 0:
-            return open_pairs
+            return open_pairs + (height > 0)
         leaf = leaf_of(child)
         bits = walk.lanes_in(child, walk.gap_to_box(a.blocks, leaf, box) <= 0.0)
         if bits != 0 and not closer:
@@ -222,6 +227,7 @@ def _with_piece(A, B, shift, size, asked):
             continue
         walk.store_corners(placed, BLOCK, walk.placed_corners(A, a.blocks, leaf, walk.ORIGIN))
         while bits != 0:
+            left[0] -= 1
             lane, bits = next_lane(bits)
             corners = walk.corners_at(placed, BLOCK, lane)
             walk.write_triangle(W, 0, corners)

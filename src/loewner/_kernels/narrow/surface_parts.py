@@ -3,7 +3,7 @@
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
+from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, NO_LIMIT, OPEN
 from loewner._kernels.columns import PART_INNER, PART_OUTER, PART_STOP, PARTS
 from loewner._kernels.narrow import certificate
 from loewner._kernels.narrow.certificate import BLOCK
@@ -11,6 +11,7 @@ from loewner._kernels.narrow.gjk_robust import lengths
 from loewner._kernels.narrow.pair_list import arena, fill, put
 from loewner._kernels.narrow.surface_points import OUTSIDE, within_either
 from loewner._kernels.narrow.surface_walk import SIZE as WALK
+from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
@@ -78,6 +79,7 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
 def _none_within(A, B):
     """Whether it is proven that of two pieces whose surfaces do not meet none lies within the other."""
     memory, shift = np.empty(WALK // 8), shift_between(A, B)
+    left_of(memory.ctypes.data)[0] = NO_LIMIT
     found = within_either(A, B, shift, lengths(A, B, shift), memory.ctypes.data)
     held(memory)
     return found == OUTSIDE

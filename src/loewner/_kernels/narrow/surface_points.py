@@ -41,9 +41,12 @@ def _parts_within(A, B, shift, size, memory):
     """Whether a part of B lies within the solid A, judged by one point of each connected part."""
     if not is_surface(B):
         return point_within(A, plus(placed_support(B, (1.0, 0.0, 0.0)), shift), size, memory)
-    parts, R = surface_of(B).parts, rotation_of(B)
+    parts, R, left = surface_of(B).parts, rotation_of(B), walk.left_of(memory)
     found = OUTSIDE
     for at in range(0, len(parts), 3):
+        if left[0] <= 0:
+            return UNKNOWN
+        left[0] -= 1
         x = image(R, shift, (parts[at], parts[at + 1], parts[at + 2]))
         found = max(found, point_within(A, x, size, memory))
         if found == WITHIN:
@@ -119,11 +122,11 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
     f = np.float32
     ray = i, j, k, singles(q), f(lean_i), f(lean_j), f(sign), f(ROUNDINGS * size)
     error = walk.CORNER_ERROR * size
-    height, windings = walk.begun(memory), 0
+    height, windings = walk.resumed(memory), 0
     while True:
         child, height = _next_along_ray(a, memory, height, ray)
         if child >= 0:
-            return -windings if backward == 1 else windings
+            return UNCOUNTED if height > 0 else -windings if backward == 1 else windings
         at = leaf_of(child) * BLOCK
         u0, u1, u2 = _coordinates(a.blocks, at, i, q[0])
         v0, v1, v2 = _coordinates(a.blocks, at, j, q[1])

@@ -31,7 +31,7 @@ ENTRY, ALL = 4, 15
 
 
 @apart
-def triangles_apart(A, first, last, keep, stretch, travel, times, gjk, memory):
+def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, memory):
     """Whether a surface and another piece are proven farther apart than `keep` between two poses of the latter.
 
     Each triangle of the surface is parted at both poses by a plane from the other piece, or from each of its triangles,
@@ -49,8 +49,16 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, gjk, memory):
         Upper bound on the distance of any point's second place from its first one.
     times : int
         Multiple of the searches and steps that are allowed.
+    steps : int
+        How many steps, including searches, it may take at most.
     gjk, memory : int
         Addresses of `gjk_fast.MEMORY` and `surface_walk.MEMORY`.
+
+    Returns
+    -------
+    yes : bool
+    taken : int
+        Steps and searches.
     """
     # The callee counts references again unless it begins by borrowing.
     A = placed(A, A.piece, A.poses, A.row)
@@ -59,12 +67,14 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, gjk, memory):
     if radii > 0.0:
         far += max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
     if is_surface(first):
-        return _two_surfaces(A, first, last, keep + radii, far, travel, times, memory)
-    return _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, memory)
+        return _two_surfaces(A, first, last, keep + radii, far, travel, times, steps, memory)
+    walk.left_of(memory)[0] = steps
+    proven = _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, memory)
+    return proven, steps - walk.left_of(memory)[0]
 
 
 @inline
-def _two_surfaces(A, first, last, near, far, travel, times, memory):
+def _two_surfaces(A, first, last, near, far, travel, times, most, memory):
     """Part the triangles of two surfaces; cores that come within `near` meet, and are to be proven `far` apart.
 
     A plane that parts two triangles mostly parts those around them, too, so the last few are tried on boxes and leaves.
@@ -82,12 +92,12 @@ def _two_surfaces(A, first, last, near, far, travel, times, memory):
     height, searches, steps, beyond = 1, 0, 0, far + 4.0 * walk.CORNER_ERROR * size
     stack[0, 0], stack[0, 1], slack = ALL, ALL, far + boxes.ROUNDINGS * size
     while True:
-        count = min(searches, PLANES)
+        count, limit = min(searches, PLANES), min(times * MOST_STEPS, most - searches)
         child_a, child_b, left, lanes_b, height, steps = _next_pair(
-            relations, a, b, planes, count, slack, stack, height, steps, times * MOST_STEPS
+            relations, a, b, planes, count, slack, stack, height, steps, limit
         )
         if child_a >= 0:
-            return steps < times * MOST_STEPS
+            return steps < limit, steps + searches
         leaf_b, is_swept = leaf_of(child_b), False
         of_a = walk.placed_corners(A, a.blocks, leaf_of(child_a), walk.ORIGIN)
         b_first = walk.placed_corners(first, b.blocks, leaf_b, shift)
@@ -119,7 +129,7 @@ def _two_surfaces(A, first, last, near, far, travel, times, memory):
                 n = walk.nonzero(minus(plus(plus(begin[0], begin[1]), begin[2]), plus(plus(one[0], one[1]), one[2])))
                 status, _, _, n = walk.measured(A, first, shift, W, (LEAF, 2 * LEAF), n, error, near, far, result)
                 if status != APART or searches >= times * MOST_SEARCHES:
-                    return False
+                    return False, steps + searches + 1
                 _keep_parting(A, first, last, shift, shift_last, n, planes, searches % PLANES)
                 searches += 1
                 beyond_it = _beyond(of_a, b_first, b_last, n, beyond)
@@ -321,16 +331,17 @@ def _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, m
     size = max(lengths(A, first, shift), lengths(A, last, shift_last))
     tree, planes, R = surface_of(A), walk.planes_of(memory), rotation_of(A)
     box = box_in_frame(A, first, shift, far + travel, size)
-    height, searches, n = walk.begun(memory), 0, walk.ORIGIN
+    height, searches, n, left = walk.resumed(memory), 0, walk.ORIGIN, walk.left_of(memory)
     while True:
         kept = min(searches, walk.PLANES)
         child, height = walk.next_in_box(tree, box, kept, far, memory, height)
         if child >= 0:
-            return True
+            return height == 0
         leaf = leaf_of(child)
         bits = walk.lanes_in(child, walk.gap_to_box(tree.blocks, leaf, box) <= 0.0)
         bits = walk.not_beyond_any(tree.blocks, leaf, planes, kept, far, bits)
         while bits != 0:
+            left[0] -= 1
             lane, bits = next_lane(bits)
             piece = walk.triangle_piece(A, leaf * LEAF + lane, A.table[A.piece, ROUNDING], walk.first_of(memory))
             piece.layout[0, KIND] = SURFACE  # a polytope has no radius

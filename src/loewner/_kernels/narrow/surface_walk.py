@@ -8,6 +8,7 @@ it with the height of the stack, so a question is a loop over leaves: `surface_m
 import numpy as np
 
 from loewner._kernels._jit import apart, inline
+from loewner._kernels.codes import NO_LIMIT
 from loewner._kernels.columns import COLUMNS, KIND, LAYOUT, POINTS_TO, POLYTOPE, REACH, ROUNDING
 from loewner._kernels.linalg3 import apply_transposed, dot, image, minus, negated, plus, scaled
 from loewner._kernels.narrow import gjk_fast
@@ -45,9 +46,10 @@ MEMORY = Arena(
     bounds=floats(STACK, 2),  # of each entry, a squared lower bound on distances and the order of the search
     lanes=floats(2 * WIDE),
     first=TRIANGLE, second=TRIANGLE,
+    left=integers(1),  # how many steps walks may still take
 )  # fmt: skip
-stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of, parting_of = MEMORY.accessors(
-    "stack placed vertices result planes bounds lanes parting"
+stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of, parting_of, left_of = MEMORY.accessors(
+    "stack placed vertices result planes bounds lanes parting left"
 )
 first_of, second_of = MEMORY.addresses("first second")
 SIZE = MEMORY.size()  # bytes
@@ -58,7 +60,14 @@ SIZE = MEMORY.size()  # bytes
 
 @inline
 def begun(memory):
-    """Put the root, or both roots, on the stack; returns its height."""
+    """Put the root, or both roots, on the stack, for as many steps as it takes; returns its height."""
+    left_of(memory)[0] = NO_LIMIT
+    return resumed(memory)
+
+
+@inline
+def resumed(memory):
+    """As `begun`, for as many steps as are left. A walk that would take more ends with boxes on the stack."""
     stack, bounds = stack_of(memory), bounds_of(memory)
     stack[0, 0], stack[0, 1], bounds[0, 0] = 0, 0, 0.0
     return 1
@@ -69,10 +78,11 @@ def walking(near):
 
     @inline
     def next_leaf(tree, memory, height, query):
-        """The next leaf, a negative entry of `children`, and the height of the stack; 0 at the end."""
-        stack = stack_of(memory)
-        while height > 0:
+        """The next leaf, a negative entry of `children`, or 0 at the end, and the height of the stack."""
+        stack, left = stack_of(memory), left_of(memory)
+        while height > 0 and left[0] > 0:
             height -= 1
+            left[0] -= 1
             child = tree.children[stack[height, 0]]
             if child < 0:
                 return child, height
@@ -81,7 +91,7 @@ def walking(near):
                 lane, bits = next_lane(bits)
                 stack[height, 0] = child * WIDE + lane
                 height += 1
-        return 0, 0
+        return 0, height
 
     return next_leaf
 
@@ -115,10 +125,11 @@ def next_nearest(tree, middle, half, kept, best, memory, height):
 
 @inline
 def next_meeting(about, a, b, memory, height):
-    """The next leaves of two trees whose boxes are not proven apart, and the height; 0, 0, 0 at the end."""
-    stack = stack_of(memory)
-    while height > 0:
+    """The next leaves of two trees whose boxes are not proven apart, or 0 and 0 at the end, and the height."""
+    stack, left = stack_of(memory), left_of(memory)
+    while height > 0 and left[0] > 0:
         height -= 1
+        left[0] -= 1
         slot_a, slot_b = stack[height, 0], stack[height, 1]
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
@@ -139,7 +150,7 @@ def next_meeting(about, a, b, memory, height):
                 lane, bits = next_lane(bits)
                 stack[height, 0], stack[height, 1] = slot_a, child_b * WIDE + lane
                 height += 1
-    return 0, 0, 0
+    return 0, 0, height
 
 
 @inline

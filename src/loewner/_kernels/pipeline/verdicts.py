@@ -20,6 +20,7 @@ from loewner._kernels.codes import (
     COLLIDING,
     EXACT,
     FREE,
+    NO_LIMIT,
     OPEN,
     RIGID,
     TOUCHING,
@@ -261,8 +262,8 @@ def _walk(query, count, work, out, tally):
 @inline
 def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
     """Settle one open piece pair of any kind."""
-    verdict, tier = exact_piece_pair(
-        query.a, i, query.poses_a, ka, query.b, j, query.poses_b, kb, query.margin, normal, exact_of(work)
+    verdict, tier, _ = exact_piece_pair(
+        query.a, i, query.poses_a, ka, query.b, j, query.poses_b, kb, query.margin, normal, NO_LIMIT, exact_of(work)
     )
     tally[tier] += 1
     # In a body with many pieces, another pair may have been found colliding meanwhile.

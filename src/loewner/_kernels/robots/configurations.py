@@ -30,6 +30,7 @@ from loewner._kernels.codes import (
     COLLIDING,
     EXACT,
     FREE,
+    NO_LIMIT,
     OPEN,
     UNSURE,
 )
@@ -218,9 +219,9 @@ def _search(query, held):
             # far beyond the range of single precision, where the squares of the search overflow
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
-        verdict, tier = exact_piece_pair(
+        verdict, tier, _ = exact_piece_pair(
             query.pack, waiting.piece_a[n], poses, waiting.pose_a[n], query.pack, waiting.piece_b[n], poses,
-            waiting.pose_b[n], margin, (N[n, 0], N[n, 1], N[n, 2]), _exact_of(work),
+            waiting.pose_b[n], margin, (N[n, 0], N[n, 1], N[n, 2]), NO_LIMIT, _exact_of(work),
         )  # fmt: skip
         if verdict == COLLIDING:
             _hit(query, s, p, tier)

@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import FREE
+from loewner._kernels.codes import FREE, NO_LIMIT
 from loewner._kernels.columns import RANDOM
 from loewner._kernels.pieces.pack import problem_of
 from loewner._kernels.robots.configurations import check_motion
 from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.robots.lines import keeps_axis
-from loewner._kernels.robots.motions import certified, make_ready
+from loewner._kernels.robots.motions import LEFT, certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
 # Cosine of a quarter of the turn between two orientations that are half a turn apart, up to rounding: the last bit then
@@ -161,8 +161,8 @@ def is_free(judge, ends, tally):
     ----------
     judge : Judge
     ends : ndarray, shape (2, dof)
-    tally : ndarray of int64, shape (2,)
-        The work of proofs is added here: configurations placed, and searches.
+    tally : ndarray of int64, shape (3,)
+        As for `motions.certified`; proofs take as many steps as they need.
     """
     if judge.kept != 0 and not keeps_axis(judge.kept, ends):
         return False
@@ -170,4 +170,5 @@ def is_free(judge, ends, tally):
         return _looks_free(judge, ends)
     if not turns_clearly(problem_of(judge.problem).tree, ends):
         return False
+    tally[LEFT] = NO_LIMIT
     return certified(judge.pack, judge.problem, judge.tables, judge.tolerance, judge.error, ends, tally, judge.memory)

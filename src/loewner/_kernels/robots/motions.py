@@ -17,6 +17,9 @@ halve
     plane that is best at both ends is tested at eight configurations in between. There the bound is a 49th of the one
     above, and where joints may stray, only their motion along the normal counts (`strays`).
 
+All of it counts its steps in a *tally*: what is placed, compared and searched. Every loop that is not bounded by a
+constant, or by the numbers of bodies, ends when no steps are left.
+
 docs/certified.md, "Motions", derives the bounds, and proves that this ends.
 """
 
@@ -25,7 +28,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, MOST_POINTS, TOO_LONG, TOUCHING
+from loewner._kernels.codes import (
+    AMBIGUOUS,
+    BY_CARE,
+    COLLIDING,
+    FREE,
+    MOST_INTERVALS,
+    MOST_POINTS,
+    NO_LIMIT,
+    TOO_LONG,
+    TOUCHING,
+    UNFINISHED,
+)
 from loewner._kernels.columns import KIND, OUTER_RADIUS, SURFACE, SURFACE_AT
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
@@ -117,6 +131,11 @@ DEPTH = 19
 STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times per cut
 
 _POSES = 2 * (PARTS + 1)
+
+# Entries of a tally: configurations placed, searches, and how many steps are left. Steps are both of these; in a block,
+# each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is placed; each
+# pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
+POSES, SEARCHES, LEFT = 0, 1, 2
 
 
 class Motion(NamedTuple):
@@ -328,7 +347,9 @@ def _row_of_answers(motion, near):
 
 
 @apart
-def _triangles_apart(motion, near, back, margin, width, times, poses, first, last, still, fixed_first, fixed_last):
+def _triangles_apart(
+    motion, near, back, margin, width, times, poses, first, last, still, fixed_first, fixed_last, tally
+):
     """Whether two pieces, if one of them is a surface or a part of one, are proven apart in an interval.
 
     Parameters
@@ -356,28 +377,47 @@ def _triangles_apart(motion, near, back, margin, width, times, poses, first, las
         _relative(still, fixed_first, poses, first, to, 1)
         _relative(still, fixed_last, poses, last, to, 2)
         poses, first, last, still, fixed_first = to, 1, 2, to, 0
-    return triangles_apart(
+    proven, taken = triangles_apart(
         placed(pieces, j, still, fixed_first), placed(pieces, i, poses, first), placed(pieces, i, poses, last),
         margin + near.slack + bend * width * width / 8.0, 2.0 * motion_tables_of(motion.tables).chain[2],
-        speed * width, times, _gjk_of(motion), _exact_of(motion),
+        speed * width, times, _allowed(tally), _gjk_of(motion), _exact_of(motion),
     )  # fmt: skip
+    tally[LEFT] -= taken
+    return proven
 
 
 @apart
-def _collides(motion, i, poses, row, j, others, other_row, margin, n):
+def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
     """Whether two pieces are within the margin, at poses in the world; n is from i to j.
 
-    FREE, COLLIDING, or BY_CARE if only the careful search finds them touching.
+    FREE, which proves nothing, COLLIDING, or BY_CARE if only the careful search finds them touching.
     """
-    verdict, _ = exact_piece_pair(
-        motion.pack, i, poses, row, motion.pack, j, others, other_row, margin, n, _exact_of(motion)
+    _count(tally, SEARCHES, 1)
+    verdict, _, taken = exact_piece_pair(
+        motion.pack, i, poses, row, motion.pack, j, others, other_row, margin, n, _allowed(tally), _exact_of(motion)
     )
+    tally[LEFT] -= taken
+    if verdict == AMBIGUOUS and tally[LEFT] < 0:
+        verdict = FREE
     if verdict == AMBIGUOUS:
         pieces, V = pieces_of(motion.pack), _vectors_of(motion)
         A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
         touching, _, _, _ = run(A, B, shift_between(A, B), n, margin, True, _simplex_of(motion), V[0], V[1], V[2])
         verdict = BY_CARE if touching == TOUCHING else FREE
     return verdict
+
+
+@inline
+def _count(tally, entry, number):
+    """Count poses or searches."""
+    tally[entry] += number
+    tally[LEFT] -= number
+
+
+@inline
+def _allowed(tally):
+    """How many steps a walk may take; one more than are left, so that none are left after a walk that had too few."""
+    return max(tally[LEFT] + 1, 0)
 
 
 @inline
@@ -599,13 +639,11 @@ def _test_middle(motion, near, t, width, poses, row, other_row, toward, tally):
 
     AMBIGUOUS if they come within the tolerance where points move by less than that.
     """
-    tally[1] += 1
     margin = _margin_at(near, t)
-    hit = _collides(motion, near.i, poses, row, near.j, poses, other_row, margin, toward)
+    hit = _collides(motion, near.i, poses, row, near.j, poses, other_row, margin, toward, tally)
     if hit == FREE and _off(near, width) <= motion.tolerance:
-        tally[1] += 1
         wide = margin + motion.tolerance
-        if _collides(motion, near.i, poses, row, near.j, poses, other_row, wide, toward) != FREE:
+        if _collides(motion, near.i, poses, row, near.j, poses, other_row, wide, toward, tally) != FREE:
             return AMBIGUOUS
     return hit
 
@@ -622,13 +660,13 @@ def _halve(motion, near, back, low, high, n, tally):
     n : tuple of 3 float
         Direction from j to i, in the frame of j's body.
     tally : ndarray of int64
-        Numbers of poses and searches are added.
+        Counts the steps.
 
     Returns
     -------
     verdict : int
     t : float
-        Fraction at which it is COLLIDING or AMBIGUOUS.
+        Fraction at which it is COLLIDING, AMBIGUOUS or UNFINISHED.
     by_triangles : bool
         Whether it is FREE since all triangles of the surfaces are apart, in other parts, too.
     """
@@ -639,7 +677,7 @@ def _halve(motion, near, back, low, high, n, tally):
     )  # fmt: skip
     stack, normals = _stack_of(motion), _stack_normals_of(motion)
     _cut(motion, near, 0, low, high, ends, 0, 1, ends, 2, 3)
-    tally[0] += LANES
+    _count(tally, POSES, LANES)
     enough = _enough(motion, near)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, PARTS
     normals[0, 0], normals[0, 1], normals[0, 2] = n
@@ -648,6 +686,8 @@ def _halve(motion, near, back, low, high, n, tally):
         top -= 1
         depth, first, last = stack[top, 0], stack[top, 1], stack[top, 2]
         n = normals[top, 0], normals[top, 1], normals[top, 2]
+        if tally[LEFT] < 0:
+            return UNFINISHED, times[depth, first], False
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
@@ -655,7 +695,7 @@ def _halve(motion, near, back, low, high, n, tally):
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
-            tally[0] += LANES
+            _count(tally, POSES, LANES)
             depth, first, last = depth + 1, 0, PARTS
         at = depth * _POSES
         both = at + PARTS + 1
@@ -672,7 +712,7 @@ def _halve(motion, near, back, low, high, n, tally):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
             keep, least = _kept(near, times[depth, a], times[depth, b])
-            tally[1] += 1
+            _count(tally, SEARCHES, 1)
             if stands:
                 proven, m, undecided = _proven_standing(
                     motion, near.i, poses, at + a, at + b, near.j, poses, both + a, least, keep, n
@@ -683,7 +723,7 @@ def _halve(motion, near, back, low, high, n, tally):
                 )  # fmt: skip
             left = EVERY
             if not proven and undecided:
-                tally[0] += LANES
+                _count(tally, POSES, LANES)
                 left = _open_between(motion, near, times[depth, a], times[depth, b], m)
             if proven or left == 0:
                 by_triangles = False
@@ -692,7 +732,7 @@ def _halve(motion, near, back, low, high, n, tally):
             within = _margin_within(near, times[depth, a], times[depth, b])
             keep = within + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
-            tally[1] += 1
+            _count(tally, SEARCHES, 1)
             found, _, _ = _proven_moving(
                 motion, near.j, near.i, poses, at + a, both + a, at + b, both + b, keep, keep,
                 _to_body(poses, at + a, negated(world)),
@@ -701,7 +741,9 @@ def _halve(motion, near, back, low, high, n, tally):
                 by_triangles = False
                 continue
             more = MOST_MORE if depth > 1 or _moved(near, w) <= enough else MORE**depth
-            if _triangles_apart(motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b):
+            if _triangles_apart(
+                motion, near, back, within, w, more, poses, at + a, at + b, poses, both + a, both + b, tally
+            ):
                 continue
             if waits:
                 waits = False
@@ -743,8 +785,8 @@ def _worse(found, verdict, t, pair):
 
 @inline
 def _hit(found):
-    """Whether no worse result is possible."""
-    return found.verdict == COLLIDING or found.verdict == BY_CARE
+    """Whether the search ends: no worse result is possible, or no steps are left."""
+    return found.verdict == COLLIDING or found.verdict == BY_CARE or found.verdict == UNFINISHED
 
 
 @njit()
@@ -759,6 +801,8 @@ def _halve_waiting(motion, count, found, tally):
         pair, row = near.pair, _row_of_answers(motion, near)
         if row >= 0 and (answers[row, 3] >> k) & 1 != 0:
             continue
+        if tally[LEFT] < 0:
+            return Found(UNFINISHED, times[k], pair)
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
         back = _ways(motion, False, other, link, problem.link[one])
@@ -766,16 +810,16 @@ def _halve_waiting(motion, count, found, tally):
         keep, least = _kept(near, times[k], times[k + 1])
         proven, undecided = False, waiting[e, 2] != 0
         if near.stray == 0.0:  # otherwise the best plane has been found
-            tally[1] += 1
+            _count(tally, SEARCHES, 1)
             proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
         left = EVERY
         if not proven and undecided:
-            tally[0] += LANES
+            _count(tally, POSES, LANES)
             left = _open_between(motion, near, times[k], times[k + 1], n)
         if proven or left == 0:
             continue
         if _moved(near, times[k + 1] - times[k]) <= _enough(motion, near):
-            if row >= 0 and _apart_in_block(motion, near, k, k + 1, MOST_MORE):
+            if row >= 0 and _apart_in_block(motion, near, k, k + 1, MOST_MORE, tally):
                 answers[row, 3] |= 1 << k
                 continue
             found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
@@ -797,19 +841,19 @@ def _halve_waiting(motion, count, found, tally):
 
 
 @apart
-def _settled_by_triangles(motion, near, k, is_first):
+def _settled_by_triangles(motion, near, k, is_first, tally):
     """The intervals of the block, as bits, in which the triangles of two pieces are proven apart: of all or of k.
 
     All intervals are tried as a single one if `is_first`, and this is marked by a further bit.
     """
     mark = 1 << INTERVALS if is_first else 0
-    if is_first and _apart_in_block(motion, near, 0, INTERVALS, 1):
+    if is_first and _apart_in_block(motion, near, 0, INTERVALS, 1, tally):
         return EVERY | mark
-    return mark | (_apart_in_block(motion, near, k, k + 1, 1) << k)
+    return mark | (_apart_in_block(motion, near, k, k + 1, 1, tally) << k)
 
 
 @inline
-def _apart_in_block(motion, near, first, last, more):
+def _apart_in_block(motion, near, first, last, more, tally):
     """`_triangles_apart` between two configurations of the block."""
     problem, swept, times = problem_of(motion.problem), _swept_of(motion), _times_of(motion)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
@@ -820,7 +864,7 @@ def _apart_in_block(motion, near, first, last, more):
         still, b, step = swept.poses, other * LANES, 1
     return _triangles_apart(
         motion, near, back, _margin_within(near, times[first], times[last]), times[last] - times[first], more,
-        swept.poses, a + first, a + last, still, b + first * step, b + last * step,
+        swept.poses, a + first, a + last, still, b + first * step, b + last * step, tally,
     )  # fmt: skip
 
 
@@ -838,7 +882,7 @@ def _proven(motion, near, swept, first, last, least, keep, n):
 
 
 @inline
-def _collides_in_block(motion, near, swept, k, n):
+def _collides_in_block(motion, near, swept, k, n, tally):
     """Whether two pieces collide at configuration k of the block; n is from j to i, in j's frame."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
@@ -846,10 +890,10 @@ def _collides_in_block(motion, near, swept, k, n):
     if other >= motion.counts.moving:
         still = _standing_poses(problem)
         s = other - motion.counts.moving
-        return _collides(motion, near.i, swept.poses, a, near.j, still, s, margin, negated(n))
+        return _collides(motion, near.i, swept.poses, a, near.j, still, s, margin, negated(n), tally)
     o = other * LANES + k
     toward = negated(_to_world(swept.poses, o, n))
-    return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, margin, toward)
+    return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, margin, toward, tally)
 
 
 @inline
@@ -864,8 +908,7 @@ def _test(motion, near, swept, k, n, found, tested, tally):
     """
     if (tested >> k) & 1 == 0:
         tested |= 1 << k
-        tally[1] += 1
-        found = _worse(found, _collides_in_block(motion, near, swept, k, n), _times_of(motion)[k], near.pair)
+        found = _worse(found, _collides_in_block(motion, near, swept, k, n, tally), _times_of(motion)[k], near.pair)
     return found, tested
 
 
@@ -892,10 +935,12 @@ def _search(motion, e, found, waiting_count, tally):
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
+        if tally[LEFT] < 0:
+            return Found(UNFINISHED, times[k], near.pair), waiting_count
         live &= ~(1 << k)
         n = N[at + k], N[at + LANES + k], N[at + 2 * LANES + k]
         keep, least = _kept(near, times[k], times[k + 1])
-        tally[1] += 1
+        _count(tally, SEARCHES, 1)
         proven, n, undecided = _proven(motion, near, swept, k, k + 1, least if near.stray > 0.0 else keep, keep, n)
         if proven:
             if live != 0:
@@ -916,7 +961,8 @@ def _search(motion, e, found, waiting_count, tally):
                 return found, waiting_count
             if row >= 0 and end == k + 1:
                 answers[row, 4] |= 1 << end
-                answers[row, 3] |= _settled_by_triangles(motion, near, k, (answers[row, 3] >> INTERVALS) == 0)
+                is_first = (answers[row, 3] >> INTERVALS) == 0
+                answers[row, 3] |= _settled_by_triangles(motion, near, k, is_first, tally)
                 live &= ~answers[row, 3]
                 if (answers[row, 3] >> k) & 1 != 0:
                     break
@@ -1006,12 +1052,16 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     keep = margin + slack + bend * width * width / 8.0
     if swept.done[one] & PLACED_PIECES == 0:
         _place_pieces(motion, one)
+        tally[LEFT] -= start[one + 1] - start[one]
     for i in range(start[one], start[one + 1]):
         rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
             rows, first = scratch, 0
         for j in range(start[other], start[other + 1]):
+            tally[LEFT] -= 1
+            if tally[LEFT] < 0:
+                return Found(UNFINISHED, times[0], pair), count
             at = count * LISTED_WAYS
             to = at + _NORMALS
             table, row = (hot, j) if other < moving else (tables.standing_rows, j - start[moving])
@@ -1104,7 +1154,8 @@ def _settle_block(motion, low, high, found, tally):
     )  # fmt: skip
     ways, scratch, near_pairs, order = _ways_of(motion), _scratch_of(motion), _near_pairs_of(motion), _order_of(motion)
     widest = _place_between(motion, low, high, _times_of(motion), swept.links)
-    tally[0] += LANES
+    _count(tally, POSES, LANES)
+    tally[LEFT] -= moving + len(tables.group_pairs) // LANES
     for body in range(moving):
         swept.done[body] = 0
     for row in range(ANSWERS):
@@ -1121,6 +1172,9 @@ def _settle_block(motion, low, high, found, tally):
             _find_near_pairs(motion, widest)
         if number >= FIRST_PAIRS and near_pairs[pair] == 0:
             continue
+        tally[LEFT] -= 1
+        if tally[LEFT] < 0:
+            return Found(UNFINISHED, low, pair)
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin_in_block(motion, pair)
         slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
         if other >= moving:
@@ -1154,6 +1208,8 @@ def _settle_block(motion, low, high, found, tally):
 @njit()
 def _certify(motion, tally):
     """Settle one motion, whose course has been written."""
+    if tally[LEFT] < 0:
+        return Found(AMBIGUOUS, 0.0, -1)
     problem, tables, course = problem_of(motion.problem), motion_tables_of(motion.tables), _course_of(motion)
     most, travel, angles, places = _measure(motion, course, 1.0)
     strays, slides, turns = motion.strays, 0.0, 0.0
@@ -1189,13 +1245,16 @@ def _certify(motion, tally):
             rest >>= 1
             bit //= 2
         low, high = block / blocks, (block + 1) / blocks
+        if tally[LEFT] < 0:
+            found = Found(UNFINISHED, low, -1)
+            break
         if blocks > 1 and motion.points > 2:
             write_part(course, low, high, _scratch_points_of(motion), _part_of(motion))
             _measure(motion, _part_of(motion), high - low)
         found = _settle_block(motion, low, high, found, tally)
         if _hit(found):
             break
-    return found
+    return Found(AMBIGUOUS, found.t, found.pair) if found.verdict == UNFINISHED else found
 
 
 @inline
@@ -1278,13 +1337,15 @@ def certify_motions(
         Receives fractions at which a motion is colliding or ambiguous; NaN for the others.
     pair_out : ndarray of int64, shape (N,)
         Receives the number of the colliding or ambiguous pair; -1 for the others.
-    tallies : ndarray of int64, shape (N, 2)
-        Receives the numbers of configurations placed, and of searches.
+    tallies : ndarray of int64, shape (N, 3)
+        Receives the numbers of configurations placed, of searches, and of steps. The last one contains, at first, how
+        many steps a motion may take before it is given up as AMBIGUOUS; -1 for as many as the motion before left over.
     memory : int
         Address of `motion_memory` scratch bytes; one thread uses them at a time.
     """
     _, points, dof = courses.shape
     make_ready(pack, problem_handle, tables_handle, dof, memory)
+    left = NO_LIMIT
     for k in range(start, stop):
         more = clear[k] if len(clear) > 0 else 0.0
         motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, more, points, dof, memory)
@@ -1295,8 +1356,11 @@ def certify_motions(
             strays[c] = off[k, c] if motion.strays else 0.0
         if motion.strays and off.shape[1] > dof:
             _write_growth(motion, off[k])
-        tallies[k, 0], tallies[k, 1] = 0, 0
+        most = tallies[k, LEFT] if tallies[k, LEFT] >= 0 else left
+        tallies[k, POSES], tallies[k, SEARCHES], tallies[k, LEFT] = 0, 0, most
         found = _certify(motion, tallies[k])
+        left = tallies[k, LEFT]
+        tallies[k, LEFT] = most - left
         out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair
 
 
@@ -1305,8 +1369,9 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
     """Whether one motion is FREE, as in `certify_motions`, with prepared memory.
 
     FREE covers all configurations whose values deviate by no more than the numbers at the address `error`, shape
-    (dof,), if it is not 0. The work is added to `tally`, shape (2,): configurations placed and searches. A pair that is
-    found not to be free is moved forward, so that pairs that collide most often come first.
+    (dof,), if it is not 0. The work is added to `tally`, shape (3,): configurations placed and searches; the last entry
+    is how many steps are left, and is lowered. A pair that is found not to be free is moved forward, so that pairs that
+    collide most often come first.
     """
     dof = ends.shape[1]
     motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 0.0, 2, dof, memory)
@@ -1331,7 +1396,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
 
 @njit()
 def free_motions(
-    prepared, start, stop, courses, error, tolerance, pack, problem_handle, tables_handle, tally, out, memory
+    prepared, start, stop, courses, error, tolerance, pack, problem_handle, tables_handle, tallies, out, memory
 ):
     """Find out which of the straight motions start .. stop are FREE, as `certified` does, for validators of motions.
 
@@ -1343,12 +1408,14 @@ def free_motions(
         As for `certify_motions`; courses of two points.
     error : int
         As for `certified`.
-    tally : ndarray of int64, shape (2,)
-        Is changed.
+    tallies : ndarray of int64, shape (N, 3)
+        As for `certify_motions`, with a number of steps for each motion.
     out : ndarray of int8, shape (N,)
         Receives 1 for motions that are free, 0 for the others.
     """
     if prepared == 0:
         make_ready(pack, problem_handle, tables_handle, courses.shape[2], memory)
     for k in range(start, stop):
-        out[k] = certified(pack, problem_handle, tables_handle, tolerance, error, courses[k], tally, memory)
+        tallies[k, POSES], tallies[k, SEARCHES], most = 0, 0, tallies[k, LEFT]
+        out[k] = certified(pack, problem_handle, tables_handle, tolerance, error, courses[k], tallies[k], memory)
+        tallies[k, LEFT] = most - tallies[k, LEFT]
