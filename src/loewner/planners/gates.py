@@ -120,6 +120,8 @@ class _Chunk(NamedTuple):
         Where the chunk begins, and its targets.
     rates : ndarray, shape (n + 1, dof)
         Velocities at these ticks, from the motions that end there.
+    before : ndarray, shape (dof,)
+        The target before them, if the chunk has begun.
     dt, t0 : float
     motions : int
         How many motions are proven, from the first one on.
@@ -130,6 +132,7 @@ class _Chunk(NamedTuple):
 
     rows: Floats
     rates: Floats
+    before: Floats
     dt: float
     t0: float
     motions: int
@@ -140,8 +143,8 @@ class _Chunk(NamedTuple):
     def from_tick(self, j: int) -> _Chunk:
         """Return the chunk as it is seen from a later tick."""
         return self._replace(
-            rows=self.rows[j:], rates=self.rates[j:], t0=self.t0 + j * self.dt, motions=max(self.motions - j, 0),
-            first=self.first - j, braked=self.braked - j,
+            rows=self.rows[j:], rates=self.rates[j:], before=self.rows[j - 1] if j > 0 else self.before,
+            t0=self.t0 + j * self.dt, motions=max(self.motions - j, 0), first=self.first - j, braked=self.braked - j,
         )  # fmt: skip
 
 
@@ -319,7 +322,7 @@ class Gate:
         chunk = next((made for old in before if (made := _going_on(old, wanted[:count], dt))), None)
         if chunk is None:
             rows = np.vstack([state[0], wanted[:count]])
-            chunk = _Chunk(rows, _rates(rows, state[1], dt), dt, now, 0, late + 1, late, world)
+            chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, world)
             if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
                 self._last = None
                 block = _Block("contact", -1, rows[0], now)
@@ -437,7 +440,15 @@ class Gate:
         for scale in SCALES:
             dt = chunk.dt / scale
             slower = _Chunk(
-                chunk.rows, _rates(chunk.rows, scale * chunk.rates[0], dt), dt, chunk.t0, 0, late + 1, late, chunk.world
+                chunk.rows,
+                _rates(chunk.rows, scale * chunk.rates[0], dt),
+                chunk.rows[0],
+                dt,
+                chunk.t0,
+                0,
+                late + 1,
+                late,
+                chunk.world,
             )
             _, other, work = self._proven(ready, slower, late, most - spent)
             spent += work
@@ -452,8 +463,9 @@ class Gate:
         if not self._on_path:
             rates = chunk.rates[ticks]
             return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
-        at = chunk.dt * np.arange(len(chunk.rows))
-        return Brakes.on_path(chunk.rows, at, at[ticks], self._strongest, steep, beyond=True)
+        rows, ticks = np.vstack([chunk.before, chunk.rows]), ticks + 1
+        at = chunk.dt * np.arange(len(rows))
+        return Brakes.on_path(rows, at, at[ticks], self._strongest, steep, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
         made = self._brakes(chunk, np.array([tick])).one()
