@@ -151,6 +151,15 @@ def test_known_brakes(robot):
     assert (at_rest.duration, at_rest.knots.tolist()) == (0.0, [[0.5, 0, 0]])
 
 
+@pytest.mark.parametrize("jerk", [None, 1e3])
+def test_a_joint_that_hardly_moves(robot, jerk):
+    """Beside a long brake, a joint at a trillionth of a radian per second stops where it should."""
+    moved = brake(robot, [0, 0, 0], [1, 0, 1e-12], acceleration=[0.1, 0.1, 1e3], jerk=jerk)
+    assert moved.duration > 10 - 1e-9
+    assert np.abs(moved.positions(dense(moved))[:, 2]).max() < 1e-18
+    assert moved.velocities(0.0) == pytest.approx([1, 0, 1e-12], abs=1e-24)
+
+
 def test_off_the_path(robot):
     """Joints that stop at different times leave the straight line by as much as plane geometry says."""
     moved = brake(robot, [0, 0, 0], [1, 1, 0], acceleration=[1.0, 2.0, 1.0])

@@ -85,7 +85,8 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        if times[k] - times[kept - 1] > near:
+        # A joint that rests at once has its own piece, however short: on a longer one, it would move.
+        if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:
             times[kept - 1] = times[k]
