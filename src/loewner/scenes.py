@@ -486,7 +486,7 @@ class Scene:
         >>> scene = Scene()
         >>> scene.add("crate", Body.box([0.6, 0.8, 0.2]))
         >>> scene.move("crate", np.eye(4), error=(0.01, 0.1))
-        >>> round(scene.bounds["crate"].off(0.0), 3)  # 0.01 + 0.51 * 0.1
+        >>> print(round(scene.bounds["crate"].off(0.0), 3))  # 0.01 + 0.51 * 0.1
         0.061
         """
         if isinstance(name, Mapping):
@@ -638,7 +638,7 @@ class Scene:
 
         >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
         >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
-        >>> round(scene.bounds["person"].off(2.5), 9)
+        >>> print(round(scene.bounds["person"].off(2.5), 9))
         0.8
         """
         self._known(name)
