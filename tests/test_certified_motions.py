@@ -303,8 +303,8 @@ def test_a_scene_that_changes_meanwhile(tmp_path, monkeypatch):
     start, end = robot.configuration({"base/x": -1.0}), robot.configuration({"base/x": 1.0})
     settle = robots_motions.settle
 
-    def with_another_thread(*given):
-        found = settle(*given)
+    def with_another_thread(*given, **options):
+        found = settle(*given, **options)
         scene.move("wall", translation(0.4, 5.0, 0.3))
         return found
 

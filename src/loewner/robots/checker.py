@@ -405,8 +405,7 @@ class CollisionChecker:
         steps : int, optional
             How much work each motion may take: configurations placed, pairs of bodies and of pieces compared, searches,
             and boxes of surfaces opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the
-            pair where its proof stopped. docs/certified.md, "Bounded work", describes what a step takes. Default: as
-            much as it takes.
+            pair where its proof stopped. docs/certified.md, "Bounded work", has the time of a step. Default: no limit.
         proof : bool
             Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
             proof exists for joints that turn or slide, and for bodies that follow no motions. It states where bodies
@@ -536,8 +535,8 @@ class CollisionChecker:
             bodies that follow motions, and the times of the result include it. Default: the `start_time` of a
             `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other curves.
         steps : int, optional
-            How much work each curve may take, as for `certify_edges`. Its segments share it: those that are left over
-            are AMBIGUOUS.
+            How much work each curve may take, as for `certify_edges`. Its segments share it: when nothing is left, the
+            remaining ones are AMBIGUOUS.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
 

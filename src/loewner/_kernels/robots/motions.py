@@ -17,7 +17,7 @@ halve
     plane that is best at both ends is tested at eight configurations in between. There the bound is a 49th of the one
     above, and where joints may stray, only their motion along the normal counts (`strays`).
 
-All of it counts its steps in a *tally*: what is placed, compared and searched. Every loop that is not bounded by a
+All of it counts its steps in a *tally*: placements, comparisons and searches. Every loop that is not bounded by a
 constant, or by the numbers of bodies, ends when no steps are left.
 
 docs/certified.md, "Motions", derives the bounds, and proves that this ends.
@@ -132,9 +132,9 @@ STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times per 
 
 _POSES = 2 * (PARTS + 1)
 
-# Entries of a tally: configurations placed, searches, and how many steps are left. Steps are both of these; in a block,
-# each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is placed; each
-# pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
+# Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in a
+# block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is placed;
+# each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
 POSES, SEARCHES, LEFT = 0, 1, 2
 
 
