@@ -60,7 +60,7 @@ int main(int argc, char **argv)
     }
     int8_t *verdicts = malloc(room), *free_ones = malloc(room);
     int64_t *taken = malloc(room * sizeof(int64_t));
-    const loewner_proof_options options = {0, NULL, atol(argv[2]), taken};
+    const loewner_proof_options options = {.steps = atol(argv[2]), .steps_taken = taken};
     expect(loewner_checker_certify_edges(checker, workspace, ends[0], ends[1], 1, &options, verdicts, NULL, NULL));
     long before = count, free_count = 0;
     for (size_t k = 0; k < n; k++) {
