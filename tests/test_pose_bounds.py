@@ -95,6 +95,8 @@ def test_a_person_at_rest_grows_with_their_speed(slider, since, lead):
     speed, end = 1.6, 2.0
     growth = speed * max(abs(end - since), abs(since))
     scene = Scene()
+    for k in range(6):  # more pairs than are tested before bounds about whole motions
+        scene.add(f"far {k}", Body.sphere(0.1), translation(x=50.0 + k))
     scene.add("person", Body.sphere(0.3))
     scene.follow("person", [since], [translation(y=0.3 + RADIUS + growth + lead)], speed=speed)
     checker, q = CollisionChecker(slider, scene), np.array([0.0, 0.0, np.pi])
@@ -236,6 +238,34 @@ def test_free_holds_for_bodies_as_badly_placed_as_allowed(slider, seed):
             return slider.between(a[k], b[k], float(np.clip((t - t0[k]) / (t1[k] - t0[k]), 0, 1)))
 
         assert not contact_within_bounds(checker, at, np.linspace(t0[k], t1[k], SAMPLES), rng)
+
+
+def test_a_free_motion_is_free_of_a_thousand_places(slider):
+    """Places at random within the bounds, at random times, of bodies beside which only FREE motions are left."""
+    rng = np.random.default_rng(11)
+    checker = CollisionChecker(slider, with_bounds(moving_scene(rng, 3), rng))
+    a, b = rng.uniform(-1, 1, (2, 300, 3)) * [1, 1, 3]
+    t0, t1 = rng.uniform([[-0.5], [0.5]], [[0.5], [2.0]], (2, 300))
+    free = np.flatnonzero(checker.certify_edges(a, b, t0=t0, t1=t1).verdict == Verdict.FREE)
+    still = Scene()
+    for name in checker.scene:
+        still.add(name, checker.scene[name])
+    same, hits = CollisionChecker(slider, still), 0
+    for _ in range(1000):
+        k, f = rng.choice(free), rng.random()
+        t = t0[k] + f * (t1[k] - t0[k])
+        for name, path in checker.scene.following.items():
+            T, known = path.poses(t), checker.scene.bounds.get(name)
+            if known is not None:
+                way, axis = rng.normal(size=(2, 3))
+                lapse = abs(t - known.since) * rng.random() ** 0.2
+                turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * known.turn * lapse).as_matrix()
+                T[:3, :3] = turn @ T[:3, :3]
+                T[:3, 3] += way / np.linalg.norm(way) * known.speed * lapse
+            still.move(name, T)
+        hits += same.collide(slider.between(a[k], b[k], f))
+    assert len(free) > 20
+    assert hits == 0
 
 
 @given(st.integers(0, 2**31))
