@@ -307,9 +307,9 @@ def test_proofs_are_as_sharp_as_the_bounds(slider, seed, back):
         assert all((one.verdict == Verdict.FREE) == (least > 0) for one in found)
 
 
-@pytest.mark.parametrize("speed", [0.5, 0.55])
+@pytest.mark.parametrize("speed", [0.528, 0.531])
 def test_a_plane_that_holds_later_is_not_enough_in_the_middle(slider, speed):
-    """The ball comes near and goes back on one line while the body grows: at both ends the gap is wide, not between."""
+    """The ball comes near and goes back on one line while the body grows: the gap ends shortly, between tested times."""
     scene = Scene()
     scene.add("other", Body.sphere(0.1))
     scene.allow("other", "rod")
@@ -317,7 +317,7 @@ def test_a_plane_that_holds_later_is_not_enough_in_the_middle(slider, speed):
     curve = PPoly(np.array([[[2.0, 0.0, 0.0]], [[-2.0, 0.0, 0.0]], [[0.5, 0.0, np.pi]]]), [0.0, 1.0])
     t = np.linspace(0.0, 1.0, 10001)
     least = (curve(t)[:, 0] + 0.5 - 0.1 - RADIUS - speed * t).min()
-    assert (least < 0) == (speed > 0.52)
+    assert (least < 0) == (speed > 0.53)
     found = CollisionChecker(slider, scene).certify_trajectory(curve).verdict
     assert found == (Verdict.FREE if least > 0 else Verdict.AMBIGUOUS)
 
