@@ -309,7 +309,7 @@ def test_proofs_are_as_sharp_as_the_bounds(slider, seed, back):
 
 @pytest.mark.parametrize("speed", [0.528, 0.531])
 def test_a_plane_that_holds_later_is_not_enough_in_the_middle(slider, speed):
-    """The ball comes near and goes back on one line while the body grows: the gap ends shortly, between tested times."""
+    """The ball comes near and goes back on one line as the body grows: the gap ends shortly, between tested times."""
     scene = Scene()
     scene.add("other", Body.sphere(0.1))
     scene.allow("other", "rod")
