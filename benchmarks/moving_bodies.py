@@ -1,4 +1,4 @@
-"""Time proofs of motions among bodies that move, beside the same among bodies that stand, and beside samples.
+"""Time proofs of motions among bodies that move or grow, beside the same among bodies that stand, and beside samples.
 
 python benchmarks/moving_bodies.py
 """
@@ -13,11 +13,14 @@ from robot_samples import panda
 
 MOTIONS, BODIES, SECONDS = 2000, 10, 5.0
 
+# How fast bodies depart from their motions [m/s].
+SPEED = 0.05
+
 
 def main() -> None:
     """Print the time of one motion in each way."""
     rng, robot = np.random.default_rng(0), panda().robot
-    moving, standing = Scene(), Scene()
+    moving, standing, uncertain, growing = Scene(), Scene(), Scene(), Scene()
     for k in range(BODIES):
         T = np.tile(np.eye(4), (2, 1, 1))
         way = rng.normal(size=3)
@@ -25,17 +28,24 @@ def main() -> None:
         for scene in (moving, standing):
             scene.add(f"box {k}", Body.box(rng.uniform(0.05, 0.3, 3)), T.mean(axis=0))
         moving.follow(f"box {k}", [0.0, SECONDS], T)
+        uncertain.add(f"box {k}", moving[f"box {k}"])
+        uncertain.follow(f"box {k}", [0.0, SECONDS], T, speed=SPEED)
+        growing.add(f"box {k}", standing[f"box {k}"])
+        growing.follow(f"box {k}", [0.0], standing.pose(f"box {k}"), speed=SPEED)
     a = robot.random_configurations(MOTIONS)
     b = np.clip(a + rng.normal(size=a.shape) * 0.3, robot.lower, robot.upper)
     t0 = rng.uniform(0.0, SECONDS - 1.5, MOTIONS)
     t1 = t0 + rng.uniform(0.0, 1.5, MOTIONS)
     checker, still = CollisionChecker(robot, moving), CollisionChecker(robot, standing)
+    unsure, grows = CollisionChecker(robot, uncertain), CollisionChecker(robot, growing)
     f = np.linspace(0.0, 1.0, 101)
     Q, t = robot.between(a[:, None], b[:, None], f), t0[:, None] + f * (t1 - t0)[:, None]
     print(f"{MOTIONS} motions of a Panda, {BODIES} boxes")
     ways = {
         "proven among moving boxes": lambda: checker.certify_edges(a, b, t0=t0, t1=t1),
         "proven among boxes that stand": lambda: still.certify_edges(a, b),
+        "among moving boxes that grow": lambda: unsure.certify_edges(a, b, t0=t0, t1=t1),
+        "among boxes that stand and grow": lambda: grows.certify_edges(a, b, t0=t0, t1=t1),
         "101 samples among moving boxes": lambda: checker.collide(Q, t),
     }
     with threads_set_to(1):
