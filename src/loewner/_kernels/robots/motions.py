@@ -132,9 +132,9 @@ STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times per 
 
 _POSES = 2 * (PARTS + 1)
 
-# Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in a
-# block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is placed;
-# each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
+# Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in
+# a block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is
+# placed; each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
 POSES, SEARCHES, LEFT = 0, 1, 2
 
 
