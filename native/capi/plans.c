@@ -58,8 +58,8 @@ static loewner_status is_free(const Judge *judge, const double *path, int64_t co
         int64_t motions = count - 1 - first < MOTIONS_AT_ONCE ? count - 1 - first : MOTIONS_AT_ONCE;
         for (int64_t k = 0; k < motions; k++)
             straight(checker, path + (first + k) * dof, path + (first + k + 1) * dof, workspace->courses + 2 * k * dof);
-        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error, NULL, NULL,
-                  workspace->found, workspace->fractions, workspace->found_pairs));
+        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error, NULL,
+                  NULL, workspace->found, workspace->fractions, workspace->found_pairs));
         for (int64_t k = motions - 1; k >= 0; k--)
             if (workspace->found[k] != LOEWNER_FREE)
                 *at = first + k;
