@@ -325,8 +325,8 @@ class Gate:
             chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, world)
             if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
                 self._last = None
-                block = _Block("contact", -1, rows[0], now)
-                return self._answer(ready, GateState.INSIDE, 0, 0.0, block, self._stop(state, now), False, 0)
+                met = _Block("contact", -1, rows[0], now)
+                return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False, 0)
         chunk, block, work = self._proven(ready, chunk, late, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
@@ -379,10 +379,11 @@ class Gate:
 
     def _proven(self, ready: Problem, chunk: _Chunk, late: int, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
-        n, block, work = len(chunk.rows) - 1, None, 0
+        n, work = len(chunk.rows) - 1, 0
+        block: _Block | None = None
         if chunk.motions < n:
             courses = np.stack([chunk.rows[chunk.motions : -1], chunk.rows[chunk.motions + 1 :]], axis=1)
-            begin = chunk.t0 + chunk.dt * np.arange(chunk.motions, n)
+            begin: Floats = chunk.t0 + chunk.dt * np.arange(float(chunk.motions), float(n))
             free, block, work = self._first_block(
                 ready, courses, np.tile(self._error, (n - chunk.motions, 1)), begin, begin + chunk.dt, most
             )
@@ -464,7 +465,7 @@ class Gate:
             rates = chunk.rates[ticks]
             return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
         rows, ticks = np.vstack([chunk.before, chunk.rows]), ticks + 1
-        at = chunk.dt * np.arange(len(rows))
+        at: Floats = chunk.dt * np.arange(float(len(rows)))
         return Brakes.on_path(rows, at, at[ticks], self._strongest, steep, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
@@ -520,7 +521,8 @@ class Gate:
         proven: bool, work: int, joint: str = "",
     ) -> GateAnswer:  # fmt: skip
         """Add the pair in question, with its distance and normal."""
-        reason, names, away, normal = "", (), math.nan, np.full(3, np.nan)
+        reason, away, normal = "", math.nan, np.full(3, np.nan)
+        names: tuple[str, ...] = ()
         if block is not None:
             reason = block.reason
             pair = [block.pair] if block.pair >= 0 else np.arange(len(ready.pairs) if reason == "contact" else 0)
