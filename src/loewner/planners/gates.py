@@ -269,6 +269,9 @@ class Gate:
         """The checker whose robot and scene are judged."""
         return self._checker
 
+    def __repr__(self) -> str:
+        return f"Gate({self._checker!r}, brakes {'on the path' if self._on_path else 'joint by joint'})"
+
     def check(
         self, q: ArrayLike, dq: ArrayLike, targets: ArrayLike, dt: float, time: float | None = None
     ) -> GateAnswer:
