@@ -74,9 +74,9 @@ class GateAnswer:
         may, that is, with periods of dt / scale; 0 if there is none, or no work was left to find it.
     reason : str
         Why not all targets may be executed: "contact", if the robot collides on the way to a target, or "brake", while
-        it brakes; "may be hit", if it collides only with bodies away from their given poses, or nothing is proven near
-        contact; "limits", if a target is outside the limits or too fast; "budget", if the work was used up. Empty for
-        GO.
+        it brakes, or there are no more targets than the latency has periods; "may be hit", if it collides only with
+        bodies away from their given poses, or nothing is proven near contact; "limits", if a target is outside the
+        limits or too fast; "budget", if the work was used up. Empty for GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
@@ -348,6 +348,8 @@ class Gate:
         chunk, block, work = self._proven(ready, chunk, late, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
+        if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect behind the last target
+            block = _Block("brake", -1, chunk.rows[-1], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
         if block is not None:
             scale, more = self._scale(ready, chunk, late, block, self._steps - work)
@@ -377,7 +379,7 @@ class Gate:
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 
     def _here(self, world: _World, state: State, now: float) -> list[_Chunk]:
-        """Return the last chunk from each tick at which the robot may be, if its proofs still hold."""
+        """Return the last chunk from each tick at which the robot may be, nearest first, if its proofs still hold."""
         last = self._last
         if last is None or not _is_within(world, last.world, now):
             return []
@@ -386,7 +388,8 @@ class Gate:
             tick = round((now - last.t0) / last.dt)
             on_time = abs(last.t0 + tick * last.dt - now) <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
-        return [last.from_tick(j) for j in ticks if self._is_in_tube(last, j, state)]
+        found = [j for j in ticks if self._is_in_tube(last, j, state)]  # several, if the robot is slow
+        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(state[0] - last.rows[j]).max()))]
 
     def _is_in_tube(self, chunk: _Chunk, j: int, state: State) -> bool:
         """Whether a measured state agrees with a tick of a chunk."""
@@ -454,7 +457,8 @@ class Gate:
     def _scale(self, ready: Problem, chunk: _Chunk, late: int, block: _Block, most: int) -> tuple[float, int]:
         """Find the largest scale of time with which a chunk is proven, and the steps that this took."""
         spent = 0
-        if block.reason != "brake" and (block.reason == "limits" or ready.paths is None):
+        short = len(chunk.rows) - 1 <= late
+        if short or block.reason == "limits" or (block.reason != "brake" and ready.paths is None):
             return 0.0, 0  # slower motions would meet the same
         for scale in SCALES:
             dt = chunk.dt / scale
