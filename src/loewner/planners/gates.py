@@ -16,6 +16,7 @@ from loewner._kernels import codes
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners.brakes import Brakes, brake_limits
+from loewner.planners.jerk_limited import CUBIC_ROUNDINGS
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.judge import TOLERANCE, checked_checker
 from loewner.planners.trajectories import Trajectory, expect_straight
@@ -388,15 +389,11 @@ class Gate:
             tick = round((now - last.t0) / last.dt)
             on_time = abs(last.t0 + tick * last.dt - now) <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
-        found = [j for j in ticks if self._is_in_tube(last, j, state)]  # several, if the robot is slow
-        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(state[0] - last.rows[j]).max()))]
-
-    def _is_in_tube(self, chunk: _Chunk, j: int, state: State) -> bool:
-        """Whether a measured state agrees with a tick of a chunk."""
         q, dq = state
-        return bool(
-            (np.abs(q - chunk.rows[j]) <= self._error).all() and (np.abs(dq - chunk.rates[j]) <= self._rate_error).all()
-        )
+        away = np.abs(q - last.rows)
+        near = np.all((away <= self._error) & (np.abs(dq - last.rates) <= self._rate_error), axis=1).tolist()
+        found = [j for j in ticks if near[j]]  # several, if the robot is slow
+        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(away[j].max()))]
 
     def _proven(self, ready: Problem, chunk: _Chunk, late: int, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
@@ -405,25 +402,32 @@ class Gate:
         if chunk.motions < n:
             courses = np.stack([chunk.rows[chunk.motions : -1], chunk.rows[chunk.motions + 1 :]], axis=1)
             begin: Floats = chunk.t0 + chunk.dt * np.arange(float(chunk.motions), float(n))
-            free, block, work = self._first_block(
-                ready, courses, np.tile(self._error, (n - chunk.motions, 1)), begin, begin + chunk.dt, most
-            )
+            error = np.tile(self._error, (n - chunk.motions, 1))
+            if self._on_path:
+                error += CUBIC_ROUNDINGS * np.abs(chunk.rows).max()  # of brakes on these motions
+            free, block, work = self._first_block(ready, courses, error, begin, begin + chunk.dt, most)
             chunk = chunk._replace(motions=chunk.motions + free)
         ticks = np.arange(max(chunk.braked + 1, chunk.first), chunk.motions + 1)
-        if len(ticks):
-            brakes = self._brakes(chunk, ticks)
-            courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
-            owner = np.repeat(np.arange(len(ticks)), np.diff(first))
-            error = np.tile(self._error, (len(ticks), 1))
-            if not self._on_path:
-                error += self._farther(chunk.rates[ticks])
-            end = np.cumsum(seconds)
-            end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
-            free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
-            chunk = chunk._replace(braked=chunk.motions if other is None else int(ticks[owner[free]]) - 1)
-            work += more
-            if other is not None:
-                block = other._replace(reason="brake") if other.reason == "contact" else other
+        if len(ticks) == 0:
+            return chunk, block, work
+        brakes = self._brakes(chunk, ticks)
+        if self._on_path and ready.paths is None:
+            # In a static world, motions that are proven are free at all times, so brakes on them are proven, too.
+            last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
+            open_ones = np.flatnonzero(last > chunk.motions)
+            ticks, brakes = ticks[open_ones], brakes.only(open_ones)
+        courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
+        owner = np.repeat(np.arange(len(ticks)), np.diff(first))
+        error = np.tile(self._error, (len(ticks), 1))
+        if not self._on_path:
+            error += self._farther(chunk.rates[ticks])
+        end = np.cumsum(seconds)
+        end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
+        free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
+        chunk = chunk._replace(braked=chunk.motions if other is None else int(ticks[owner[free]]) - 1)
+        work += more
+        if other is not None:
+            block = other._replace(reason="brake") if other.reason == "contact" else other
         return chunk, block, work
 
     def _first_block(
