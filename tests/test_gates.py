@@ -6,6 +6,7 @@ import pytest
 import loewner
 from loewner import Body, CollisionChecker, InputError, Joint, Robot, Scene, UnknownNameError, Verdict
 from loewner.planners import Gate, GateState
+from loewner.pose_paths import PackedPaths
 
 ACCELERATION, JERK = 4.0, 60.0
 DT = 0.02
@@ -333,8 +334,9 @@ class Course:
         person = Body.sphere(float(rng.uniform(0.05, 0.2)))
         self.scene.add("person", person)
         still.add("person", person)
-        self.truth, self.place, self.speed = CollisionChecker(self.robot, still), rng.uniform(-1.5, 1.5, 3), 0.0
-        self.speed = float(rng.uniform(0.1, 0.6))
+        self.truth, self.place = CollisionChecker(self.robot, still), rng.uniform(-1.5, 1.5, 3)
+        self.speed = float(rng.uniform(0.1, 0.6)) if seed % 3 else 0.0  # some stand, so that the world stands still
+        self.scene.move("person", at(*self.place))
         self.see(0.0)
         self.checker, self.late = CollisionChecker(self.robot, self.scene), int(rng.integers(0, 3))
         self.gate = gate(
@@ -343,7 +345,9 @@ class Course:
         self.ticks = self.stops = self.hits = 0
 
     def see(self, t: float) -> None:
-        """The place of the person is known at a time, with an error, and nothing later."""
+        """The place of a person who moves is known at a time, with an error, and nothing later."""
+        if self.speed == 0.0:
+            return
         off = self.rng.normal(size=3)
         off *= self.rng.uniform(0.0, 0.01) / np.linalg.norm(off)
         self.scene.follow("person", [t], at(*(self.place + off))[None], speed=self.speed, since=t, error=(0.01, 0.0))
@@ -413,6 +417,53 @@ def test_chunks_meet_nothing_before_standstill():
     assert hits == 0
     assert ticks > 300
     assert stops > 10
+
+
+class WithoutBrakes(Gate):
+    """Counts every motion that is free as one from whose end the robot can brake."""
+
+    def _proven(self, ready, chunk, late, most):
+        chunk, block, work = super()._proven(ready, chunk, late, most)
+        return chunk._replace(braked=chunk.motions), block if chunk.motions < len(chunk.rows) - 1 else None, work
+
+
+class OffAsOn(Gate):
+    """Proves brakes on the path, and brakes joint by joint."""
+
+    def _proven(self, ready, chunk, late, most):
+        self._on_path, real = True, self._on_path
+        found = super()._proven(ready, chunk, late, most)
+        self._on_path = real
+        return found
+
+
+class WithoutJerk(Gate):
+    """Proves brakes whose accelerations jump, and brakes with limits of jerk."""
+
+    def _proven(self, ready, chunk, late, most):
+        self._jerk, real = None, self._jerk
+        found = super()._proven(ready, chunk, late, most)
+        self._jerk = real
+        return found
+
+
+@pytest.mark.parametrize(
+    ("mutant", "count", "seed"), [(WithoutBrakes, 12, 5000), (WithoutJerk, 30, 5000), (OffAsOn, 20, 5060)]
+)
+def test_gates_that_are_wrong_are_found_out(mutant, count, seed):
+    """The same chunks meet something if a gate proves less, or something else."""
+    assert courses(count, mutant, seed)[2] > 0
+
+
+def test_growth_that_is_dropped_is_found_out(monkeypatch):
+    """Likewise if bodies are taken to be where they were seen."""
+    off = PackedPaths.off
+
+    def none(self, *times):
+        return off(self, *times) * [1.0, 0.0, 0.0]
+
+    monkeypatch.setattr(PackedPaths, "off", none)
+    assert courses(40, seed=5000)[2] > 0
 
 
 @pytest.mark.verify

@@ -390,10 +390,10 @@ class Gate:
             on_time = abs(last.t0 + tick * last.dt - now) <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
         q, dq = state
-        away = np.abs(q - last.rows)
-        near = np.all((away <= self._error) & (np.abs(dq - last.rates) <= self._rate_error), axis=1).tolist()
+        off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
+        near = np.asarray(~off.any(axis=1))
         found = [j for j in ticks if near[j]]  # several, if the robot is slow
-        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(away[j].max()))]
+        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(q - last.rows[j]).max()))]
 
     def _proven(self, ready: Problem, chunk: _Chunk, late: int, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
