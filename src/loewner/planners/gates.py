@@ -414,7 +414,7 @@ class Gate:
             return chunk, block, work
         brakes = self._brakes(chunk, ticks)
         if self._on_path and ready.paths is None:
-            # In a world without motion, motions that are proven are free at all times, so brakes on them are proven, too.
+            # In a world at rest, motions that are proven are free at all times, and so are brakes on them.
             last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
             open_ones = np.flatnonzero(last > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
