@@ -69,7 +69,7 @@ class GateAnswer:
         may, that is, with periods of dt / scale; 0 if there is none, or no work was left to find it.
     reason : str
         Why not all targets may be executed: "contact", if the robot collides on the way to a target, or "brake", while
-        it brakes; "may be hit", if it collides only with bodies away from their given poses, or nothing is proven near
+        it brakes, or if the targets end before a brake begins; "may be hit", if it collides only with bodies away from their given poses, or nothing is proven near
         contact; "limits", if a target is outside the limits or too fast; "budget", if the work was used up. Empty for
         GO.
     names : tuple of str
@@ -127,6 +127,9 @@ class _Chunk(NamedTuple):
         How many motions are proven, from the first one on.
     first, braked : int
         The first and the last tick from which brakes are proven; all between them are.
+    ends : ndarray of int64, shape (n + 1,)
+        How many targets were known when the brake from each of these ticks was proven: a brake on the path that does
+        not end there goes on along the last motion, whatever targets came later.
     world : _World
     """
 
@@ -138,6 +141,7 @@ class _Chunk(NamedTuple):
     motions: int
     first: int
     braked: int
+    ends: Ints
     world: _World
 
     def from_tick(self, j: int) -> _Chunk:
@@ -145,6 +149,7 @@ class _Chunk(NamedTuple):
         return self._replace(
             rows=self.rows[j:], rates=self.rates[j:], before=self.rows[j - 1] if j > 0 else self.before,
             t0=self.t0 + j * self.dt, motions=max(self.motions - j, 0), first=self.first - j, braked=self.braked - j,
+            ends=self.ends[j:] - j,
         )  # fmt: skip
 
 
@@ -319,15 +324,19 @@ class Gate:
         late, world = math.ceil(self._latency / dt * (1 - SAME_TICK)), _world(ready, self._checker)
         count, joint = self._within_limits(state[0], wanted, dt)
         before = self._here(world, state, now)
-        chunk = next((made for old in before if (made := _going_on(old, wanted[:count], dt))), None)
+        chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt))), None)
         if chunk is None:
             rows = np.vstack([state[0], wanted[:count]])
-            chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, world)
+            ends = np.zeros(len(rows), dtype=np.int64)
+            chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
             if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
                 self._last = None
                 block = _Block("contact", -1, rows[0], now)
                 return self._answer(ready, GateState.INSIDE, 0, 0.0, block, self._stop(state, now), False, 0)
-        chunk, block, work = self._proven(ready, chunk, late, self._steps)
+        if chunk.first > count == len(wanted):  # it ends before a brake begins
+            block, work = _Block("brake", -1, wanted[-1], now), 0
+        else:
+            chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
@@ -377,7 +386,21 @@ class Gate:
             (np.abs(q - chunk.rows[j]) <= self._error).all() and (np.abs(dq - chunk.rates[j]) <= self._rate_error).all()
         )
 
-    def _proven(self, ready: Problem, chunk: _Chunk, late: int, most: int) -> tuple[_Chunk, _Block | None, int]:
+    def _going_on(self, old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
+        """Append new targets to a chunk that goes on; None if these targets are others."""
+        known, n = old.rows[1:], len(wanted)
+        common = min(len(known), n)
+        if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
+            return None
+        rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
+        if self._on_path:  # not brakes whose path was longer
+            braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
+        return old._replace(
+            rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
+            ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)),
+        )  # fmt: skip
+
+    def _proven(self, ready: Problem, chunk: _Chunk, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
         n, block, work = len(chunk.rows) - 1, None, 0
         if chunk.motions < n:
@@ -387,9 +410,11 @@ class Gate:
                 ready, courses, np.tile(self._error, (n - chunk.motions, 1)), begin, begin + chunk.dt, most
             )
             chunk = chunk._replace(motions=chunk.motions + free)
-        ticks = np.arange(max(chunk.braked + 1, chunk.first), chunk.motions + 1)
+        ticks = np.arange(max(chunk.braked + 1, chunk.first, 0), chunk.motions + 1)
         if len(ticks):
-            brakes = self._brakes(chunk, ticks)
+            ends = chunk.ends.copy()
+            ends[ticks], chunk = n, chunk._replace(ends=ends)
+            brakes = self._brakes(chunk, ticks, n)
             courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
             owner = np.repeat(np.arange(len(ticks)), np.diff(first))
             error = np.tile(self._error, (len(ticks), 1))
@@ -437,6 +462,8 @@ class Gate:
         spent = 0
         if block.reason != "brake" and (block.reason == "limits" or ready.paths is None):
             return 0.0, 0  # slower motions would meet the same
+        if chunk.first >= len(chunk.rows):
+            return 0.0, 0
         for scale in SCALES:
             dt = chunk.dt / scale
             slower = _Chunk(
@@ -448,9 +475,10 @@ class Gate:
                 0,
                 late + 1,
                 late,
+                chunk.ends,
                 chunk.world,
             )
-            _, other, work = self._proven(ready, slower, late, most - spent)
+            _, other, work = self._proven(ready, slower, most - spent)
             spent += work
             if other is None:
                 return scale, spent
@@ -458,17 +486,18 @@ class Gate:
 
     # -- brakes -------------------------------------------------------------------------------
 
-    def _brakes(self, chunk: _Chunk, ticks: Ints) -> Brakes:
+    def _brakes(self, chunk: _Chunk, ticks: Ints, end: int) -> Brakes:
+        """Brake from ticks; on the path up to the last of this number of targets, and then along its last motion."""
         steep = np.full(chunk.rows.shape[1], np.inf) if self._jerk is None else self._jerk
         if not self._on_path:
             rates = chunk.rates[ticks]
             return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
-        rows, ticks = np.vstack([chunk.before, chunk.rows]), ticks + 1
+        rows, ticks = np.vstack([chunk.before, chunk.rows[: end + 1]]), ticks + 1
         at = chunk.dt * np.arange(len(rows))
         return Brakes.on_path(rows, at, at[ticks], self._strongest, steep, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
-        made = self._brakes(chunk, np.array([tick])).one()
+        made = self._brakes(chunk, np.array([tick]), int(chunk.ends[tick])).one()
         return self._trajectory(made, chunk.t0 + tick * chunk.dt, self._on_path)
 
     def _stop(self, state: State, now: float) -> Trajectory:
@@ -539,19 +568,6 @@ class Gate:
 def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
     """Velocities at the ticks of a chunk."""
     return np.vstack([dq, np.diff(rows, axis=0) / dt])
-
-
-def _going_on(old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
-    """Append new targets to a chunk that goes on; None if these targets are others."""
-    known = old.rows[1:]
-    common = min(len(known), len(wanted))
-    if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
-        return None
-    rows = np.vstack([old.rows[:1], wanted])
-    return old._replace(
-        rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, len(wanted)),
-        braked=min(old.braked, len(wanted)),
-    )  # fmt: skip
 
 
 def _world(ready: Problem, checker: CollisionChecker) -> _World:
