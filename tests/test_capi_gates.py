@@ -1,9 +1,6 @@
 """Gates of the library for C hold their answers against Python's, tick by tick."""
 
 import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +9,12 @@ import pytest
 from loewner import Body, CollisionChecker, Scene
 from loewner._native import library
 from loewner.planners import Gate, GateState
-from test_gates import ACCELERATION, DT, JERK, Q0, V0, along_the_rail, arm, at, wall
+from test_gates import DT, JERK, Q0, V0, along_the_rail, arm, at, wall
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
 
 capi = pytest.importorskip("capi")
-HERE = Path(__file__).parent
 REASONS = ("", "contact", "brake", "may be hit", "limits", "budget")
 MOST = 60
 
@@ -60,6 +56,8 @@ class Both:
             if found.joint >= 0:
                 names = (capi.ask("checker_value_name", self.checker, found.joint).decode(),)
             assert names == wanted.names
+        if wanted.state == GateState.GO:  # otherwise Python goes on behind what is not free
+            assert found.work == (pytest.approx(wanted.work, rel=0.1) if self.scene.bounds else wanted.work)
         brake = wanted.brake
         times, positions, velocities, accelerations = self.mine.brake(found)
         assert np.array_equal(times, brake.times)
@@ -113,3 +111,148 @@ def test_chunks_are_judged_as_in_python(tmp_path, brake, jerk, grows):
             q, dq, running, t = running[0], (running[0] - q) / DT, running[1:], t + DT
         states |= set(both.states)
     assert len(states) >= 3
+
+
+CHANGES = ["none", "position", "velocity", "targets", "structure", "moved", "margin", "period"]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_was_proven_is_used_as_in_python(tmp_path, change):
+    """A state outside the tube, other targets, or a body that moved: everything is proven again."""
+    scene = wall(3.0)
+    scene.add("ball", Body.sphere(0.1), at(0.0, -1.0))
+    both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+    whole, _ = both.check(Q0, V0, targets[:20])
+    q, dq, dt, rest = targets[0].copy(), V0.copy(), DT, targets[1:21].copy()
+    if change == "position":
+        q[2] += 1.1e-3
+    elif change == "velocity":
+        dq[2] += 1.1e-2
+    elif change == "targets":
+        rest[4, 2] += 1e-9
+    elif change == "structure":
+        scene.remove("ball")
+        both.checker.set_present("ball", False)
+    elif change == "moved":
+        scene.move("ball", at(0.0, -1.001))
+        both.checker.move("ball", at(0.0, -1.001))
+    elif change == "margin":
+        scene.set_margin(0.01, "wall")
+        for body in both.robot.link_names[1:]:
+            both.checker.set_margin(body, "wall", 0.01)
+    elif change == "period":
+        dt *= 1.001
+    _, found = both.check(q, dq, rest, dt, time=DT)
+    assert (found.work < whole.work / 4) == (change == "none")
+
+
+@pytest.mark.parametrize(
+    ("seen", "is_within"),
+    [
+        ({"T": at(0.0, -2.0), "since": 0.0}, True),  # as before
+        ({"T": at(0.01, -2.0), "since": DT, "error": (0.0, 0.0)}, True),  # seen again within its cone
+        ({"T": at(0.03, -2.0), "since": DT}, False),  # seen outside
+        ({"T": at(0.01, -2.0), "since": DT, "error": (0.02, 0.0)}, False),  # an error that pokes out
+        ({"T": at(0.0, -2.0), "since": DT, "speed": 1.1}, False),  # faster
+        ({"T": at(0.0, -2.0), "since": DT, "turn": 0.1}, False),
+        ({"T": at(0.0, -2.0), "since": DT, "error": (0.0, 0.1)}, False),
+        ({"T": at(0.0, -2.0), "since": 2 * DT}, False),  # from the future
+    ],
+)
+@pytest.mark.parametrize("late", [0.0, DT / 2])
+def test_a_person_who_is_seen_again(tmp_path, seen, is_within, late):
+    """What was proven holds if the new places were allowed before, and at a tick."""
+    scene = wall(3.0)
+    scene.add("person", Body.sphere(0.2))
+    scene.follow("person", [0.0], at(0.0, -2.0)[None], speed=1.0, since=0.0)
+    both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+    whole, _ = both.check(Q0, V0, targets[:20])
+    given = {"speed": 1.0, "error": None} | seen
+    scene.follow("person", [0.0], given.pop("T")[None], **given)
+    both.see("person")
+    _, found = both.check(targets[0], V0, targets[1:21], time=DT + late)
+    assert (found.work < whole.work / 3) == (is_within and late == 0.0)
+
+
+def test_a_body_that_turns_is_known_by_its_turn(tmp_path):
+    """A pose that is turned by less than was allowed, and by more."""
+    scene = wall(3.0)
+    scene.add("box", Body.box([0.2, 0.3, 0.4]))
+    scene.follow("box", [0.0], at(0.0, -2.0)[None], turn=1.0, since=0.0)
+    for angle in (0.9 * DT, 1.1 * DT):
+        both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+        whole, _ = both.check(Q0, V0, targets[:20])
+        T = at(0.0, -2.0)
+        T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        both.checker.move("box", T)
+        both.checker.set_bounds("box", metres=0.0, radians=0.0, speed=0.0, turn=1.0, since=DT)
+        found = both.mine.check(targets[0], V0, targets[1:21], DT, DT)
+        assert (found.work < whole.work / 3) == (angle < DT)
+
+
+def test_a_brake_on_the_path_is_the_one_that_was_proven(tmp_path):
+    """A brake that ended behind the last target does not turn with targets that came later."""
+    both = Both(wall(1.5), tmp_path, brake="path")
+    targets = along_the_rail(1.0, 20)
+    both.check(Q0, V0, targets)
+    bent = np.vstack([targets[1:], targets[-1] + [0.02, 0.04, 0.0]])
+    both.check(targets[0], V0, bent)
+    bad = np.vstack([targets[5:], np.full((1, 3), 1.4)])
+    wanted, _ = both.check(targets[4], V0, bad)
+    assert wanted.state == GateState.PREFIX
+    assert wanted.brake.knots[:, 1] == pytest.approx(np.pi / 2)
+    shorter, _ = both.check(targets[4], V0, targets[5:10])
+    assert shorter.state == GateState.GO
+
+
+def test_targets_that_end_before_a_brake_begins(tmp_path):
+    """No brake can be proven, so nothing is let through."""
+    wanted, _ = Both(wall(3.0), tmp_path, latency=5 * DT).check(Q0, V0, along_the_rail(1.0, 5))
+    assert (wanted.state, wanted.reason, wanted.is_proven) == (GateState.BRAKE, "brake", False)
+    wanted, _ = Both(wall(3.0), tmp_path, latency=5 * DT).check(Q0, V0, along_the_rail(1.0, 6))
+    assert (wanted.state, wanted.steps) == (GateState.GO, 1)
+
+
+def test_budgets_and_horizons(tmp_path):
+    """With too few steps less is let through, and the work stays near them."""
+    targets = along_the_rail(1.0, 40)
+    both = Both(wall(1.3), tmp_path)
+    whole, _ = both.check(Q0, V0, targets)
+    for steps in (1, 10, 100, 300, 1000):
+        mine = capi.Gate(both.checker, MOST, acceleration=both.robot.acceleration, steps=steps)
+        found = mine.check(Q0, V0, targets, DT)
+        assert found.work <= steps + 200
+        assert found.steps <= whole.steps
+        assert (REASONS[found.reason] == "budget") == (found.work < whole.work)
+    near, _ = Both(wall(1.3), tmp_path, horizon=10 * DT).check(Q0, V0, targets)
+    assert (near.state, near.steps) == (GateState.GO, 10)
+
+
+def test_bad_ticks_are_refused(tmp_path):
+    """Each with the name of the argument; the gate goes on afterwards."""
+    both, targets = Both(wall(3.0), tmp_path), along_the_rail(1.0, 20)
+    both.check(Q0, V0, targets, time=1.0)
+    given = {"q": targets[0], "dq": V0, "targets": targets[1:], "dt": DT, "time": 1.0 + DT}
+    for name, bad in (
+        ("q", [0.0, np.nan, 0.0]), ("dq", [np.inf, 0.0, 0.0]), ("targets", np.zeros((0, 3))),
+        ("targets", np.zeros((MOST + 1, 3))), ("targets", np.full((2, 3), np.nan)), ("dt", 0.0), ("dt", np.nan),
+        ("time", np.nan), ("time", 0.5),
+    ):  # fmt: skip
+        with pytest.raises(capi.Error, match=name):
+            both.mine.check(**given | {name: bad})
+    assert both.mine.check(**given).state == GateState.GO
+
+
+def test_bad_gates_are_refused(tmp_path):
+    """Errors of the options."""
+    CollisionChecker(arm(), Scene()).save(tmp_path / "cell.lwn")
+    checker, good = capi.Checker(tmp_path / "cell.lwn"), {"acceleration": 1.0}
+    for bad in (
+        {"latency": -1.0}, {"horizon": np.nan}, {"tolerance": -1.0}, {"steps": -1}, {"joint_error": -1.0},
+        {"velocity_error": np.inf}, {"acceleration": 0.0}, {"acceleration": None}, {"jerk": np.inf}, {"velocity": 0.0},
+    ):  # fmt: skip
+        with pytest.raises(capi.Error, match=next(iter(bad))):
+            capi.Gate(checker, MOST, **good | bad)
+    for most in (0, 10**7):
+        with pytest.raises(capi.Error, match="most_targets"):
+            capi.Gate(checker, most, **good)

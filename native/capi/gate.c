@@ -210,7 +210,8 @@ static int is_within(const Known *seen, const Known *allowed, double now)
         *(k % 4 == 3 ? &away : &turned) += step * step;
         far = k % 4 == 3 ? fmax(far, fabs(seen->pose[k])) : far;
     }
-    away = sqrt(away) + its->metres + its->speed * (now - its->since) + WITHIN * (1 + fabs(now) + far);
+    away = sqrt(away) + its->metres + its->speed * (now - its->since);
+    away += away > 0 ? WITHIN * (1 + fabs(now) + far) : 0;
     turned = sqrt(turned / 2) + (turned > 0 ? 16 * ROTATION_TOLERANCE : 0); /* rotations are not exactly orthonormal */
     turned += its->radians + its->turn * (now - its->since) + (turned > 0 ? WITHIN * (1 + fabs(now)) : 0);
     return away <= old->metres + old->speed * (now - old->since) &&
@@ -303,7 +304,7 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     evaluate(checker->file, course, (int32_t)points - 1, isnan(fraction) ? 0 : fraction, gate->q);
-    TRY(collide(checker, its, EXACT, gate->q, 1, &verdict));
+    TRY(collide(checker, its, HASTY, gate->q, 1, &verdict));
     proof->reason = verdict == LOEWNER_COLLIDING        ? LOEWNER_REASON_CONTACT
                     : proof->work >= proof->most ? LOEWNER_REASON_BUDGET
                                                  : LOEWNER_REASON_MAY_BE_HIT;
@@ -507,7 +508,6 @@ static loewner_status begin_chunk(loewner_gate *gate, const double *q, const dou
                                   int64_t count, double dt, double now, int64_t late, Proof *proof)
 {
     Chunk *made = &gate->made;
-    const State *state = &gate->checker->state;
     size_t size = (size_t)gate->dof * sizeof *q;
     memcpy(made->rows - gate->dof, q, size);
     memcpy(made->rows, q, size);
@@ -520,14 +520,17 @@ static loewner_status begin_chunk(loewner_gate *gate, const double *q, const dou
     made->first = late + 1;
     made->braked = late;
     write_rates(gate, made);
-    int8_t verdict, *verdicts = gate->workspace->pair_verdicts;
-    TRY(collide(gate->checker, gate->workspace, EXACT, made->rows, 1, &verdict));
+    loewner_workspace *its = gate->workspace;
+    int64_t work[WORK];
+    double fraction;
+    int8_t verdict;
+    TRY(collide(gate->checker, its, HASTY, made->rows, 1, &verdict));
+    if (verdict == LOEWNER_AMBIGUOUS)
+        TRY(collide(gate->checker, its, EXACT, made->rows, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    TRY(settle_one(gate->checker, gate->workspace, q, verdicts));
-    for (int64_t k = state->pairs - 1; k >= 0; k--)
-        if (verdicts[k] == verdict)
-            proof->pair = k;
+    TRY(certify(gate->checker, its, made->rows - gate->dof, 1, 2, its->off, 0, gate->tolerance, gate->steps, work,
+                &verdict, &fraction, &proof->pair)); /* a motion that stays where it begins has the pair */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }

@@ -276,7 +276,9 @@ loewner_status check_poses(const double *poses, size_t n, const char *name);
 /* Refuse numbers of rows, of some doubles each, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
-/* Exact verdicts of configurations that were checked. */
+/* Verdicts of configurations that were checked. In the mode HASTY, what fast searches leave open stays AMBIGUOUS: nothing
+   is allocated. */
+enum { HASTY = -1 };
 loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                        const double *configurations, size_t n, int8_t *verdicts);
 
@@ -300,10 +302,6 @@ void write_off(const loewner_checker *checker, const double *course, int64_t poi
 
 /* The configuration of a course at a fraction. */
 void evaluate(const File *file, const double *course, int32_t degree, double t, double *q);
-
-/* Exact verdict of every pair at one configuration. */
-loewner_status settle_one(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
-                          int8_t *verdicts);
 
 /* Write the course of the straight motion from a to b, shape (2, dof). */
 void straight(const loewner_checker *checker, const double *a, const double *b, double *course);

@@ -138,8 +138,8 @@ static void place_bodies(const State *state, const double *links, double *poses)
     memcpy(poses + 16 * state->moving, state->poses, (size_t)state->standing * 16 * sizeof(double));
 }
 
-loewner_status settle_one(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
-                          int8_t *verdicts)
+static loewner_status settle_one(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
+                                 int8_t *verdicts)
 {
     const State *state = &checker->state;
     TRY(place_links(&state->tree, q, 1, checker->file->dof, workspace->link_poses));
@@ -177,8 +177,8 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
         int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK), nothing;
         const double *rows = configurations + first * (size_t)dof;
         const CheckArguments arguments = {
-            .mode = mode, .last = count, .configurations = {rows, count, dof}, .pack = workspace->pack,
-            .problem = (int64_t)workspace->table, .out = {verdicts + first, count}, .tiers = {workspace->tiers, count},
+            .mode = mode == HASTY ? EXACT : mode, .last = count, .configurations = {rows, count, dof},
+            .pack = workspace->pack, .problem = (int64_t)workspace->table, .out = {verdicts + first, count}, .tiers = {workspace->tiers, count},
             .hits = {workspace->hits, state->pairs}, .memory = workspace->memory,
         };
         TRY(call(kernels()->check_configurations, &arguments, &nothing));
