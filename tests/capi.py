@@ -51,7 +51,7 @@ class GateOptions(ctypes.Structure):
         ("brake", ctypes.c_int32), ("acceleration", ctypes.c_void_p), ("jerk", ctypes.c_void_p),
         ("velocity", ctypes.c_void_p), ("joint_error", ctypes.c_void_p), ("velocity_error", ctypes.c_void_p),
         ("latency", ctypes.c_double), ("horizon", ctypes.c_double), ("tolerance", ctypes.c_double),
-        ("steps", ctypes.c_int64),
+        ("steps", ctypes.c_int64), ("wants_scale", ctypes.c_int32),
     ]  # fmt: skip
 
 
@@ -309,7 +309,7 @@ class Gate(Handle):
 
     def __init__(self, checker: Checker, most: int, *, brake: str = "joints", **options: Any) -> None:
         self.checker = checker
-        numbers = {"latency", "horizon", "tolerance", "steps"}
+        numbers = {"latency", "horizon", "tolerance", "steps", "wants_scale"}
         self.kept = {k: np.zeros(checker.dof) + v for k, v in options.items() if k not in numbers and v is not None}
         given = {k: v for k, v in options.items() if k in numbers} | {k: v.ctypes.data for k, v in self.kept.items()}
         asked = GateOptions(brake=int(brake == "path"), **given)

@@ -1,5 +1,5 @@
-/* Count the allocations of a program's proofs after the first one, and of a gate's checks: FILE STEPS FROM TO, where FROM
-   and TO are files of configurations, shape (n, dof). Prints the allocations, and how many motions are free. */
+/* Count the allocations of a program's proofs after the first one, and of the checks of gates: FILE STEPS FROM TO, where
+   FROM and TO are files of configurations, shape (n, dof). Prints the allocations, and how many motions are free. */
 
 #include <loewner.h>
 #include <stdio.h>
@@ -43,7 +43,8 @@ static void expect(loewner_status status)
 }
 
 /* Allocations of checks of chunks from a to b, which begin anew, go on, and are not within the limits. */
-static long of_gate(const loewner_checker *checker, const double *a, const double *b, size_t n, int32_t brake, int64_t steps)
+static long of_gate(const loewner_checker *checker, const double *a, const double *b, size_t n, int32_t brake,
+                    int64_t steps)
 {
     enum { TARGETS = 12 };
     size_t dof = (size_t)loewner_checker_dof(checker);

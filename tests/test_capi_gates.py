@@ -33,7 +33,7 @@ class Both:
         for name in scene.bounds:
             self.see(name)
         fastest = self.robot.velocity
-        given = {"acceleration": self.robot.acceleration, "velocity": fastest} | options
+        given = {"acceleration": self.robot.acceleration, "velocity": fastest, "wants_scale": 1} | options
         self.mine = capi.Gate(self.checker, MOST, **given)
         self.states: list[GateState] = []
 

@@ -37,7 +37,7 @@ struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
     int64_t dof, most, steps, pieces; /* `pieces` is the room for times of a brake */
-    int on_path, has_jerk, has_last;
+    int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *resting, *q, *at; /* the first are VECTORS */
     double *times, *states, *courses, *seconds, *out[3];
@@ -51,13 +51,15 @@ struct loewner_gate {
 
 /* -- making -------------------------------------------------------------------------------------------------------- */
 
-/* Copy numbers for all joints; NULL stands for `otherwise`. */
-static loewner_status take(const char *name, const double *given, int64_t dof, int zero, double otherwise, double *out)
+/* Copy numbers for all joints, which are limits, or errors; NULL stands for `otherwise`. */
+static loewner_status take(const char *name, const double *given, int64_t dof, double otherwise, double *out)
 {
+    int is_error = otherwise == 0;
     for (int64_t c = 0; c < dof; c++) {
         out[c] = given == NULL ? otherwise : given[c];
-        if (given != NULL && !(out[c] > 0 || (zero && out[c] == 0)))
-            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected numbers %s 0, found %g", name, zero ? ">=" : ">", out[c]);
+        if (given != NULL && !((out[c] > 0 || (is_error && out[c] == 0)) && out[c] < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected finite numbers %s 0, found %g", name, is_error ? ">=" : ">",
+                        out[c]);
     }
     return LOEWNER_OK;
 }
@@ -66,27 +68,24 @@ static loewner_status take_options(loewner_gate *gate, const loewner_gate_option
 {
     int64_t dof = gate->dof;
     const double numbers[] = {options->latency, options->horizon, options->tolerance};
+    static const char *const names[] = {"latency", "horizon", "tolerance"};
     for (int k = 0; k < 3; k++)
         if (!(numbers[k] >= 0 && numbers[k] < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "latency, horizon, tolerance: expected numbers >= 0, found %g", numbers[k]);
+            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected a number >= 0, found %g", names[k], numbers[k]);
     if (options->steps < 0)
         return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)options->steps);
     if (options->brake != LOEWNER_BRAKE_JOINTS && options->brake != LOEWNER_BRAKE_PATH)
         return fail(LOEWNER_BAD_ARGUMENT, "brake: expected LOEWNER_BRAKE_JOINTS or _PATH, found %d", options->brake);
     if (options->acceleration == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "acceleration: expected limits, found NULL");
-    TRY(take("acceleration", options->acceleration, dof, 0, 0, gate->strongest));
-    TRY(take("jerk", options->jerk, dof, 0, INFINITY, gate->jerk));
-    TRY(take("velocity", options->velocity, dof, 0, INFINITY, gate->fastest));
-    TRY(take("joint_error", options->joint_error, dof, 1, 0, gate->error));
-    TRY(take("velocity_error", options->velocity_error, dof, 1, 0, gate->rate_error));
-    for (int64_t c = 0; c < dof; c++)
-        if (!(gate->strongest[c] + gate->error[c] + gate->rate_error[c] < INFINITY) ||
-            (options->jerk != NULL && gate->jerk[c] == INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "acceleration, jerk, joint_error, velocity_error: expected finite numbers, "
-                                              "found an infinite one");
+    TRY(take("acceleration", options->acceleration, dof, INFINITY, gate->strongest));
+    TRY(take("jerk", options->jerk, dof, INFINITY, gate->jerk));
+    TRY(take("velocity", options->velocity, dof, INFINITY, gate->fastest));
+    TRY(take("joint_error", options->joint_error, dof, 0, gate->error));
+    TRY(take("velocity_error", options->velocity_error, dof, 0, gate->rate_error));
     gate->on_path = options->brake == LOEWNER_BRAKE_PATH;
     gate->has_jerk = options->jerk != NULL;
+    gate->wants_scale = options->wants_scale;
     gate->latency = options->latency;
     gate->horizon = options->horizon > 0 ? options->horizon : INFINITY;
     gate->tolerance = options->tolerance > 0 ? options->tolerance : TOLERANCE;
@@ -275,7 +274,8 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     made->braked = last->braked - tick < count ? last->braked - tick : count;
     for (int64_t k = 0; k <= made->braked; k++)
         made->ends[k] = last->ends[tick + k] - tick;
-    while (gate->on_path && made->braked >= 0 && made->braked >= made->first && made->ends[made->braked] > count) /* its path was longer */
+    int64_t first = made->first > 0 ? made->first : 0;
+    while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
         made->braked--;
     return 1;
 }
@@ -485,7 +485,7 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
             is_finite &= isfinite(gate->states[3 * k * gate->dof + c]) != 0;
     }
     if (!is_finite)
-        return fail(LOEWNER_OVERFLOW, "expected a state and limits with a brake of finite length and time, found an overflow");
+        return fail(LOEWNER_OVERFLOW, "expected a brake of finite length and time, found an overflow");
     answer->state = state;
     answer->reason = proof->reason;
     answer->steps = steps > 0 ? (size_t)steps : 0;
@@ -550,8 +550,8 @@ static void adopt(loewner_gate *gate, int is_new)
     }
 }
 
-static loewner_status judge(loewner_gate *gate, const double *q, const double *dq, const double *targets, int64_t wanted,
-                            double dt, double now, loewner_gate_answer *answer)
+static loewner_status judge(loewner_gate *gate, const double *q, const double *dq, const double *targets,
+                            int64_t wanted, double dt, double now, loewner_gate_answer *answer)
 {
     double periods = ceil(gate->latency / dt * (1 - SAME_TICK));
     int64_t late = periods > (double)gate->most ? gate->most + 1 : (int64_t)periods, from, to, tick;
@@ -582,8 +582,9 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         proof.reason = LOEWNER_REASON_LIMITS;
     int64_t steps = made->braked - late;
     answer->scale = proof.reason ? 0 : 1;
-    if (!is_short && (proof.reason == LOEWNER_REASON_BRAKE || (proof.reason && proof.reason != LOEWNER_REASON_LIMITS &&
-                                                               gate->checker->state.growing > 0)))
+    int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
+                    (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
+    if (gate->wants_scale && may_scale && !is_short) /* otherwise slower motions would meet the same */
         TRY(find_scale(gate, late, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
         adopt(gate, is_new);
@@ -603,8 +604,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     return answer_with(gate, LOEWNER_GATE_BRAKE, 0, late == 0 && !stopping.reason, &proof, answer);
 }
 
-loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq, const double *targets, size_t n,
-                                  double dt, double time, loewner_gate_answer *answer)
+loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq, const double *targets,
+                                  size_t n, double dt, double time, loewner_gate_answer *answer)
 {
     if (gate == NULL || answer == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "gate, answer: expected pointers, found NULL");

@@ -69,9 +69,9 @@ class GateAnswer:
         may, that is, with periods of dt / scale; 0 if there is none, or no work was left to find it.
     reason : str
         Why not all targets may be executed: "contact", if the robot collides on the way to a target, or "brake", while
-        it brakes, or if the targets end before a brake begins; "may be hit", if it collides only with bodies away from their given poses, or nothing is proven near
-        contact; "limits", if a target is outside the limits or too fast; "budget", if the work was used up. Empty for
-        GO.
+        it brakes, or if the targets end before a brake begins; "may be hit", if it collides only with bodies away from
+        their given poses, or nothing is proven near contact; "limits", if a target is outside the limits or too fast;
+        "budget", if the work was used up. Empty for GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
