@@ -129,7 +129,7 @@ def undecided(monkeypatch):
             return found
 
         monkeypatch.setattr(verdicts, "classified", doubtful)
-        monkeypatch.setattr(verdicts, "pair_verdicts", lambda ready, _: np.full(len(ready.pairs), Verdict.AMBIGUOUS))
+        monkeypatch.setattr(verdicts, "pair_verdicts", lambda ready, *_: np.full(len(ready.pairs), Verdict.AMBIGUOUS))
         monkeypatch.setattr(singles, "configurations", lambda *_: singles.LongWay())
         monkeypatch.setattr(checker, "_prepared", UNPREPARED)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import loewner
 from loewner import Body, CollisionChecker, InputError, Joint, Robot, Scene, UnknownNameError, Verdict
 from loewner.planners import Gate, GateState
 
@@ -108,6 +109,11 @@ def test_limits_end_a_chunk():
     assert (answer.state, answer.steps, answer.names) == (GateState.BRAKE, 0, ("rail",))
     assert answer.is_proven  # from the measured state
     assert answer.brake.duration == pytest.approx(0.25)
+
+
+def test_a_gate_is_a_name_of_the_library():
+    """Also without an import of the planners."""
+    assert loewner.Gate is Gate
 
 
 def test_inside():

@@ -507,7 +507,10 @@ def test_motions_are_kept_in_files(rng, tmp_path):
     text = "bodies: {a: {sphere: {radius: 1}, follow: {poses: [{time: 0}, {time: 0}]}}}"
     for wrong, message in (
         (text, "line 1.*times that increase"),
-        (text.replace("follow:", "position: [0, 0, 0], follow:"), "expected poses in follow alone, found position"),
+        (
+            text.replace("follow:", "position: [0, 0, 0], follow:"),
+            "expected poses and errors in follow alone, found position",
+        ),
         (text.replace("time: 0}]", "t: 1}]"), "time"),
         (text.replace("{time: 0}, {time: 0}", "{time: 0}"), "two times or more"),
         (text.replace("{time: 0}, {time: 0}", ""), "expected one row or more"),

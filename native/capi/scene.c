@@ -569,7 +569,8 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     for (int k = 0; k < 7; k++)
         words += sizes[k];
     half->block_words = words;
-    double *block = half->block = aligned_alloc(CACHE_LINE, ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
+    size_t bytes = ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
+    double *block = half->block = aligned_alloc(CACHE_LINE, bytes);
     if (block == NULL)
         return no_memory();
     memset(block, 0, (size_t)words * 8);
@@ -1150,8 +1151,8 @@ loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body
     TRY(expect_body(checker, body));
     Body *its = checker->bodies + body;
     if (its->link >= 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body that stands in the scene, found %s, which is on a link",
-                    its->name);
+        return fail(LOEWNER_BAD_ARGUMENT,
+                    "body: expected a body that stands in the scene, found %s, which is on a link", its->name);
     for (int k = 0; bounds != NULL && k < 4; k++) {
         double number = (const double[]){bounds->metres, bounds->radians, bounds->speed, bounds->turn}[k];
         if (!(number >= 0 && number < INFINITY && fabs(bounds->since) < INFINITY))

@@ -117,9 +117,13 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept any name
+if TYPE_CHECKING:
+    from loewner.planners import Gate as Gate
+else:  # hidden from type checkers, which would otherwise accept any name
 
     def __getattr__(name: str) -> Any:
         if name in _AT_FIRST_USE:
             return import_module(f"loewner.{name}")
+        if name == "Gate":
+            return import_module("loewner.planners").Gate
         raise AttributeError(f"module 'loewner' has no attribute {name!r}")

@@ -895,14 +895,22 @@ CALLS: dict[str, Call] = {
             "body": arg(ball, "Body"),
             "T_world_body": pose(),
             "margin": margin(0.5, NONE),
+            "error": array([0.01, 0.1], FINITE, NONE),
         },
     ),
     "Scene.remove": Call(on(scene, "remove"), {"name": arg("post")}),
     "Scene.replace": Call(on(scene, "replace"), {"name": arg("post"), "body": arg(ball, "Body")}),
-    "Scene.move": Call(on(scene, "move"), {"name": arg("post"), "T_world_body": pose()}),
+    "Scene.move": Call(
+        on(scene, "move"),
+        {"name": arg("post"), "T_world_body": pose(), "error": array([0.01, 0.1], FINITE, NONE)},
+    ),
     "Scene.move_all": Call(
         on(scene, "move_all"),
-        {"names": arg(lambda: ["post", "box"]), "Ts": array(np.tile(np.eye(4), (2, 1, 1)), FINITE)},
+        {
+            "names": arg(lambda: ["post", "box"]),
+            "Ts": array(np.tile(np.eye(4), (2, 1, 1)), FINITE),
+            "error": array([0.01, 0.1], FINITE, NONE),
+        },
     ),
     "Scene.follow": Call(
         on(scene, "follow"),
@@ -912,6 +920,10 @@ CALLS: dict[str, Call] = {
             "poses": array(np.tile(np.eye(4), (2, 1, 1)), FINITE),
             "repeat": flag(),
             "twist": arg(None, NONE),
+            "speed": margin(),
+            "turn": margin(),
+            "since": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
+            "error": array([0.01, 0.1], FINITE, NONE),
         },
     ),
     "PosePath.poses": Call(on(pose_path, "poses"), {"t": Arg(TIMES.make, TIMES.takes | AT.takes - NONE, array=True)}),
@@ -1404,6 +1416,33 @@ CALLS: dict[str, Call] = {
             "start_time": arg(0.5, NUMBERS, ZERO, NEGATIVE),
         },
     ),
+    "planners.Gate": Call(
+        planners.Gate,
+        {
+            "checker": arg(checker, "CollisionChecker"),
+            "limits": arg(joint_limits, NONE),
+            "brake": choice("path"),
+            "horizon": positive(0.5, NONE),
+            "interpolation": choice("linear"),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "velocity_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "latency": margin(0.02),
+            "steps": count(1000, NONE),
+            "acceleration": array([1.0, 0.5, 2.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "jerk": array([8.0, 5.0, 20.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "tolerance": positive(),
+        },
+    ),
+    "planners.Gate.check": Call(
+        lambda **given: planners.Gate(checker(), acceleration=1.0).check(**given),
+        {
+            "q": array(PATH[0], FINITE),
+            "dq": array([0.5, -0.5, 0.25], FINITE),
+            "targets": array(PATH[1:], FINITE, "without the first row", "turned over"),
+            "dt": positive(0.5),
+            "time": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
+        },
+    ),
     "planners.ControllerPoints.save": Call(
         lambda **given: planners.ControllerPoints([0.0, 1.0], PATH[:2], names=("x", "y", "turn")).save(**given),
         {
@@ -1859,7 +1898,7 @@ RECORDS = {
     "Overlaps", "PairDistances",
     "PosePath", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
-    "planners.Plan", "planners.Trajectory",
+    "planners.GateAnswer", "planners.Plan", "planners.Trajectory",
     "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.

@@ -77,7 +77,7 @@ STARTS, GOALS = 1, 2  # configurations in the trees from the start and from the 
 OF_START, OF_GOAL = 3, 4  # where the trees met
 MOTIONS = 5  # configurations that were checked
 RANDOM = 6  # state of the random numbers
-POSES, SEARCHES, LEFT = 7, 8, 9  # work of proofs, see `robots.motions`
+POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # work of proofs, see `robots.motions`
 STATE = 10
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------

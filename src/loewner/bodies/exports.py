@@ -227,8 +227,9 @@ def _shapes(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] 
         fitted = zip(*ellipsoids_of(packed, which), strict=True)
         return (_ellipsoid(center, factor) for center, factor in fitted if factor.any())
     surface, meshes = packed.layout[:, columns.KIND] < columns.POLYTOPE, of_pieces(packed)
-    for number in np.flatnonzero(packed.layout[:, columns.KIND] == columns.SOLID) if accepted else ():
-        surface[number] = packed.frames[number, 0] > 0.0 or not accepted(meshes[number])
+    if accepted is not None:
+        for number in np.flatnonzero(packed.layout[:, columns.KIND] == columns.SOLID):
+            surface[number] = packed.frames[number, 0] > 0.0 or not accepted(meshes[number])
     if surface.any():
         raise InputError(
             f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, a height field or a cloud "

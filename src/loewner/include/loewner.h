@@ -261,8 +261,8 @@ typedef struct {
 /* Set the bounds of a body of the scene, or end them with NULL; attaching it ends them, too. As long as a body has
    bounds, only motions and curves are proven, and other queries are refused. FREE then holds for all places of the
    bodies within their bounds at the times in `loewner_proof_options`, which are required for a speed or a turn;
-   COLLIDING means with the bodies at their poses. To change the bounds of a body that has some, and to move it, takes no
-   time next to many others. */
+   COLLIDING means with the bodies at their poses. To change the bounds of a body that has some, and to move it, takes
+   no longer next to bodies of many pieces. */
 LOEWNER_API loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body,
                                                       const loewner_bounds *bounds);
 

@@ -72,6 +72,15 @@ class Brakes(NamedTuple):
         _validate.fits_memory(8 * n * most * (3 * dof + 1), f"{n} brakes")
         return cls(np.empty((n, most)), np.empty((n, most, 3, dof)), np.empty(n, dtype=np.int64))
 
+    @property
+    def durations(self) -> Floats:
+        """Seconds, shape (n,)."""
+        return np.asarray(self.times[np.arange(len(self.times)), np.maximum(self.counts - 1, 0)])
+
+    def only(self, chosen: Ints) -> Brakes:
+        """Some of the brakes."""
+        return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen])
+
     def courses(self, cubic: bool) -> tuple[Floats, Floats, Ints]:
         """Return the pieces as the proof of motions takes them, and where each brake begins among them.
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._elementary import arccos
-from loewner._kernels import codes
+from loewner._kernels import codes, tolerances
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners.brakes import Brakes, brake_limits
@@ -37,6 +37,9 @@ SAME_TICK = 1e-6
 
 # Metres, radians and shares by which bounds must be narrower than older ones to lie within these.
 WITHIN = 1e-12
+
+# By how much brakes on straight motions may be off them, as a share of their values.
+ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B54
 
 # Measured positions and velocities.
 State: TypeAlias = tuple[Floats, Floats]
@@ -259,6 +262,9 @@ class Gate:
         """The checker whose robot and scene are judged."""
         return self._checker
 
+    def __repr__(self) -> str:
+        return f"Gate({self._checker!r}, brakes {'on the path' if self._on_path else 'joint by joint'})"
+
     def check(
         self, q: ArrayLike, dq: ArrayLike, targets: ArrayLike, dt: float, time: float | None = None
     ) -> GateAnswer:
@@ -331,12 +337,9 @@ class Gate:
             chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
             if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
                 self._last = None
-                block = _Block("contact", -1, rows[0], now)
-                return self._answer(ready, GateState.INSIDE, 0, 0.0, block, self._stop(state, now), False, 0)
-        if chunk.first > count == len(wanted):  # it ends before a brake begins
-            block, work = _Block("brake", -1, wanted[-1], now), 0
-        else:
-            chunk, block, work = self._proven(ready, chunk, self._steps)
+                met = _Block("contact", -1, rows[0], now)
+                return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False, 0)
+        chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
@@ -377,14 +380,10 @@ class Gate:
             tick = round((now - last.t0) / last.dt)
             on_time = abs(last.t0 + tick * last.dt - now) <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
-        return [last.from_tick(j) for j in ticks if self._is_in_tube(last, j, state)]
-
-    def _is_in_tube(self, chunk: _Chunk, j: int, state: State) -> bool:
-        """Whether a measured state agrees with a tick of a chunk."""
         q, dq = state
-        return bool(
-            (np.abs(q - chunk.rows[j]) <= self._error).all() and (np.abs(dq - chunk.rates[j]) <= self._rate_error).all()
-        )
+        off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
+        near = np.asarray(~off.any(axis=1))
+        return [last.from_tick(j) for j in ticks if near[j]]
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
         """Append new targets to a chunk that goes on; None if these targets are others."""
@@ -402,31 +401,39 @@ class Gate:
 
     def _proven(self, ready: Problem, chunk: _Chunk, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
-        n, block, work = len(chunk.rows) - 1, None, 0
+        n, work = len(chunk.rows) - 1, 0
+        block: _Block | None = None
         if chunk.motions < n:
             courses = np.stack([chunk.rows[chunk.motions : -1], chunk.rows[chunk.motions + 1 :]], axis=1)
-            begin = chunk.t0 + chunk.dt * np.arange(chunk.motions, n)
-            free, block, work = self._first_block(
-                ready, courses, np.tile(self._error, (n - chunk.motions, 1)), begin, begin + chunk.dt, most
-            )
+            begin: Floats = chunk.t0 + chunk.dt * np.arange(float(chunk.motions), float(n))
+            error = np.tile(self._error, (n - chunk.motions, 1))
+            if self._on_path:
+                error += ROUNDED * np.abs(chunk.rows).max()
+            free, block, work = self._first_block(ready, courses, error, begin, begin + chunk.dt, most)
             chunk = chunk._replace(motions=chunk.motions + free)
         ticks = np.arange(max(chunk.braked + 1, chunk.first, 0), chunk.motions + 1)
-        if len(ticks):
-            ends = chunk.ends.copy()
-            ends[ticks], chunk = n, chunk._replace(ends=ends)
-            brakes = self._brakes(chunk, ticks, n)
-            courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
-            owner = np.repeat(np.arange(len(ticks)), np.diff(first))
-            error = np.tile(self._error, (len(ticks), 1))
-            if not self._on_path:
-                error += self._farther(chunk.rates[ticks])
-            end = np.cumsum(seconds)
-            end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
-            free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
-            chunk = chunk._replace(braked=chunk.motions if other is None else int(ticks[owner[free]]) - 1)
-            work += more
-            if other is not None:
-                block = other._replace(reason="brake") if other.reason == "contact" else other
+        if len(ticks) == 0:
+            return chunk, block, work
+        ends = chunk.ends.copy()
+        ends[ticks], chunk = n, chunk._replace(ends=ends)
+        brakes = self._brakes(chunk, ticks, n)
+        if self._on_path and ready.paths is None:
+            # In a world that stands, motions that are proven are free at all times, so brakes on them are proven, too.
+            last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
+            open_ones = np.flatnonzero(last > chunk.motions)
+            ticks, brakes = ticks[open_ones], brakes.only(open_ones)
+        courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
+        owner = np.repeat(np.arange(len(ticks)), np.diff(first))
+        error = np.tile(self._error, (len(ticks), 1))
+        if not self._on_path:
+            error += self._farther(chunk.rates[ticks])
+        end = np.cumsum(seconds)
+        end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
+        free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
+        chunk = chunk._replace(braked=chunk.motions if other is None else int(ticks[owner[free]]) - 1)
+        work += more
+        if other is not None:
+            block = other._replace(reason="brake") if other.reason == "contact" else other
         return chunk, block, work
 
     def _first_block(
@@ -493,7 +500,7 @@ class Gate:
             rates = chunk.rates[ticks]
             return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
         rows, ticks = np.vstack([chunk.before, chunk.rows[: end + 1]]), ticks + 1
-        at = chunk.dt * np.arange(len(rows))
+        at: Floats = chunk.dt * np.arange(float(len(rows)))
         return Brakes.on_path(rows, at, at[ticks], self._strongest, steep, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
@@ -549,7 +556,8 @@ class Gate:
         proven: bool, work: int, joint: str = "",
     ) -> GateAnswer:  # fmt: skip
         """Add the pair in question, with its distance and normal."""
-        reason, names, away, normal = "", (), math.nan, np.full(3, np.nan)
+        reason, away, normal = "", math.nan, np.full(3, np.nan)
+        names: tuple[str, ...] = ()
         if block is not None:
             reason = block.reason
             pair = [block.pair] if block.pair >= 0 else np.arange(len(ready.pairs) if reason == "contact" else 0)

@@ -11,7 +11,7 @@ from loewner._kernels.pieces.pack import problem_of
 from loewner._kernels.robots.configurations import check_motion
 from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.robots.lines import keeps_axis
-from loewner._kernels.robots.motions import LEFT, certified, make_ready
+from loewner._kernels.robots.motions import STEPS_LEFT, certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
 # Cosine of a quarter of the turn between two orientations that are half a turn apart, up to rounding: the last bit then
@@ -170,5 +170,5 @@ def is_free(judge, ends, tally):
         return _looks_free(judge, ends)
     if not turns_clearly(problem_of(judge.problem).tree, ends):
         return False
-    tally[LEFT] = NO_LIMIT
+    tally[STEPS_LEFT] = NO_LIMIT
     return certified(judge.pack, judge.problem, judge.tables, judge.tolerance, judge.error, ends, tally, judge.memory)

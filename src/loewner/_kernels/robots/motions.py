@@ -132,10 +132,10 @@ STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times per 
 
 _POSES = 2 * (PARTS + 1)
 
-# Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in a
-# block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is placed;
-# each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
-POSES, SEARCHES, LEFT = 0, 1, 2
+# Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in
+# a block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is
+# placed; each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
+POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
 class Motion(NamedTuple):
@@ -382,7 +382,7 @@ def _triangles_apart(
         margin + near.slack + bend * width * width / 8.0, 2.0 * motion_tables_of(motion.tables).chain[2],
         speed * width, times, _allowed(tally), _gjk_of(motion), _exact_of(motion),
     )  # fmt: skip
-    tally[LEFT] -= taken
+    tally[STEPS_LEFT] -= taken
     return proven
 
 
@@ -396,8 +396,8 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
     verdict, _, taken = exact_piece_pair(
         motion.pack, i, poses, row, motion.pack, j, others, other_row, margin, n, _allowed(tally), _exact_of(motion)
     )
-    tally[LEFT] -= taken
-    if verdict == AMBIGUOUS and tally[LEFT] < 0:
+    tally[STEPS_LEFT] -= taken
+    if verdict == AMBIGUOUS and tally[STEPS_LEFT] < 0:
         verdict = FREE
     if verdict == AMBIGUOUS:
         pieces, V = pieces_of(motion.pack), _vectors_of(motion)
@@ -411,13 +411,13 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
 def _count(tally, entry, number):
     """Count poses or searches."""
     tally[entry] += number
-    tally[LEFT] -= number
+    tally[STEPS_LEFT] -= number
 
 
 @inline
 def _allowed(tally):
     """How many steps a walk may take; one more than are left, so that none are left after a walk that had too few."""
-    return max(tally[LEFT] + 1, 0)
+    return max(tally[STEPS_LEFT] + 1, 0)
 
 
 @inline
@@ -686,7 +686,7 @@ def _halve(motion, near, back, low, high, n, tally):
         top -= 1
         depth, first, last = stack[top, 0], stack[top, 1], stack[top, 2]
         n = normals[top, 0], normals[top, 1], normals[top, 2]
-        if tally[LEFT] < 0:
+        if tally[STEPS_LEFT] < 0:
             return UNFINISHED, times[depth, first], False
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
@@ -801,7 +801,7 @@ def _halve_waiting(motion, count, found, tally):
         pair, row = near.pair, _row_of_answers(motion, near)
         if row >= 0 and (answers[row, 3] >> k) & 1 != 0:
             continue
-        if tally[LEFT] < 0:
+        if tally[STEPS_LEFT] < 0:
             return Found(UNFINISHED, times[k], pair)
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
         link = problem.link[other] if other < motion.counts.moving else -1
@@ -935,7 +935,7 @@ def _search(motion, e, found, waiting_count, tally):
     while live != 0:
         # From the end backward: most colliding motions of planners collide there.
         k = highest_bit(live)
-        if tally[LEFT] < 0:
+        if tally[STEPS_LEFT] < 0:
             return Found(UNFINISHED, times[k], near.pair), waiting_count
         live &= ~(1 << k)
         n = N[at + k], N[at + LANES + k], N[at + 2 * LANES + k]
@@ -1052,15 +1052,15 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     keep = margin + slack + bend * width * width / 8.0
     if swept.done[one] & PLACED_PIECES == 0:
         _place_pieces(motion, one)
-        tally[LEFT] -= start[one + 1] - start[one]
+        tally[STEPS_LEFT] -= start[one + 1] - start[one]
     for i in range(start[one], start[one + 1]):
         rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
             rows, first = scratch, 0
         for j in range(start[other], start[other + 1]):
-            tally[LEFT] -= 1
-            if tally[LEFT] < 0:
+            tally[STEPS_LEFT] -= 1
+            if tally[STEPS_LEFT] < 0:
                 return Found(UNFINISHED, times[0], pair), count
             at = count * LISTED_WAYS
             to = at + _NORMALS
@@ -1155,7 +1155,7 @@ def _settle_block(motion, low, high, found, tally):
     ways, scratch, near_pairs, order = _ways_of(motion), _scratch_of(motion), _near_pairs_of(motion), _order_of(motion)
     widest = _place_between(motion, low, high, _times_of(motion), swept.links)
     _count(tally, POSES, LANES)
-    tally[LEFT] -= moving + len(tables.group_pairs) // LANES
+    tally[STEPS_LEFT] -= moving + len(tables.group_pairs) // LANES
     for body in range(moving):
         swept.done[body] = 0
     for row in range(ANSWERS):
@@ -1172,8 +1172,8 @@ def _settle_block(motion, low, high, found, tally):
             _find_near_pairs(motion, widest)
         if number >= FIRST_PAIRS and near_pairs[pair] == 0:
             continue
-        tally[LEFT] -= 1
-        if tally[LEFT] < 0:
+        tally[STEPS_LEFT] -= 1
+        if tally[STEPS_LEFT] < 0:
             return Found(UNFINISHED, low, pair)
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], _margin_in_block(motion, pair)
         slack, stray = motion.rounding + motion.skew * margin, ways[one, 2]
@@ -1208,7 +1208,7 @@ def _settle_block(motion, low, high, found, tally):
 @njit()
 def _certify(motion, tally):
     """Settle one motion, whose course has been written."""
-    if tally[LEFT] < 0:
+    if tally[STEPS_LEFT] < 0:
         return Found(AMBIGUOUS, 0.0, -1)
     problem, tables, course = problem_of(motion.problem), motion_tables_of(motion.tables), _course_of(motion)
     most, travel, angles, places = _measure(motion, course, 1.0)
@@ -1245,7 +1245,7 @@ def _certify(motion, tally):
             rest >>= 1
             bit //= 2
         low, high = block / blocks, (block + 1) / blocks
-        if tally[LEFT] < 0:
+        if tally[STEPS_LEFT] < 0:
             found = Found(UNFINISHED, low, -1)
             break
         if blocks > 1 and motion.points > 2:
@@ -1356,11 +1356,11 @@ def certify_motions(
             strays[c] = off[k, c] if motion.strays else 0.0
         if motion.strays and off.shape[1] > dof:
             _write_growth(motion, off[k])
-        most = tallies[k, LEFT] if tallies[k, LEFT] >= 0 else left
-        tallies[k, POSES], tallies[k, SEARCHES], tallies[k, LEFT] = 0, 0, most
+        most = tallies[k, STEPS_LEFT] if tallies[k, STEPS_LEFT] >= 0 else left
+        tallies[k, POSES], tallies[k, SEARCHES], tallies[k, STEPS_LEFT] = 0, 0, most
         found = _certify(motion, tallies[k])
-        left = tallies[k, LEFT]
-        tallies[k, LEFT] = most - left
+        left = tallies[k, STEPS_LEFT]
+        tallies[k, STEPS_LEFT] = most - left
         out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair
 
 
@@ -1416,6 +1416,6 @@ def free_motions(
     if prepared == 0:
         make_ready(pack, problem_handle, tables_handle, courses.shape[2], memory)
     for k in range(start, stop):
-        tallies[k, POSES], tallies[k, SEARCHES], most = 0, 0, tallies[k, LEFT]
+        tallies[k, POSES], tallies[k, SEARCHES], most = 0, 0, tallies[k, STEPS_LEFT]
         out[k] = certified(pack, problem_handle, tables_handle, tolerance, error, courses[k], tallies[k], memory)
-        tallies[k, LEFT] = most - tallies[k, LEFT]
+        tallies[k, STEPS_LEFT] = most - tallies[k, STEPS_LEFT]
