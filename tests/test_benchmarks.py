@@ -18,6 +18,7 @@ import clock
 import crowd
 import executed_curves
 import frameworks
+import gate
 import gpu
 import growth
 import loewner
@@ -577,3 +578,14 @@ def test_stops_are_counted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     assert {row[0] for row in counts} == {counts[0][0]}
     assert [row[1] for row in counts[:2]] == ["0", "0"]
     assert all(int(row[1]) > 0 for row in counts[2:])
+
+
+def test_checks_of_a_gate_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    """A new chunk takes more steps than its motions alone, and a tick that continues takes a small part of these."""
+    gate.main(["--chunks", "3"])
+    rows = {line[:52].strip(): line[52:].split() for line in capsys.readouterr().out.splitlines()[1:]}
+    assert len(rows) == 1 + 3 * len(gate.BRAKES)
+    median = {name: int(row[4].replace(",", "")) for name, row in rows.items() if len(row) > 4}
+    for name in gate.BRAKES:
+        assert median[f"{name}: new, passes"] > median["certify_edges of 50"]
+        assert median[f"{name}: continues"] < median[f"{name}: new, passes"] / 10

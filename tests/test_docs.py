@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from gantry import gantry
-from loewner import load_scene
+from loewner import CollisionChecker, Scene, load_scene
 from loewner.cli import main
 from robot_oracle import robots_folder
 from site_pages import MADE_BY_THE_BUILD
@@ -272,6 +272,50 @@ def test_example_conveyor(tmp_path):
     assert re.search(r"started at 7 s: .* touch at 8\.1090\d+ s, free until 8\.1090\d+ s", out)
     assert re.search(r"planned among the parts from 7 s on: Trajectory\(.*\), FREE", out)
     assert (tmp_path / "late.svg").is_file()
+
+
+def test_example_teleoperation(tmp_path):
+    """Without the gate the arm meets the person; with it, it works on, and touches nothing while it moves."""
+    out = example("teleoperation.py", cwd=tmp_path)
+    moving, hit = zip(*re.findall(r"in motion at (\d+) of 400 ticks, in contact at (\d+)", out), strict=True)
+    assert int(hit[0]) > 0
+    assert int(hit[1]) == 0
+    assert int(moving[1]) > 300
+    passed, brakes, unproven = re.search(r"(\d+) targets let through, (\d+) brakes, (\d+) not proven", out).groups()
+    assert int(passed) > 300
+    assert int(brakes) > 0
+    assert unproven == "0"
+    assert "braked for: may be hit, panda_hand and person" in out
+
+
+def test_example_lerobot_gate(tmp_path):
+    """Some chunks of the policy meet the post, and none behind the gate, which lets most of them through as a whole."""
+    out = example("lerobot_gate.py", cwd=tmp_path)
+    raw, gated = re.search(r"nearer than 5 mm: (\d+) of 12 as the policy has them, (\d+) gated", out).groups()
+    assert int(raw) > 0
+    assert gated == "0"
+    states = re.findall(r"chunk +\d+: (\w+), (\d+) of 50 actions", out)
+    assert len(states) == 12
+    assert all((state == "GO") == (steps == "50") for state, steps in states)
+    assert sum(state == "GO" for state, _ in states) >= 6
+
+
+def test_example_lerobot_gate_needs_a_map(tmp_path, monkeypatch):
+    """Units of joints are never guessed: a joint that the map lacks, or a scale below zero, is refused."""
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import lerobot_gate
+
+    checker = CollisionChecker(lerobot_gate.arm(), Scene())
+    options = {"acceleration": 4.0, "tracking": 0.0, "velocity_error": 0.0}
+    unit = lerobot_gate.Unit(1, 1.0, 0.0)
+    units = dict.fromkeys(checker.robot.configuration_names, unit)
+    step = lerobot_gate.GateStep(checker, units | {"elbow_flex": unit._replace(sign=-1, offset=0.5)}, 0.1, **options)
+    q = np.array([0.1, 0.2, 0.3])
+    np.testing.assert_allclose(step.to_radians(q), [0.1, 0.2, 0.2])
+    np.testing.assert_allclose(step.from_radians(step.to_radians(q)), q)
+    for bad in ({"elbow_flex": unit}, units | {"elbow_flex": unit._replace(scale=-1.0)}):
+        with pytest.raises(ValueError, match="map: expected"):
+            lerobot_gate.GateStep(checker, bad, 0.1, **options)
 
 
 def test_example_belt_pick(tmp_path):

@@ -98,6 +98,30 @@ def test_latency_and_velocity_error_take_their_share():
     assert jerky.steps == 44  # 1 / 4 + 4 / 60 s: 0.158 m, below 0.892 m
 
 
+def test_a_chunk_needs_more_targets_than_the_latency_has_periods():
+    """Otherwise no order to brake would take effect within it: nothing passes, and nothing is called proven."""
+    targets = along_the_rail(1.0, 4, start=1.0)  # the wall's face is 0.05 m in front of the cart
+    gate = Gate(CollisionChecker(arm(), wall(1.15)), latency=4 * DT)
+    for n in (1, 3, 4):
+        answer = gate.check([1.0, np.pi / 2, 0.0], V0, targets[:n], DT)
+        assert (answer.state, answer.steps, answer.scale, answer.is_proven) == (GateState.BRAKE, 0, 0.0, False)
+    gate = Gate(CollisionChecker(arm(), wall(3.0)), latency=4 * DT)
+    for n in (1, 4, 5):
+        answer = gate.check(Q0, V0, along_the_rail(1.0, n), DT)
+        assert (answer.state == GateState.GO, answer.steps) == (n == 5, max(n - 4, 0))
+        assert answer.reason == ("" if n == 5 else "brake")
+
+
+def test_a_slow_robot_brakes_from_the_nearest_tick():
+    """Several ticks are within the tube of a slow chunk; the brake begins two periods after the one where it is."""
+    gate = Gate(CollisionChecker(arm(), wall(3.0)), joint_error=2.5e-3, velocity_error=1e-2, latency=2 * DT)
+    slow, targets = 0.05 * V0, along_the_rail(0.05, 40)
+    assert gate.check(Q0, slow, targets[:20], DT).state == GateState.GO
+    answer = gate.check(targets[9], slow, targets[10:30] + [9.0, 0.0, 0.0], DT)
+    assert (answer.state, answer.reason, answer.is_proven) == (GateState.BRAKE, "limits", True)
+    np.testing.assert_allclose(answer.brake.knots[0], targets[11], rtol=0, atol=1e-12)
+
+
 def test_limits_end_a_chunk():
     """A target outside the limits, and one that is too fast, with the name of the joint."""
     gate = Gate(CollisionChecker(arm(), Scene()))

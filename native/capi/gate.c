@@ -9,6 +9,7 @@
 enum { EXACT = CODE_EXACT, VECTORS = 8 };
 
 #define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
+#define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values: derived 40 u, B54 */
 #define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
 
 /* What may change of a body of the scene without making the scene another one. */
@@ -237,14 +238,28 @@ static void find_ticks(const loewner_gate *gate, double now, int64_t *from, int6
     }
 }
 
-/* Whether a measured state agrees with a tick of the last chunk. */
-static int is_in_tube(const loewner_gate *gate, int64_t tick, const double *q, const double *dq)
+/* The ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1 if there
+   are no more. There are several if the robot is slow. `off` and `tick` are those of the call before, first -1. */
+static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
+                         double *off, int64_t tick)
 {
-    const double *row = gate->last.rows + tick * gate->dof, *rate = gate->last.rates + tick * gate->dof;
-    for (int64_t c = 0; c < gate->dof; c++)
-        if (!(fabs(q[c] - row[c]) <= gate->error[c] && fabs(dq[c] - rate[c]) <= gate->rate_error[c]))
-            return 0;
-    return 1;
+    double nearest = INFINITY;
+    int64_t found = -1;
+    for (int64_t k = from; k < to; k++) {
+        const double *row = gate->last.rows + k * gate->dof, *rate = gate->last.rates + k * gate->dof;
+        double away = 0;
+        int is_in_tube = 1;
+        for (int64_t c = 0; c < gate->dof && is_in_tube; c++) {
+            away = fmax(away, fabs(q[c] - row[c]));
+            is_in_tube = fabs(q[c] - row[c]) <= gate->error[c] && fabs(dq[c] - rate[c]) <= gate->rate_error[c];
+        }
+        if (is_in_tube && (away > *off || (away == *off && k > tick)) && away < nearest) {
+            nearest = away;
+            found = k;
+        }
+    }
+    *off = nearest;
+    return found;
 }
 
 static void write_rates(const loewner_gate *gate, Chunk *chunk)
@@ -390,11 +405,16 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
 /* Prove motions, and then the brakes from their ends, as far as they are free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
-    int64_t dof = gate->dof;
+    int64_t dof = gate->dof, growing = gate->checker->state.growing;
+    double most = 0;
+    for (int64_t k = 0; gate->on_path && k < (chunk->count + 1) * dof; k++)
+        most = fmax(most, fabs(chunk->rows[k]));
+    for (int64_t c = 0; c < dof; c++)
+        gate->widened[c] = gate->error[c] + ROUNDED * most;
     for (; chunk->motions < chunk->count; chunk->motions++) {
         double begin = chunk->t0 + chunk->dt * (double)chunk->motions;
-        TRY(prove_course(gate, chunk->rows + chunk->motions * dof, 2, gate->error, begin, begin + chunk->dt, chunk->dt,
-                         proof));
+        TRY(prove_course(gate, chunk->rows + chunk->motions * dof, 2, gate->widened, begin, begin + chunk->dt,
+                         chunk->dt, proof));
         if (proof->reason)
             break;
     }
@@ -405,8 +425,12 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     for (tick = tick > 0 ? tick : 0; tick <= chunk->motions; tick++) {
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
-        TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
-                        gate->on_path ? NULL : chunk->rates + tick * dof, proof));
+        double periods = gate->times[gate->pieces_made - 1] / chunk->dt;
+        int is_covered = gate->on_path && growing == 0 && /* by motions that are proven, at all times */
+                         (double)tick + ceil(periods * (1 + SAME_TICK)) <= (double)chunk->motions;
+        if (!is_covered)
+            TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
+                            gate->on_path ? NULL : chunk->rates + tick * dof, proof));
         if (proof->reason)
             break;
         chunk->braked = tick;
@@ -559,10 +583,11 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     Proof proof = {0, -1, gate->steps, 0};
     TRY(look(gate));
     find_ticks(gate, now, &from, &to);
-    for (tick = from; tick < to; tick++)
-        if (is_in_tube(gate, tick, q, dq) && goes_on(gate, tick, targets, count, dt))
+    double off = -1;
+    for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+        if (goes_on(gate, tick, targets, count, dt))
             break;
-    int is_new = tick >= to;
+    int is_new = tick < 0;
     if (is_new) {
         TRY(begin_chunk(gate, q, dq, targets, count, dt, now, late, &proof));
         if (proof.reason) {
@@ -573,26 +598,25 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         }
     }
     Chunk *made = &gate->made;
-    int is_short = made->first > count && count == wanted; /* it ends before a brake begins */
-    if (is_short)
-        proof.reason = LOEWNER_REASON_BRAKE;
-    else
-        TRY(prove_chunk(gate, made, &proof));
+    TRY(prove_chunk(gate, made, &proof));
     if (!proof.reason && count < wanted)
         proof.reason = LOEWNER_REASON_LIMITS;
+    if (!proof.reason && count <= late) /* an order to brake would take effect behind the last target */
+        proof.reason = LOEWNER_REASON_BRAKE;
     int64_t steps = made->braked - late;
     answer->scale = proof.reason ? 0 : 1;
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
-    if (gate->wants_scale && may_scale && !is_short) /* otherwise slower motions would meet the same */
+    if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same */
         TRY(find_scale(gate, late, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
         adopt(gate, is_new);
         TRY(brake_from(gate, &gate->last, gate->last.braked));
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1, &proof, answer);
     }
-    for (tick = from; tick < to; tick++) /* the last chunk that may run goes on until the robot brakes */
-        if (is_in_tube(gate, tick, q, dq) && gate->last.first <= late + tick && late + tick <= gate->last.braked) {
+    off = -1; /* the last chunk that may run goes on until the robot brakes */
+    for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+        if (gate->last.first <= late + tick && late + tick <= gate->last.braked) {
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, &proof, answer);
         }

@@ -46,10 +46,15 @@ State: TypeAlias = tuple[Floats, Floats]
 
 
 class GateState(IntEnum):
-    """What may be executed.
+    """How much of a chunk may be executed.
 
     GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no target, but the brake. INSIDE: the robot is
     in contact already, or nearer to something than its margin, so nothing can be proven.
+
+    Examples
+    --------
+    >>> [state.name for state in GateState]
+    ['GO', 'PREFIX', 'BRAKE', 'INSIDE']
     """
 
     GO = 0
@@ -72,13 +77,13 @@ class GateAnswer:
         may, that is, with periods of dt / scale; 0 if there is none, or no work was left to find it.
     reason : str
         Why not all targets may be executed: "contact", if the robot collides on the way to a target, or "brake", while
-        it brakes, or if the targets end before a brake begins; "may be hit", if it collides only with bodies away from
-        their given poses, or nothing is proven near contact; "limits", if a target is outside the limits or too fast;
-        "budget", if the work was used up. Empty for GO.
+        it brakes, or there are no more targets than the latency has periods; "may be hit", if it collides only with
+        bodies away from their given poses, or nothing is proven near contact; "limits", if a target is outside the
+        limits or too fast; "budget", if the work was used up. Empty for GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
-        Distance [m] of these bodies, negative if they overlap, and the direction in which the second one lies, where
+        Distance [m] of the two, negative if they overlap, and the direction in which the second one lies, where
         the proof fails, with all bodies at their given poses; NaN if there is no pair.
     brake : Trajectory
         To be executed after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at once if
@@ -88,6 +93,16 @@ class GateAnswer:
         proven, or the world has left its bounds.
     work : int
         Steps of the proofs, see `CollisionChecker.certify_edges`.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot, Scene
+    >>> gate = Gate(CollisionChecker(Robot.from_urdf("arm.urdf"), Scene()), acceleration=2.0)
+    >>> answer = gate.check([0.0, 0.0], [0.0, 0.0], [[0.01, 0.0], [0.02, 0.0]], dt=0.02)
+    >>> answer.state.name, answer.steps, round(answer.brake.start_time, 9)
+    ('GO', 2, 0.04)
+    >>> print(answer.brake.knots[-1])  # 0.5 m/s, and 2 m/s²
+    [0.0825 0.    ]
     """
 
     state: GateState
@@ -170,7 +185,7 @@ class Gate:
 
     A chunk is FREE to run up to a target if the straight motions to it are proven free, and a brake from each target,
     for all deviations within the errors below and all places of bodies within their bounds (`Scene.follow`,
-    `Scene.move`). The claim is that nothing collides before the robot stands still; a body may then run into it. This
+    `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may then run into it. This
     is no safety function in the sense of IEC 61508 or ISO 13849.
 
     Parameters
@@ -178,7 +193,7 @@ class Gate:
     checker : CollisionChecker
         Whose scene may change between checks.
     limits : planners.JointLimits, optional
-        Limits of velocity, acceleration and jerk. Default: those of the robot.
+        Limits of velocity, acceleration and jerk. Default: the robot's.
     brake : {"joints", "path"}
         How the robot brakes. "joints": each joint as fast as its limits allow, off the path, as most controllers do.
         "path": on the path, along which time runs slower.
@@ -196,7 +211,7 @@ class Gate:
     steps : int, optional
         How much work a check may take, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
-        Limits that replace those of `limits`; without a limit of jerk, accelerations jump.
+        Limits that replace the ones in `limits`; without a limit of jerk, accelerations jump.
     tolerance : float
         Metres, as for `CollisionChecker.certify_edges`.
 
@@ -212,14 +227,14 @@ class Gate:
     --------
     >>> from loewner import Body, CollisionChecker, Robot, Scene
     >>> scene = Scene()
-    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 2.4], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.4], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     >>> gate = Gate(CollisionChecker(Robot.from_urdf("arm.urdf"), scene), acceleration=2.0)
-    >>> rail = np.linspace(0.04, 2.0, 50)  # 2 m/s at 50 Hz, into the post
-    >>> answer = gate.check([0.0, 0.0], [2.0, 0.0], np.column_stack([rail, np.zeros(50)]), dt=0.02)
+    >>> rail = np.linspace(0.02, 1.0, 50)  # 1 m/s at 50 Hz, into the post
+    >>> answer = gate.check([0.0, 0.0], [1.0, 0.0], np.column_stack([rail, np.zeros(50)]), dt=0.02)
     >>> print(answer.state.name, answer.reason, answer.names)
     PREFIX brake ('cart', 'post')
-    >>> answer.is_proven, round(answer.brake.duration, 9)
-    (True, 1.0)
+    >>> answer.steps, answer.is_proven, round(answer.brake.duration, 9)
+    (42, True, 0.5)
     """
 
     def __init__(
@@ -276,7 +291,7 @@ class Gate:
             Measured positions and velocities.
         targets : array_like, shape (n, dof)
             The robot is to be at the first one after `dt`, at the second one after 2 dt, and so on. A tick later, a
-            chunk that goes on begins with the second of these targets; only what is new is then proven.
+            chunk that goes on begins with the second target; only new motions and brakes are then proven.
         dt : float
             Seconds.
         time : float, optional
@@ -296,7 +311,7 @@ class Gate:
         Notes
         -----
         Proofs of earlier checks are used again if the targets go on as before, the scene has not changed or each body
-        is within what was allowed before, and the measured state is within `joint_error` and `velocity_error` of the
+        is within its earlier bounds, and the measured state is within `joint_error` and `velocity_error` of the
         motion that was proven. Otherwise everything is proven again.
         """
         robot = self._checker.robot
@@ -326,7 +341,7 @@ class Gate:
     # -- the order of a check -----------------------------------------------------------------
 
     def _judged(self, ready: Problem, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
-        """Prove what is new of a chunk, and answer."""
+        """Prove the new part of a chunk, and answer."""
         late, world = math.ceil(self._latency / dt * (1 - SAME_TICK)), _world(ready, self._checker)
         count, joint = self._within_limits(state[0], wanted, dt)
         before = self._here(world, state, now)
@@ -342,6 +357,8 @@ class Gate:
         chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
+        if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect behind the last target
+            block = _Block("brake", -1, chunk.rows[-1], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
         if block is not None:
             scale, more = self._scale(ready, chunk, late, block, self._steps - work)
@@ -371,7 +388,7 @@ class Gate:
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 
     def _here(self, world: _World, state: State, now: float) -> list[_Chunk]:
-        """Return the last chunk from each tick at which the robot may be, if what was proven of it still holds."""
+        """Return the last chunk from each tick at which the robot may be, nearest first, if its proofs still hold."""
         last = self._last
         if last is None or not _is_within(world, last.world, now):
             return []
@@ -383,7 +400,8 @@ class Gate:
         q, dq = state
         off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
         near = np.asarray(~off.any(axis=1))
-        return [last.from_tick(j) for j in ticks if near[j]]
+        found = [j for j in ticks if near[j]]  # several, if the robot is slow
+        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(q - last.rows[j]).max()))]
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
         """Append new targets to a chunk that goes on; None if these targets are others."""
@@ -467,10 +485,9 @@ class Gate:
     def _scale(self, ready: Problem, chunk: _Chunk, late: int, block: _Block, most: int) -> tuple[float, int]:
         """Find the largest scale of time with which a chunk is proven, and the steps that this took."""
         spent = 0
-        if block.reason != "brake" and (block.reason == "limits" or ready.paths is None):
+        short = len(chunk.rows) - 1 <= late
+        if short or block.reason == "limits" or (block.reason != "brake" and ready.paths is None):
             return 0.0, 0  # slower motions would meet the same
-        if chunk.first >= len(chunk.rows):
-            return 0.0, 0
         for scale in SCALES:
             dt = chunk.dt / scale
             slower = _Chunk(

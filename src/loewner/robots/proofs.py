@@ -45,8 +45,8 @@ def doubt_bounds(
 ) -> None:
     """Keep COLLIDING only for courses that collide with all bodies at their given poses; the others are AMBIGUOUS.
 
-    The results of `motions.settle`, which counts the errors of poses as margins, are changed. What is left of a limit
-    may be used.
+    The results of `motions.settle`, which counts the errors of poses as margins, are changed. The rest of a limit may
+    be used.
     """
     known, dof = ready.as_given, courses.shape[2]
     exact = off if off is None else off[:, :dof]
