@@ -89,9 +89,7 @@ def test_chunks_are_judged_as_in_python(tmp_path, brake, jerk, grows):
             place = rng.uniform(-1.5, 1.5, 3)
             scene.follow("person", [0.0], at(*place)[None], speed=0.3, since=0.0, error=(0.01, 0.0))
         late = int(rng.integers(0, 3)) * DT
-        both = Both(
-            scene, tmp_path, brake=brake, jerk=jerk, joint_error=2e-3, velocity_error=2e-2, latency=late
-        )
+        both = Both(scene, tmp_path, brake=brake, jerk=jerk, joint_error=2e-3, velocity_error=2e-2, latency=late)
         q = both.robot.random_configurations(20, seed=seed)[int(rng.integers(20))]
         dq, t, running = np.zeros(3), 0.0, np.empty((0, 3))
         for _ in range(40):

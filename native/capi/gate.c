@@ -9,7 +9,7 @@
 enum { EXACT = CODE_EXACT, VECTORS = 8 };
 
 #define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
-#define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values: derived 40 u, B54 */
+#define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
 #define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
 
 /* What may change of a body of the scene without making the scene another one. */

@@ -39,7 +39,7 @@ SAME_TICK = 1e-6
 WITHIN = 1e-12
 
 # By how much brakes on straight motions may be off them, as a share of their values.
-ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B54
+ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # 40 of them are derived in certified.md, "Brakes"
 
 # Measured positions and velocities.
 State: TypeAlias = tuple[Floats, Floats]
@@ -146,8 +146,8 @@ class _Chunk(NamedTuple):
     first, braked : int
         The first and the last tick from which brakes are proven; all between them are.
     ends : ndarray of int64, shape (n + 1,)
-        How many targets were known when the brake from each of these ticks was proven: a brake on the path that does
-        not end there goes on along the last motion, whatever targets came later.
+        How many targets were known when the brake from each tick was proven: a brake on the path that does
+        not end there goes on along the last motion, also if targets came later.
     world : _World
     """
 
@@ -436,7 +436,7 @@ class Gate:
         ends[ticks], chunk = n, chunk._replace(ends=ends)
         brakes = self._brakes(chunk, ticks, n)
         if self._on_path and ready.paths is None:
-            # In a world that stands, motions that are proven are free at all times, so brakes on them are proven, too.
+            # In a world at rest, motions that are proven are free at all times, so brakes on them are proven, too.
             last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
             open_ones = np.flatnonzero(last > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
