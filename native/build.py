@@ -36,7 +36,7 @@ SOURCES = HERE.parent / "src"
 sys.path.insert(0, str(SOURCES))
 
 from loewner import _ptx  # noqa: E402
-from loewner._kernels import codes, columns  # noqa: E402
+from loewner._kernels import codes, columns, tolerances  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
@@ -86,7 +86,7 @@ DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEA
 
 
 # `libloewner`, which programs in C and C++ link with, and the constants of Python that it knows.
-LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "pairs.c")
+LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "gate.c", "pairs.c")
 FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
 API_CODES = (
@@ -118,6 +118,7 @@ API_CONSTANTS = {
     "FIRST_LOOK": checker.FIRST_LOOK,
     "LARGEST_VALUE": watch.LARGEST_VALUE,
     "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE,
+    "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
     "ON_LIMIT": joint_limits.ON_LIMIT,
     "PLAN_TOLERANCE": judge.TOLERANCE,
     "LONGEST_SHARE": compiled_planner.SHARE,

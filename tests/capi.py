@@ -46,6 +46,25 @@ class Bounds(ctypes.Structure):
     _fields_ = [(name, ctypes.c_double) for name in ("metres", "radians", "speed", "turn", "since")]
 
 
+class GateOptions(ctypes.Structure):
+    _fields_ = [
+        ("brake", ctypes.c_int32), ("acceleration", ctypes.c_void_p), ("jerk", ctypes.c_void_p),
+        ("velocity", ctypes.c_void_p), ("joint_error", ctypes.c_void_p), ("velocity_error", ctypes.c_void_p),
+        ("latency", ctypes.c_double), ("horizon", ctypes.c_double), ("tolerance", ctypes.c_double),
+        ("steps", ctypes.c_int64), ("wants_scale", ctypes.c_int32),
+    ]  # fmt: skip
+
+
+class GateAnswer(ctypes.Structure):
+    _fields_ = [
+        ("state", ctypes.c_int32), ("reason", ctypes.c_int32), ("steps", ctypes.c_size_t), ("scale", ctypes.c_double),
+        ("bodies", ctypes.c_int32 * 2), ("joint", ctypes.c_int32), ("is_proven", ctypes.c_int32),
+        ("work", ctypes.c_int64), ("brake_count", ctypes.c_size_t), ("times", ctypes.POINTER(ctypes.c_double)),
+        ("positions", ctypes.POINTER(ctypes.c_double)), ("velocities", ctypes.POINTER(ctypes.c_double)),
+        ("accelerations", ctypes.POINTER(ctypes.c_double)),
+    ]  # fmt: skip
+
+
 def options_of(tolerance: float, errors: Any, steps: int, taken: Any, t0: Any = None, t1: Any = None) -> ProofOptions:
     address, begin, end, to = (None if x is None else x.ctypes.data for x in (errors, t0, t1, taken))
     return ProofOptions(tolerance, address, begin, end, steps, to)
@@ -283,6 +302,31 @@ class Checker(Handle):
 
     def set_margin(self, a: str, b: str, margin: float) -> None:
         ask("checker_set_margin", self, self.body(a), self.body(b), ctypes.c_double(margin))
+
+
+class Gate(Handle):
+    """A gate of the library, with the options of Python's."""
+
+    def __init__(self, checker: Checker, most: int, *, brake: str = "joints", **options: Any) -> None:
+        self.checker = checker
+        numbers = {"latency", "horizon", "tolerance", "steps", "wants_scale"}
+        self.kept = {k: np.zeros(checker.dof) + v for k, v in options.items() if k not in numbers and v is not None}
+        given = {k: v for k, v in options.items() if k in numbers} | {k: v.ctypes.data for k, v in self.kept.items()}
+        asked = GateOptions(brake=int(brake == "path"), **given)
+        super().__init__("gate_new", "gate_free", checker, ctypes.byref(asked), size(most))
+
+    def check(self, q: Any, dq: Any, targets: Any, dt: float, time: float = 0.0) -> GateAnswer:
+        rows, answer = np.ascontiguousarray(targets, dtype=float), GateAnswer()
+        state = (np.ascontiguousarray(x, dtype=float) for x in (q, dq))
+        period, now = ctypes.c_double(dt), ctypes.c_double(time)
+        ask("gate_check", self, *state, rows, size(len(rows)), period, now, ctypes.byref(answer))
+        return answer
+
+    def brake(self, answer: GateAnswer) -> tuple[np.ndarray, ...]:
+        """Times, positions, velocities and accelerations."""
+        n, shape = answer.brake_count, (answer.brake_count, self.checker.dof)
+        rows = (answer.positions, answer.velocities, answer.accelerations)
+        return np.ctypeslib.as_array(answer.times, (n,)).copy(), *(np.ctypeslib.as_array(x, shape).copy() for x in rows)
 
 
 def pair_query(name: str, workspace: Workspace, a: Any, b: Any, n: int, *rest: Any) -> None:

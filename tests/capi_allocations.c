@@ -1,5 +1,5 @@
-/* Count the allocations of a program's proofs after the first one: FILE STEPS FROM TO, where FROM and TO are files of
-   configurations, shape (n, dof). Prints the allocations, and how many motions are free. */
+/* Count the allocations of a program's proofs after the first one, and of the checks of gates: FILE STEPS FROM TO, where
+   FROM and TO are files of configurations, shape (n, dof). Prints the allocations, and how many motions are free. */
 
 #include <loewner.h>
 #include <stdio.h>
@@ -42,6 +42,35 @@ static void expect(loewner_status status)
     }
 }
 
+/* Allocations of checks of chunks from a to b, which begin anew, go on, and are not within the limits. */
+static long of_gate(const loewner_checker *checker, const double *a, const double *b, size_t n, int32_t brake,
+                    int64_t steps)
+{
+    enum { TARGETS = 12 };
+    size_t dof = (size_t)loewner_checker_dof(checker);
+    double *limits = malloc(dof * sizeof(double)), *rows = calloc((TARGETS + 1) * dof, sizeof(double));
+    loewner_gate *gate;
+    loewner_gate_answer answer;
+    for (size_t c = 0; c < dof; c++)
+        limits[c] = 5.0;
+    const loewner_gate_options options = {.brake = brake, .acceleration = limits, .jerk = brake ? NULL : limits,
+                                          .velocity_error = limits, .steps = steps};
+    expect(loewner_gate_new(checker, &options, TARGETS, &gate));
+    long before = count;
+    for (size_t k = 0; k < n * dof; k += dof)
+        for (size_t tick = 0; tick < 4; tick++) {
+            for (size_t j = 0; j <= TARGETS; j++)
+                for (size_t c = 0; c < dof; c++)
+                    rows[j * dof + c] = a[k + c] + (double)(tick + j) / 20 * (b[k + c] - a[k + c]);
+            expect(loewner_gate_check(gate, rows, rows + dof, rows + dof, TARGETS, 0.02, 0.0, &answer));
+        }
+    long made = count - before;
+    loewner_gate_free(gate);
+    free(limits);
+    free(rows);
+    return made;
+}
+
 int main(int argc, char **argv)
 {
     loewner_checker *checker;
@@ -71,7 +100,9 @@ int main(int argc, char **argv)
     }
     expect(loewner_checker_certify_edges(checker, workspace, ends[0], ends[1], n, &options, verdicts, NULL, NULL));
     long after = count;
-    printf("%ld %ld\n", after - before, free_count);
+    long of_gates = of_gate(checker, ends[0], ends[1], n, LOEWNER_BRAKE_JOINTS, options.steps) +
+                    of_gate(checker, ends[0], ends[1], n, LOEWNER_BRAKE_PATH, options.steps);
+    printf("%ld %ld\n", after - before + of_gates, free_count);
     loewner_workspace_free(workspace);
     loewner_checker_close(checker);
     return opened > 0 ? 0 : 3;

@@ -312,7 +312,7 @@ def test_bad_limits(tmp_path):
 @pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="it takes a C compiler and glibc")
 @pytest.mark.parametrize("name", ["balls_near_a_box", "dense_surfaces", "thousands_of_pieces", "grazing"])
 def test_proofs_allocate_nothing(tmp_path, name, rng):
-    """After the first proof of a workspace, neither proofs nor those that are given up allocate memory."""
+    """After the first proof of a workspace, neither proofs nor those that are given up allocate; nor do gates."""
     checker, (a, b) = WORLDS[name]()
     checker.save(tmp_path / "cell.lwn")
     ends = b + 0.01 * rng.normal(size=(20, len(b)))

@@ -422,17 +422,17 @@ def test_chunks_meet_nothing_before_standstill():
 class WithoutBrakes(Gate):
     """Counts every motion that is free as one from whose end the robot can brake."""
 
-    def _proven(self, ready, chunk, late, most):
-        chunk, block, work = super()._proven(ready, chunk, late, most)
+    def _proven(self, ready, chunk, most):
+        chunk, block, work = super()._proven(ready, chunk, most)
         return chunk._replace(braked=chunk.motions), block if chunk.motions < len(chunk.rows) - 1 else None, work
 
 
 class OffAsOn(Gate):
     """Proves brakes on the path, and brakes joint by joint."""
 
-    def _proven(self, ready, chunk, late, most):
+    def _proven(self, ready, chunk, most):
         self._on_path, real = True, self._on_path
-        found = super()._proven(ready, chunk, late, most)
+        found = super()._proven(ready, chunk, most)
         self._on_path = real
         return found
 
@@ -440,9 +440,9 @@ class OffAsOn(Gate):
 class WithoutJerk(Gate):
     """Proves brakes whose accelerations jump, and brakes with limits of jerk."""
 
-    def _proven(self, ready, chunk, late, most):
+    def _proven(self, ready, chunk, most):
         self._jerk, real = None, self._jerk
-        found = super()._proven(ready, chunk, late, most)
+        found = super()._proven(ready, chunk, most)
         self._jerk = real
         return found
 

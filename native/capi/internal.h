@@ -3,7 +3,7 @@
    kernels.c   finds the machine code beside the library        files.c     maps files and checks them
    scene.c     bodies, pairs and poses of a checker, and what kernels are given of them
    queries.c   configurations and motions                       plans.c     paths
-   pairs.c     pairs of bodies, without a checker */
+   gate.c      chunks of targets in a control loop              pairs.c     pairs of bodies, without a checker */
 
 #ifndef LOEWNER_INTERNAL_H
 #define LOEWNER_INTERNAL_H
@@ -55,6 +55,9 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(pair_gradients, "i i F2 i i i cI2 cF2 cF2 F2", "")                                                               \
     X(link_poses, "I1 I1 I1 F1 F1 F2 F2 i i F4", "")                                                                   \
     X(elementary, "i F1 F1 F1", "")                                                                                  \
+    X(brakes_by_joint, "F2 F2 F2 F1 F1 F2 F4 I1", "")                                                                  \
+    X(brakes_on_path, "F2 F1 F1 F1 F1 b F2 F4 I1", "")                                                                 \
+    X(courses_of_brakes, "F2 F4 I1 F3 F1", "i")                                                                        \
     X(measure_moving, "i i i", "")                                                                                     \
     X(place_static, "i i F1 F2", "i")
 
@@ -273,7 +276,9 @@ loewner_status check_poses(const double *poses, size_t n, const char *name);
 /* Refuse numbers of rows, of some doubles each, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
-/* Exact verdicts of configurations that were checked. */
+/* Verdicts of configurations that were checked. In the mode HASTY, what fast searches leave open stays AMBIGUOUS: nothing
+   is allocated. */
+enum { HASTY = -1 };
 loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                        const double *configurations, size_t n, int8_t *verdicts);
 
@@ -283,6 +288,20 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
                      int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
                      int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs);
+
+/* Let the kernel prove courses, and nothing be confirmed; `off` has rows of `width`, with what bodies may be off behind
+   the values. Each course may take `steps`, and `work`, shape (count, WORK), receives what it took. */
+loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
+                       int64_t points, double *off, int64_t width, double tolerance, int64_t steps, int64_t *work,
+                       int8_t *verdicts, double *fractions, int64_t *pairs);
+
+/* Write how far the values of a course (`joint_error` may be NULL) and bodies with bounds may be off from t0 to t1, if
+   these times are off by `late`; the row has dof + 3 growing numbers. */
+void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
+               double t0, double t1, double late, double *row);
+
+/* The configuration of a course at a fraction. */
+void evaluate(const File *file, const double *course, int32_t degree, double t, double *q);
 
 /* Write the course of the straight motion from a to b, shape (2, dof). */
 void straight(const loewner_checker *checker, const double *a, const double *b, double *course);

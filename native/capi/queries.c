@@ -177,8 +177,8 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
         int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK), nothing;
         const double *rows = configurations + first * (size_t)dof;
         const CheckArguments arguments = {
-            .mode = mode, .last = count, .configurations = {rows, count, dof}, .pack = workspace->pack,
-            .problem = (int64_t)workspace->table, .out = {verdicts + first, count}, .tiers = {workspace->tiers, count},
+            .mode = mode == HASTY ? EXACT : mode, .last = count, .configurations = {rows, count, dof},
+            .pack = workspace->pack, .problem = (int64_t)workspace->table, .out = {verdicts + first, count}, .tiers = {workspace->tiers, count},
             .hits = {workspace->hits, state->pairs}, .memory = workspace->memory,
         };
         TRY(call(kernels()->check_configurations, &arguments, &nothing));
@@ -467,8 +467,7 @@ static double power(double x, int32_t exponent)
     return raised;
 }
 
-/* The configuration of a course at a fraction. */
-static void evaluate(const File *file, const double *course, int32_t degree, double t, double *q)
+void evaluate(const File *file, const double *course, int32_t degree, double t, double *q)
 {
     int64_t dof = file->dof;
     if (degree == 1) {
@@ -495,11 +494,9 @@ static void evaluate(const File *file, const double *course, int32_t degree, dou
     }
 }
 
-/* Let the kernel prove courses; `off` has rows of `width`, with what bodies may be off behind the values. Each may take
-   `steps`, and `work`, shape (count, WORK), receives what it took. */
-static loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses,
-                              int64_t count, int64_t points, double *off, int64_t width, double tolerance,
-                              int64_t steps, int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs)
+loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
+                       int64_t points, double *off, int64_t width, double tolerance, int64_t steps, int64_t *work,
+                       int8_t *verdicts, double *fractions, int64_t *pairs)
 {
     const Half *half = half_of(checker, CUT);
     int64_t dof = checker->file->dof, nothing;
@@ -534,8 +531,9 @@ static loewner_status certify(const loewner_checker *checker, loewner_workspace 
     return call(kernels()->certify_motions, &arguments, &nothing);
 }
 
-/* Bound how far points of a body may be off at a time [m], with more than enough for rounding (B69). */
-static double off_at(const loewner_checker *checker, int64_t place, double t)
+/* Bound how far points of a body may be off at a time that is itself off by `late` [m], with more than enough for
+   rounding (B69). */
+static double off_at(const loewner_checker *checker, int64_t place, double t, double late)
 {
     const Pack *pack = &checker->state.halves[WHOLE].pack;
     const loewner_bounds *bounds = &checker->bodies[checker->state.body[place]].bounds;
@@ -544,24 +542,37 @@ static double off_at(const loewner_checker *checker, int64_t place, double t)
         reach = fmax(reach, STRETCH * pack->table[COLUMNS * p + REACH]);
     off = bounds->metres + reach * bounds->radians;
     if (bounds->speed > 0 || bounds->turn > 0)
-        off += (bounds->speed + reach * bounds->turn) * fabs(t - bounds->since);
+        off += (bounds->speed + reach * bounds->turn) * (fabs(t - bounds->since) + late);
     return fmin(off * (1 + 0x1p-44), 1e100); /* also if it is not a number */
 }
 
 /* Write behind the values of a motion how far bodies may be off, as the kernel takes it. */
-static void write_growth(const loewner_checker *checker, double t0, double t1, double *row)
+static void write_growth(const loewner_checker *checker, double t0, double t1, double late, double *row)
 {
     const State *state = &checker->state;
     for (int64_t place = state->moving; place < state->moving + state->standing; place++) {
         if (!checker->bodies[state->body[place]].has_bounds)
             continue;
-        double start = off_at(checker, place, t0), end = off_at(checker, place, t1);
+        double start = off_at(checker, place, t0, late), end = off_at(checker, place, t1, late);
         double more = 0x1p-44 * fmax(start, end);
         row[0] = (double)place;
         row[1] = start + more;
         row[2] = end + more;
         row += 3;
     }
+}
+
+void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
+               double t0, double t1, double late, double *row)
+{
+    int64_t dof = checker->file->dof;
+    for (int64_t c = 0; c < dof; c++) {
+        double most = 0;
+        for (int64_t p = 0; p < points; p++)
+            most = fmax(most, fabs(course[p * dof + c]));
+        row[c] = joint_error != NULL ? joint_error[c] + ROUNDED_VALUES * most : 0;
+    }
+    write_growth(checker, t0, t1, late, row + dof);
 }
 
 /* Keep COLLIDING only where a course collides with all bodies at their poses; the steps that are left may be taken. */
@@ -598,16 +609,9 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
     for (int64_t c = 0; joint_error != NULL && c < dof; c++)
         is_off |= joint_error[c] > 0;
     int is_wide = is_off || state->growing > 0;
-    for (int64_t k = 0; is_wide && k < count; k++) {
-        double *row = workspace->off + k * width;
-        for (int64_t c = 0; c < dof; c++) {
-            double most = 0;
-            for (int64_t p = 0; p < points; p++)
-                most = fmax(most, fabs(courses[(k * points + p) * dof + c]));
-            row[c] = is_off ? joint_error[c] + ROUNDED_VALUES * most : 0;
-        }
-        write_growth(checker, t0 == NULL ? 0 : t0[k], t1 == NULL ? 0 : t1[k], row + dof);
-    }
+    for (int64_t k = 0; is_wide && k < count; k++)
+        write_off(checker, courses + k * points * dof, points, is_off ? joint_error : NULL, t0 == NULL ? 0 : t0[k],
+                  t1 == NULL ? 0 : t1[k], 0, workspace->off + k * width);
     TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, steps,
                 workspace->work, verdicts, fractions, pairs));
     for (int64_t k = 0; state->growing > 0 && k < count; k++)

@@ -266,6 +266,77 @@ typedef struct {
 LOEWNER_API loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body,
                                                       const loewner_bounds *bounds);
 
+/* -- chunks of targets in a control loop --------------------------------------------------------------------------- */
+
+typedef struct loewner_gate loewner_gate;
+
+enum { LOEWNER_BRAKE_JOINTS = 0, LOEWNER_BRAKE_PATH = 1 };
+
+/* What may be executed: all targets; the first `steps` targets; no target, but the brake; and nothing, since the robot
+   is in contact already, or nearer to something than its margin. */
+enum { LOEWNER_GATE_GO = 0, LOEWNER_GATE_PREFIX = 1, LOEWNER_GATE_BRAKE = 2, LOEWNER_GATE_INSIDE = 3 };
+
+/* Why not all targets may be executed: the robot collides on the way to a target, or while it brakes (or the targets
+   end before a brake begins); it collides only with bodies away from their poses, or nothing is proven near contact; a
+   target is outside the limits of a joint or too fast; and the steps were used up. */
+enum {
+    LOEWNER_REASON_NONE = 0,
+    LOEWNER_REASON_CONTACT = 1,
+    LOEWNER_REASON_BRAKE = 2,
+    LOEWNER_REASON_MAY_BE_HIT = 3,
+    LOEWNER_REASON_LIMITS = 4,
+    LOEWNER_REASON_BUDGET = 5
+};
+
+typedef struct {
+    int32_t brake;                /* each joint as fast as it can, off the path; or on the path, which is run slower */
+    const double *acceleration;   /* shape (dof,), as all others: limits, > 0 */
+    const double *jerk;           /* > 0, or NULL: accelerations jump */
+    const double *velocity;       /* > 0, or NULL: none */
+    const double *joint_error;    /* by which the robot may deviate from the motions and the brakes, or NULL */
+    const double *velocity_error; /* by which its velocity may be another one when it begins to brake, or NULL */
+    double latency;               /* seconds until the robot brakes; rounded up to whole periods */
+    double horizon;               /* seconds: only targets within it are examined; 0: all */
+    double tolerance;             /* as in loewner_proof_options */
+    int64_t steps;                /* that a check may take in its proofs; 0: any number */
+    int32_t wants_scale;          /* 1 to look for the scale, which takes up to three times the work of a new chunk */
+} loewner_gate_options;
+
+typedef struct {
+    int32_t state, reason;
+    size_t steps;      /* targets that may be executed: the motions to them, and a brake from each, are proven free */
+    double scale;      /* 1 for GO; or the largest of 1/2, 1/4 and 1/8 of the speed with which all are proven; or 0 */
+    int32_t bodies[2]; /* the pair in question; -1 for none */
+    int32_t joint;     /* the value whose target is outside the limits; -1 for none */
+    int32_t is_proven; /* whether the brake is */
+    int64_t work;      /* steps of the proofs */
+    /* The brake after `steps` targets and the latency, if no new answer arrives by then; at once if the state is BRAKE.
+       The gate owns these numbers until its next check. From each time to the next one, accelerations change linearly;
+       velocities and accelerations hold from the time on. */
+    size_t brake_count;
+    const double *times;                                  /* seconds since it began, shape (brake_count,) */
+    const double *positions, *velocities, *accelerations; /* shape (brake_count, dof) */
+} loewner_gate_answer;
+
+/* Make a gate for chunks of up to `most_targets`: `loewner.planners.Gate` of Python, whose page has what it claims. It is
+   no safety function in the sense of IEC 61508 or ISO 13849. The robot must have no floating and no ball joints, and
+   targets must be within `loewner_checker_limits`. The checker must live longer than the gate; its scene may change
+   between checks. A gate has memory of its own for one thread at a time. A check allocates nothing, unless more than
+   poses and bounds of bodies has changed in the scene, or a new chunk begins within rounding of contact; and it waits
+   for no other thread, unless both are the first to query a checker whose scene has changed. */
+LOEWNER_API loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_gate_options *options,
+                                            size_t most_targets, loewner_gate **gate);
+LOEWNER_API void loewner_gate_free(loewner_gate *gate);
+
+/* Judge a chunk, before it is executed and again at each tick: from the measured state `q`, `dq`, the robot is to be at
+   the first of n targets, shape (n, dof), after `dt` seconds. A tick later, a chunk that goes on begins with the second
+   of these targets, and only what is new is proven. `time` is that of the tick on the clock of `loewner_bounds`, and
+   must not run back; without bounds, any constant does. After an error, the brake of the last answer, which the caller
+   should have copied, is the safe motion. */
+LOEWNER_API loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq,
+                                              const double *targets, size_t n, double dt, double time,
+                                              loewner_gate_answer *answer);
+
 /* -- pairs of bodies ----------------------------------------------------------------------------------------------- */
 
 /* Open a file of bodies, which `Body.save` or `Bodies.save` wrote under a name that ends in .lwn. */

@@ -350,6 +350,36 @@ private:
     std::unique_ptr<loewner_checker, Leave> held_;
 };
 
+/* Chunks of targets in a control loop. The checker must live longer than its gates. */
+class Gate
+{
+public:
+    Gate(const Checker &checker, const loewner_gate_options &options, std::size_t most_targets) : dof_(checker.dof())
+    {
+        loewner_gate *made = nullptr;
+        expect(loewner_gate_new(checker.get(), &options, most_targets, &made));
+        held_.reset(made);
+    }
+
+    /* The brake in the answer is valid until the next check. */
+    loewner_gate_answer check(Numbers q, Numbers dq, Numbers targets, double dt, double time = 0)
+    {
+        loewner_gate_answer found;
+        if (q.size() != dof_ || dq.size() != dof_ || targets.size() % dof_ != 0)
+            throw Error(LOEWNER_BAD_ARGUMENT, "q, dq, targets: expected whole configurations, found others");
+        expect(loewner_gate_check(held_.get(), q.data(), dq.data(), targets.data(), targets.size() / dof_, dt, time,
+                                  &found));
+        return found;
+    }
+
+private:
+    struct Leave {
+        void operator()(loewner_gate *held) const noexcept { loewner_gate_free(held); }
+    };
+    std::size_t dof_;
+    std::unique_ptr<loewner_gate, Leave> held_;
+};
+
 } // namespace loewner
 
 #endif

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._elementary import arccos
-from loewner._kernels import codes
+from loewner._kernels import codes, tolerances
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners.brakes import Brakes, brake_limits
-from loewner.planners.jerk_limited import CUBIC_ROUNDINGS
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.judge import TOLERANCE, checked_checker
 from loewner.planners.trajectories import Trajectory, expect_straight
@@ -38,6 +37,9 @@ SAME_TICK = 1e-6
 
 # Metres, radians and shares by which bounds must be narrower than older ones to lie within these.
 WITHIN = 1e-12
+
+# By how much brakes on straight motions may be off them, as a share of their values.
+ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # 40 of them are derived in certified.md, "Brakes"
 
 # Measured positions and velocities.
 State: TypeAlias = tuple[Floats, Floats]
@@ -143,6 +145,9 @@ class _Chunk(NamedTuple):
         How many motions are proven, from the first one on.
     first, braked : int
         The first and the last tick from which brakes are proven; all between them are.
+    ends : ndarray of int64, shape (n + 1,)
+        How many targets were known when the brake from each tick was proven: a brake on the path that does
+        not end there goes on along the last motion, also if targets came later.
     world : _World
     """
 
@@ -154,6 +159,7 @@ class _Chunk(NamedTuple):
     motions: int
     first: int
     braked: int
+    ends: Ints
     world: _World
 
     def from_tick(self, j: int) -> _Chunk:
@@ -161,6 +167,7 @@ class _Chunk(NamedTuple):
         return self._replace(
             rows=self.rows[j:], rates=self.rates[j:], before=self.rows[j - 1] if j > 0 else self.before,
             t0=self.t0 + j * self.dt, motions=max(self.motions - j, 0), first=self.first - j, braked=self.braked - j,
+            ends=self.ends[j:] - j,
         )  # fmt: skip
 
 
@@ -338,15 +345,16 @@ class Gate:
         late, world = math.ceil(self._latency / dt * (1 - SAME_TICK)), _world(ready, self._checker)
         count, joint = self._within_limits(state[0], wanted, dt)
         before = self._here(world, state, now)
-        chunk = next((made for old in before if (made := _going_on(old, wanted[:count], dt))), None)
+        chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt))), None)
         if chunk is None:
             rows = np.vstack([state[0], wanted[:count]])
-            chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, world)
+            ends = np.zeros(len(rows), dtype=np.int64)
+            chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
             if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
                 self._last = None
                 met = _Block("contact", -1, rows[0], now)
                 return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False, 0)
-        chunk, block, work = self._proven(ready, chunk, late, self._steps)
+        chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
         if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect behind the last target
@@ -395,7 +403,21 @@ class Gate:
         found = [j for j in ticks if near[j]]  # several, if the robot is slow
         return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(q - last.rows[j]).max()))]
 
-    def _proven(self, ready: Problem, chunk: _Chunk, late: int, most: int) -> tuple[_Chunk, _Block | None, int]:
+    def _going_on(self, old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
+        """Append new targets to a chunk that goes on; None if these targets are others."""
+        known, n = old.rows[1:], len(wanted)
+        common = min(len(known), n)
+        if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
+            return None
+        rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
+        if self._on_path:  # not brakes whose path was longer
+            braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
+        return old._replace(
+            rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
+            ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)),
+        )  # fmt: skip
+
+    def _proven(self, ready: Problem, chunk: _Chunk, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
         n, work = len(chunk.rows) - 1, 0
         block: _Block | None = None
@@ -404,15 +426,17 @@ class Gate:
             begin: Floats = chunk.t0 + chunk.dt * np.arange(float(chunk.motions), float(n))
             error = np.tile(self._error, (n - chunk.motions, 1))
             if self._on_path:
-                error += CUBIC_ROUNDINGS * np.abs(chunk.rows).max()  # of brakes on these motions
+                error += ROUNDED * np.abs(chunk.rows).max()
             free, block, work = self._first_block(ready, courses, error, begin, begin + chunk.dt, most)
             chunk = chunk._replace(motions=chunk.motions + free)
-        ticks = np.arange(max(chunk.braked + 1, chunk.first), chunk.motions + 1)
+        ticks = np.arange(max(chunk.braked + 1, chunk.first, 0), chunk.motions + 1)
         if len(ticks) == 0:
             return chunk, block, work
-        brakes = self._brakes(chunk, ticks)
+        ends = chunk.ends.copy()
+        ends[ticks], chunk = n, chunk._replace(ends=ends)
+        brakes = self._brakes(chunk, ticks, n)
         if self._on_path and ready.paths is None:
-            # In a static world, motions that are proven are free at all times, so brakes on them are proven, too.
+            # In a world at rest, motions that are proven are free at all times, and so are brakes on them.
             last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
             open_ones = np.flatnonzero(last > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
@@ -475,9 +499,10 @@ class Gate:
                 0,
                 late + 1,
                 late,
+                chunk.ends,
                 chunk.world,
             )
-            _, other, work = self._proven(ready, slower, late, most - spent)
+            _, other, work = self._proven(ready, slower, most - spent)
             spent += work
             if other is None:
                 return scale, spent
@@ -485,17 +510,18 @@ class Gate:
 
     # -- brakes -------------------------------------------------------------------------------
 
-    def _brakes(self, chunk: _Chunk, ticks: Ints) -> Brakes:
+    def _brakes(self, chunk: _Chunk, ticks: Ints, end: int) -> Brakes:
+        """Brake from ticks; on the path up to the last of this number of targets, and then along its last motion."""
         steep = np.full(chunk.rows.shape[1], np.inf) if self._jerk is None else self._jerk
         if not self._on_path:
             rates = chunk.rates[ticks]
             return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
-        rows, ticks = np.vstack([chunk.before, chunk.rows]), ticks + 1
+        rows, ticks = np.vstack([chunk.before, chunk.rows[: end + 1]]), ticks + 1
         at: Floats = chunk.dt * np.arange(float(len(rows)))
         return Brakes.on_path(rows, at, at[ticks], self._strongest, steep, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
-        made = self._brakes(chunk, np.array([tick])).one()
+        made = self._brakes(chunk, np.array([tick]), int(chunk.ends[tick])).one()
         return self._trajectory(made, chunk.t0 + tick * chunk.dt, self._on_path)
 
     def _stop(self, state: State, now: float) -> Trajectory:
@@ -567,19 +593,6 @@ class Gate:
 def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
     """Velocities at the ticks of a chunk."""
     return np.vstack([dq, np.diff(rows, axis=0) / dt])
-
-
-def _going_on(old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
-    """Append new targets to a chunk that goes on; None if these targets are others."""
-    known = old.rows[1:]
-    common = min(len(known), len(wanted))
-    if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
-        return None
-    rows = np.vstack([old.rows[:1], wanted])
-    return old._replace(
-        rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, len(wanted)),
-        braked=min(old.braked, len(wanted)),
-    )  # fmt: skip
 
 
 def _world(ready: Problem, checker: CollisionChecker) -> _World:

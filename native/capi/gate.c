@@ -1,0 +1,651 @@
+/* Chunks of targets in a control loop: what `loewner/planners/gates.py` does, one course after another. */
+
+#include "internal.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { EXACT = CODE_EXACT, VECTORS = 8 };
+
+#define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
+#define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
+#define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
+
+/* What may change of a body of the scene without making the scene another one. */
+typedef struct {
+    double pose[16];
+    int has_bounds;
+    loewner_bounds bounds;
+} Known;
+
+/* A chunk, and how far it is proven: see `_Chunk` of gates.py. */
+typedef struct {
+    double *rows; /* `count` + 1, behind the one before them */
+    double *rates;
+    int64_t *ends; /* how many targets were known when the brake from each tick was proven */
+    double dt, t0;
+    int64_t count, motions, first, braked;
+} Chunk;
+
+/* Why a proof ended, 0 if it did not, and the work of all proofs of a check. */
+typedef struct {
+    int32_t reason;
+    int64_t pair, most, work;
+} Proof;
+
+struct loewner_gate {
+    const loewner_checker *checker;
+    loewner_workspace *workspace;
+    int64_t dof, most, steps, pieces; /* `pieces` is the room for times of a brake */
+    int on_path, has_jerk, has_last, wants_scale;
+    double latency, horizon, tolerance, now;
+    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *resting, *q, *at; /* the first are VECTORS */
+    double *times, *states, *courses, *seconds, *out[3];
+    int64_t pieces_made; /* of the brake in these */
+    Chunk last, made, slower;
+    uint64_t structure; /* of the last chunk */
+    Known *seen, *allowed; /* now, and when the last chunk was new */
+    size_t known, room;
+    void *memory;
+};
+
+/* -- making -------------------------------------------------------------------------------------------------------- */
+
+/* Copy numbers for all joints, which are limits, or errors; NULL stands for `otherwise`. */
+static loewner_status take(const char *name, const double *given, int64_t dof, double otherwise, double *out)
+{
+    int is_error = otherwise == 0;
+    for (int64_t c = 0; c < dof; c++) {
+        out[c] = given == NULL ? otherwise : given[c];
+        if (given != NULL && !((out[c] > 0 || (is_error && out[c] == 0)) && out[c] < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected finite numbers %s 0, found %g", name, is_error ? ">=" : ">",
+                        out[c]);
+    }
+    return LOEWNER_OK;
+}
+
+static loewner_status take_options(loewner_gate *gate, const loewner_gate_options *options)
+{
+    int64_t dof = gate->dof;
+    const double numbers[] = {options->latency, options->horizon, options->tolerance};
+    static const char *const names[] = {"latency", "horizon", "tolerance"};
+    for (int k = 0; k < 3; k++)
+        if (!(numbers[k] >= 0 && numbers[k] < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected a number >= 0, found %g", names[k], numbers[k]);
+    if (options->steps < 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)options->steps);
+    if (options->brake != LOEWNER_BRAKE_JOINTS && options->brake != LOEWNER_BRAKE_PATH)
+        return fail(LOEWNER_BAD_ARGUMENT, "brake: expected LOEWNER_BRAKE_JOINTS or _PATH, found %d", options->brake);
+    if (options->acceleration == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT, "acceleration: expected limits, found NULL");
+    TRY(take("acceleration", options->acceleration, dof, INFINITY, gate->strongest));
+    TRY(take("jerk", options->jerk, dof, INFINITY, gate->jerk));
+    TRY(take("velocity", options->velocity, dof, INFINITY, gate->fastest));
+    TRY(take("joint_error", options->joint_error, dof, 0, gate->error));
+    TRY(take("velocity_error", options->velocity_error, dof, 0, gate->rate_error));
+    gate->on_path = options->brake == LOEWNER_BRAKE_PATH;
+    gate->has_jerk = options->jerk != NULL;
+    gate->wants_scale = options->wants_scale;
+    gate->latency = options->latency;
+    gate->horizon = options->horizon > 0 ? options->horizon : INFINITY;
+    gate->tolerance = options->tolerance > 0 ? options->tolerance : TOLERANCE;
+    gate->steps = options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
+    return LOEWNER_OK;
+}
+
+/* Divide one block of memory. */
+static loewner_status divide(loewner_gate *gate)
+{
+    size_t dof = (size_t)gate->dof, most = (size_t)gate->most, pieces = (size_t)gate->pieces;
+    double **vectors[VECTORS + 1] = {&gate->strongest, &gate->jerk,    &gate->fastest, &gate->error, &gate->rate_error,
+                                     &gate->widened,   &gate->resting, &gate->q,       NULL};
+    size_t chunk = (2 * dof + 1) * (most + 2), numbers = VECTORS * dof + 3 * chunk + (most + 2) + 2 * pieces +
+                                                         (3 + 4 + 3) * dof * pieces;
+    double *at = gate->memory = calloc(numbers, sizeof(double));
+    if (at == NULL)
+        return no_memory();
+    for (int k = 0; vectors[k] != NULL; k++, at += dof)
+        *vectors[k] = at;
+    Chunk *const chunks[] = {&gate->last, &gate->made, &gate->slower};
+    for (int k = 0; k < 3; k++, at += chunk) {
+        chunks[k]->rows = at + dof;
+        chunks[k]->rates = at + dof * (most + 2);
+        chunks[k]->ends = (int64_t *)(at + 2 * dof * (most + 2));
+    }
+    double **arrays[] = {&gate->at,      &gate->times,  &gate->seconds, &gate->states,
+                         &gate->courses, &gate->out[0], &gate->out[1],  &gate->out[2]};
+    const size_t sizes[] = {most + 2,           pieces,       pieces,       3 * dof * pieces,
+                            4 * dof * pieces,   dof * pieces, dof * pieces, dof * pieces};
+    for (int k = 0; k < 8; at += sizes[k], k++)
+        *arrays[k] = at;
+    return LOEWNER_OK;
+}
+
+/* See which bodies of the scene are where; memory is needed only if there are more than before. */
+static loewner_status look(loewner_gate *gate)
+{
+    const loewner_checker *checker = gate->checker;
+    const State *state = &checker->state;
+    gate->known = (size_t)state->standing;
+    if (gate->room < gate->known) {
+        Known **all[] = {&gate->seen, &gate->allowed};
+        for (int k = 0; k < 2; k++) {
+            Known *more = realloc(*all[k], gate->known * sizeof *more);
+            if (more == NULL)
+                return no_memory();
+            *all[k] = more;
+        }
+        gate->room = gate->known;
+    }
+    for (size_t k = 0; k < gate->known; k++) {
+        const Body *body = checker->bodies + state->body[(size_t)state->moving + k];
+        Known *its = gate->seen + k;
+        memcpy(its->pose, body->pose, sizeof its->pose);
+        its->has_bounds = body->has_bounds;
+        its->bounds = body->has_bounds ? body->bounds : (loewner_bounds){0, 0, 0, 0, 0};
+    }
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_gate_options *options,
+                                size_t most_targets, loewner_gate **gate)
+{
+    if (checker == NULL || options == NULL || gate == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT, "checker, options, gate: expected pointers, found NULL");
+    *gate = NULL;
+    if (most_targets < 1 || most_targets > 1000000)
+        return fail(LOEWNER_BAD_ARGUMENT, "most_targets: expected 1 to 1000000, found %zu", most_targets);
+    if (checker->file->quaternion_count > 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "checker: expected a robot without floating and ball joints, found one");
+    loewner_gate *made = calloc(1, sizeof *made);
+    if (made == NULL)
+        return no_memory();
+    made->checker = checker;
+    made->dof = checker->file->dof;
+    made->most = (int64_t)most_targets;
+    made->pieces = 3 * made->dof + 1 > made->most + 6 ? 3 * made->dof + 1 : made->most + 6;
+    made->now = -INFINITY;
+    loewner_status outcome = divide(made);
+    if (outcome == LOEWNER_OK)
+        outcome = take_options(made, options);
+    if (outcome == LOEWNER_OK)
+        outcome = loewner_workspace_new(&made->workspace);
+    if (outcome == LOEWNER_OK)
+        outcome = prepare(checker, made->workspace);
+    if (outcome == LOEWNER_OK)
+        outcome = look(made);
+    if (outcome == LOEWNER_OK)
+        *gate = made;
+    else
+        loewner_gate_free(made);
+    return outcome;
+}
+
+void loewner_gate_free(loewner_gate *gate)
+{
+    if (gate == NULL)
+        return;
+    loewner_workspace_free(gate->workspace);
+    free(gate->seen);
+    free(gate->allowed);
+    free(gate->memory);
+    free(gate);
+}
+
+/* -- what holds of an older proof ---------------------------------------------------------------------------------- */
+
+/* Whether all places that a body may have from now on were allowed: `_path_is_within` of gates.py. Points at a distance
+   r are moved by no more than r times the norm of the difference of two rotations. */
+static int is_within(const Known *seen, const Known *allowed, double now)
+{
+    const loewner_bounds *its = &seen->bounds, *old = &allowed->bounds;
+    double away = 0, turned = 0, far = 0;
+    if (memcmp(seen->pose, allowed->pose, sizeof seen->pose) == 0 && memcmp(its, old, sizeof *its) == 0)
+        return 1;
+    if (!seen->has_bounds || fmax(its->since, old->since) > now || its->speed > old->speed || its->turn > old->turn)
+        return 0;
+    for (int k = 0; k < 12; k++) {
+        double step = seen->pose[k] - allowed->pose[k];
+        *(k % 4 == 3 ? &away : &turned) += step * step;
+        far = k % 4 == 3 ? fmax(far, fabs(seen->pose[k])) : far;
+    }
+    away = sqrt(away) + its->metres + its->speed * (now - its->since);
+    away += away > 0 ? WITHIN * (1 + fabs(now) + far) : 0;
+    turned = sqrt(turned / 2) + (turned > 0 ? 16 * ROTATION_TOLERANCE : 0); /* rotations are not exactly orthonormal */
+    turned += its->radians + its->turn * (now - its->since) + (turned > 0 ? WITHIN * (1 + fabs(now)) : 0);
+    return away <= old->metres + old->speed * (now - old->since) &&
+           turned <= old->radians + old->turn * (now - old->since);
+}
+
+/* Range of the ticks of the last chunk at which the robot may be, if what was proven of it still holds. */
+static void find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
+{
+    const Chunk *last = &gate->last;
+    *from = *to = 0;
+    if (!gate->has_last || gate->structure != gate->checker->serial)
+        return;
+    for (size_t k = 0; k < gate->known; k++)
+        if (!is_within(gate->seen + k, gate->allowed + k, now))
+            return;
+    double tick = rint((now - last->t0) / last->dt);
+    if (gate->checker->state.growing == 0) {
+        *to = last->count + 1;
+    } else if (tick >= 0 && tick <= (double)last->count &&
+               fabs(last->t0 + tick * last->dt - now) <= SAME_TICK * last->dt) {
+        *from = (int64_t)tick;
+        *to = *from + 1;
+    }
+}
+
+/* The ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1 if there
+   are no more. There are several if the robot is slow. `off` and `tick` are those of the call before, first -1. */
+static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
+                         double *off, int64_t tick)
+{
+    double nearest = INFINITY;
+    int64_t found = -1;
+    for (int64_t k = from; k < to; k++) {
+        const double *row = gate->last.rows + k * gate->dof, *rate = gate->last.rates + k * gate->dof;
+        double away = 0;
+        int is_in_tube = 1;
+        for (int64_t c = 0; c < gate->dof && is_in_tube; c++) {
+            away = fmax(away, fabs(q[c] - row[c]));
+            is_in_tube = fabs(q[c] - row[c]) <= gate->error[c] && fabs(dq[c] - rate[c]) <= gate->rate_error[c];
+        }
+        if (is_in_tube && (away > *off || (away == *off && k > tick)) && away < nearest) {
+            nearest = away;
+            found = k;
+        }
+    }
+    *off = nearest;
+    return found;
+}
+
+static void write_rates(const loewner_gate *gate, Chunk *chunk)
+{
+    for (int64_t k = gate->dof; k < (chunk->count + 1) * gate->dof; k++)
+        chunk->rates[k] = (chunk->rows[k] - chunk->rows[k - gate->dof]) / chunk->dt;
+}
+
+/* Append new targets to the last chunk, seen from one of its ticks, if they go on as before. */
+static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int64_t count, double dt)
+{
+    const Chunk *last = &gate->last;
+    Chunk *made = &gate->made;
+    int64_t dof = gate->dof, known = last->count - tick, common = known < count ? known : count;
+    const double *here = last->rows + tick * dof;
+    if (common == 0 || dt != last->dt || memcmp(here + dof, targets, (size_t)(common * dof) * sizeof *targets) != 0)
+        return 0;
+    memcpy(made->rows - dof, here - dof, 2 * (size_t)dof * sizeof *here);
+    memcpy(made->rows + dof, targets, (size_t)(count * dof) * sizeof *targets);
+    memcpy(made->rates, last->rates + tick * dof, (size_t)dof * sizeof *here);
+    made->dt = dt;
+    made->t0 = last->t0 + (double)tick * dt;
+    made->count = count;
+    write_rates(gate, made);
+    made->motions = last->motions - tick < 0 ? 0 : last->motions - tick < count ? last->motions - tick : count;
+    made->first = last->first - tick;
+    made->braked = last->braked - tick < count ? last->braked - tick : count;
+    for (int64_t k = 0; k <= made->braked; k++)
+        made->ends[k] = last->ends[tick + k] - tick;
+    int64_t first = made->first > 0 ? made->first : 0;
+    while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
+        made->braked--;
+    return 1;
+}
+
+/* -- proofs -------------------------------------------------------------------------------------------------------- */
+
+static loewner_status prove_course(loewner_gate *gate, double *course, int64_t points, const double *error, double t0,
+                                   double t1, double dt, Proof *proof)
+{
+    loewner_workspace *its = gate->workspace;
+    const loewner_checker *checker = gate->checker;
+    double late = SAME_TICK * dt + 0x1p-49 * fmax(fabs(t0), fabs(t1)), fraction;
+    int64_t growing = 3 * checker->state.growing, work[WORK];
+    int8_t verdict;
+    int is_off = 0;
+    if (proof->work >= proof->most) {
+        proof->reason = LOEWNER_REASON_BUDGET;
+        return LOEWNER_OK;
+    }
+    for (int64_t c = 0; c < gate->dof; c++)
+        is_off |= error[c] > 0;
+    write_off(checker, course, points, is_off ? error : NULL, t0, t1, late, its->off);
+    TRY(certify(checker, its, course, 1, points, its->off, is_off || growing > 0 ? gate->dof + growing : 0,
+                gate->tolerance, proof->most - proof->work, work, &verdict, &fraction, &proof->pair));
+    proof->work += work[WORK - 1];
+    if (verdict == LOEWNER_FREE)
+        return LOEWNER_OK;
+    evaluate(checker->file, course, (int32_t)points - 1, isnan(fraction) ? 0 : fraction, gate->q);
+    TRY(collide(checker, its, HASTY, gate->q, 1, &verdict));
+    proof->reason = verdict == LOEWNER_COLLIDING        ? LOEWNER_REASON_CONTACT
+                    : proof->work >= proof->most ? LOEWNER_REASON_BUDGET
+                                                 : LOEWNER_REASON_MAY_BE_HIT;
+    return LOEWNER_OK;
+}
+
+/* Brake joint by joint. */
+static loewner_status stop(loewner_gate *gate, const double *q, const double *dq)
+{
+    int64_t dof = gate->dof, nothing;
+    const struct {
+        Array2 q, dq, ddq;
+        Array1 strongest, jerk;
+        Array2 times;
+        Array4 states;
+        Array1 counts;
+    } arguments = {
+        {q, 1, dof}, {dq, 1, dof}, {gate->resting, 1, dof}, {gate->strongest, dof}, {gate->jerk, dof},
+        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1},
+    };
+    return call(kernels()->brakes_by_joint, &arguments, &nothing);
+}
+
+/* Brake from a tick of a chunk; on the path, on as much of it as was known when this brake was proven. */
+static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
+{
+    int64_t dof = gate->dof, rows = chunk->ends[tick] + 2, nothing;
+    if (!gate->on_path)
+        return stop(gate, chunk->rows + tick * dof, chunk->rates + tick * dof);
+    for (int64_t k = 0; k < rows; k++)
+        gate->at[k] = chunk->dt * (double)k;
+    const struct {
+        Array2 rows;
+        Array1 at, begins, strongest, jerk;
+        int64_t beyond;
+        Array2 times;
+        Array4 states;
+        Array1 counts;
+    } arguments = {
+        {chunk->rows - dof, rows, dof}, {gate->at, rows}, {gate->at + tick + 1, 1}, {gate->strongest, dof},
+        {gate->jerk, dof}, 1, {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof},
+        {&gate->pieces_made, 1},
+    };
+    return call(kernels()->brakes_on_path, &arguments, &nothing);
+}
+
+/* Bound how much farther a joint goes while it brakes if its velocity is off by the error. */
+static double stopping_distance(const loewner_gate *gate, int64_t c, double v)
+{
+    double strongest = gate->strongest[c], jerk = gate->jerk[c];
+    if (!gate->has_jerk)
+        return v * v / (2 * strongest);
+    return v / 2 * (v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk);
+}
+
+/* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. */
+static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, Proof *proof)
+{
+    int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
+    const struct {
+        Array2 times;
+        Array4 states;
+        Array1 counts;
+        Array3 courses;
+        Array1 seconds;
+    } arguments = {
+        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1},
+        {gate->courses, pieces, points, dof}, {gate->seconds, pieces},
+    };
+    TRY(call(kernels()->courses_of_brakes, &arguments, &made));
+    for (int64_t c = 0; c < dof; c++) {
+        double v = rate == NULL ? 0 : fabs(rate[c]);
+        gate->widened[c] = gate->error[c];
+        if (rate != NULL)
+            gate->widened[c] += stopping_distance(gate, c, v + gate->rate_error[c]) - stopping_distance(gate, c, v);
+    }
+    for (int64_t k = 0; k < pieces && !proof->reason; k++)
+        TRY(prove_course(gate, gate->courses + k * points * dof, points, gate->widened, begin + gate->times[k],
+                         begin + gate->times[k + 1], dt, proof));
+    return LOEWNER_OK;
+}
+
+/* Prove motions, and then the brakes from their ends, as far as they are free. */
+static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
+{
+    int64_t dof = gate->dof, growing = gate->checker->state.growing;
+    double most = 0;
+    for (int64_t k = 0; gate->on_path && k < (chunk->count + 1) * dof; k++)
+        most = fmax(most, fabs(chunk->rows[k]));
+    for (int64_t c = 0; c < dof; c++)
+        gate->widened[c] = gate->error[c] + ROUNDED * most;
+    for (; chunk->motions < chunk->count; chunk->motions++) {
+        double begin = chunk->t0 + chunk->dt * (double)chunk->motions;
+        TRY(prove_course(gate, chunk->rows + chunk->motions * dof, 2, gate->widened, begin, begin + chunk->dt,
+                         chunk->dt, proof));
+        if (proof->reason)
+            break;
+    }
+    const Proof motions = *proof;
+    int64_t tick = chunk->braked + 1 > chunk->first ? chunk->braked + 1 : chunk->first;
+    proof->reason = 0;
+    proof->pair = -1;
+    for (tick = tick > 0 ? tick : 0; tick <= chunk->motions; tick++) {
+        chunk->ends[tick] = chunk->count;
+        TRY(brake_from(gate, chunk, tick));
+        double periods = gate->times[gate->pieces_made - 1] / chunk->dt;
+        int is_covered = gate->on_path && growing == 0 && /* by motions that are proven, at all times */
+                         (double)tick + ceil(periods * (1 + SAME_TICK)) <= (double)chunk->motions;
+        if (!is_covered)
+            TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
+                            gate->on_path ? NULL : chunk->rates + tick * dof, proof));
+        if (proof->reason)
+            break;
+        chunk->braked = tick;
+    }
+    if (proof->reason == LOEWNER_REASON_CONTACT)
+        proof->reason = LOEWNER_REASON_BRAKE;
+    if (!proof->reason) {
+        proof->reason = motions.reason;
+        proof->pair = motions.pair;
+    }
+    return LOEWNER_OK;
+}
+
+/* Find the largest scale of time, of 1/2, 1/4 and 1/8, with which the chunk is proven; 0 if there is none. */
+static loewner_status find_scale(loewner_gate *gate, int64_t late, Proof *proof, double *scale)
+{
+    const Chunk *chunk = &gate->made;
+    const Proof found = *proof;
+    Chunk *slower = &gate->slower;
+    for (*scale = 0.5; *scale > 0.1; *scale /= 2) {
+        double *rates = slower->rates;
+        int64_t *ends = slower->ends;
+        *slower = *chunk;
+        slower->rates = rates;
+        slower->ends = ends;
+        slower->dt = chunk->dt / *scale;
+        slower->motions = 0;
+        slower->first = late + 1;
+        slower->braked = late;
+        for (int64_t c = 0; c < gate->dof; c++)
+            rates[c] = *scale * chunk->rates[c];
+        write_rates(gate, slower);
+        proof->reason = 0;
+        TRY(prove_chunk(gate, slower, proof));
+        if (!proof->reason)
+            break;
+    }
+    *scale = proof->reason ? 0 : *scale;
+    proof->reason = found.reason;
+    proof->pair = found.pair;
+    return LOEWNER_OK;
+}
+
+/* -- checks -------------------------------------------------------------------------------------------------------- */
+
+/* How many targets are within the limits, and the joint whose target is not; -1 if all are. */
+static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
+                             int32_t *joint)
+{
+    const double *lower = gate->checker->file->limits, *upper = lower + gate->dof;
+    for (int64_t k = 0; k < count; k++)
+        for (int64_t c = 0; c < gate->dof; c++) {
+            double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
+            double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0); /* the command was elsewhere */
+            if (to < lower[c] || to > upper[c] || speed > gate->fastest[c] * (1 + SAME_TICK)) {
+                *joint = (int32_t)c;
+                return k;
+            }
+        }
+    *joint = -1;
+    return count;
+}
+
+/* Write an answer with the brake that was made last. */
+static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t steps, int is_proven, const Proof *proof,
+                                  loewner_gate_answer *answer)
+{
+    const State *its = &gate->checker->state;
+    size_t size = (size_t)gate->dof * sizeof(double);
+    int is_finite = 1;
+    for (int64_t k = 0; k < gate->pieces_made; k++) {
+        is_finite &= isfinite(gate->times[k]) != 0;
+        for (int m = 0; m < 3; m++)
+            memcpy(gate->out[m] + k * gate->dof, gate->states + (3 * k + m) * gate->dof, size);
+        for (int64_t c = 0; c < 3 * gate->dof; c++)
+            is_finite &= isfinite(gate->states[3 * k * gate->dof + c]) != 0;
+    }
+    if (!is_finite)
+        return fail(LOEWNER_OVERFLOW, "expected a brake of finite length and time, found an overflow");
+    answer->state = state;
+    answer->reason = proof->reason;
+    answer->steps = steps > 0 ? (size_t)steps : 0;
+    for (int side = 0; side < 2; side++)
+        answer->bodies[side] =
+            proof->reason && proof->pair >= 0 ? its->body[its->pair_list[2 * proof->pair + side]] : -1;
+    answer->joint = proof->reason == LOEWNER_REASON_LIMITS ? answer->joint : -1;
+    answer->is_proven = is_proven;
+    answer->work = proof->work;
+    answer->brake_count = (size_t)gate->pieces_made;
+    answer->times = gate->times;
+    answer->positions = gate->out[0];
+    answer->velocities = gate->out[1];
+    answer->accelerations = gate->out[2];
+    return LOEWNER_OK;
+}
+
+/* Begin a new chunk; a pair that is not free where it begins becomes the proof's. */
+static loewner_status begin_chunk(loewner_gate *gate, const double *q, const double *dq, const double *targets,
+                                  int64_t count, double dt, double now, int64_t late, Proof *proof)
+{
+    Chunk *made = &gate->made;
+    size_t size = (size_t)gate->dof * sizeof *q;
+    memcpy(made->rows - gate->dof, q, size);
+    memcpy(made->rows, q, size);
+    memcpy(made->rows + gate->dof, targets, (size_t)count * size);
+    memcpy(made->rates, dq, size);
+    made->dt = dt;
+    made->t0 = now;
+    made->count = count;
+    made->motions = 0;
+    made->first = late + 1;
+    made->braked = late;
+    write_rates(gate, made);
+    loewner_workspace *its = gate->workspace;
+    int64_t work[WORK];
+    double fraction;
+    int8_t verdict;
+    TRY(collide(gate->checker, its, HASTY, made->rows, 1, &verdict));
+    if (verdict == LOEWNER_AMBIGUOUS)
+        TRY(collide(gate->checker, its, EXACT, made->rows, 1, &verdict));
+    if (verdict == LOEWNER_FREE)
+        return LOEWNER_OK;
+    TRY(certify(gate->checker, its, made->rows - gate->dof, 1, 2, its->off, 0, gate->tolerance, gate->steps, work,
+                &verdict, &fraction, &proof->pair)); /* a motion that stays where it begins has the pair */
+    proof->reason = LOEWNER_REASON_CONTACT;
+    return LOEWNER_OK;
+}
+
+/* Let the chunk be the last one that may run. */
+static void adopt(loewner_gate *gate, int is_new)
+{
+    const Chunk made = gate->made;
+    gate->made = gate->last;
+    gate->last = made;
+    gate->has_last = 1;
+    if (is_new) {
+        Known *seen = gate->seen;
+        gate->seen = gate->allowed;
+        gate->allowed = seen;
+        gate->structure = gate->checker->serial;
+    }
+}
+
+static loewner_status judge(loewner_gate *gate, const double *q, const double *dq, const double *targets,
+                            int64_t wanted, double dt, double now, loewner_gate_answer *answer)
+{
+    double periods = ceil(gate->latency / dt * (1 - SAME_TICK));
+    int64_t late = periods > (double)gate->most ? gate->most + 1 : (int64_t)periods, from, to, tick;
+    int64_t count = within_limits(gate, q, targets, wanted, dt, &answer->joint);
+    Proof proof = {0, -1, gate->steps, 0};
+    TRY(look(gate));
+    find_ticks(gate, now, &from, &to);
+    double off = -1;
+    for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+        if (goes_on(gate, tick, targets, count, dt))
+            break;
+    int is_new = tick < 0;
+    if (is_new) {
+        TRY(begin_chunk(gate, q, dq, targets, count, dt, now, late, &proof));
+        if (proof.reason) {
+            gate->has_last = 0;
+            answer->scale = 0;
+            TRY(stop(gate, q, dq));
+            return answer_with(gate, LOEWNER_GATE_INSIDE, 0, 0, &proof, answer);
+        }
+    }
+    Chunk *made = &gate->made;
+    TRY(prove_chunk(gate, made, &proof));
+    if (!proof.reason && count < wanted)
+        proof.reason = LOEWNER_REASON_LIMITS;
+    if (!proof.reason && count <= late) /* an order to brake would take effect behind the last target */
+        proof.reason = LOEWNER_REASON_BRAKE;
+    int64_t steps = made->braked - late;
+    answer->scale = proof.reason ? 0 : 1;
+    int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
+                    (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
+    if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same */
+        TRY(find_scale(gate, late, &proof, &answer->scale));
+    if (!proof.reason || steps > 0) {
+        adopt(gate, is_new);
+        TRY(brake_from(gate, &gate->last, gate->last.braked));
+        return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1, &proof, answer);
+    }
+    off = -1; /* the last chunk that may run goes on until the robot brakes */
+    for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+        if (gate->last.first <= late + tick && late + tick <= gate->last.braked) {
+            TRY(brake_from(gate, &gate->last, late + tick));
+            return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, &proof, answer);
+        }
+    Proof stopping = {0, -1, proof.most, proof.work};
+    TRY(stop(gate, q, dq));
+    if (late == 0)
+        TRY(prove_brake(gate, now, dt, dq, &stopping));
+    proof.work = stopping.work;
+    return answer_with(gate, LOEWNER_GATE_BRAKE, 0, late == 0 && !stopping.reason, &proof, answer);
+}
+
+loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq, const double *targets,
+                                  size_t n, double dt, double time, loewner_gate_answer *answer)
+{
+    if (gate == NULL || answer == NULL)
+        return fail(LOEWNER_BAD_ARGUMENT, "gate, answer: expected pointers, found NULL");
+    HOLD(gate->workspace);
+    if (n < 1 || n > (size_t)gate->most)
+        return fail(LOEWNER_BAD_ARGUMENT, "targets: expected 1 to %lld, found %zu", (long long)gate->most, n);
+    if (!(dt > 0 && dt < INFINITY))
+        return fail(LOEWNER_BAD_ARGUMENT, "dt: expected a number > 0, found %g", dt);
+    if (!(time >= gate->now && fabs(time) < INFINITY))
+        return fail(LOEWNER_BAD_ARGUMENT, "time: expected one that is no earlier than the last one, %.9g, found %.9g",
+                    gate->now, time);
+    TRY(prepare(gate->checker, gate->workspace));
+    TRY(check_configurations(gate->checker, q, 1, "q"));
+    TRY(check_configurations(gate->checker, dq, 1, "dq"));
+    TRY(check_configurations(gate->checker, targets, n, "targets"));
+    gate->now = time;
+    double within = ceil(fmin(gate->horizon / dt, (double)n) * (1 - SAME_TICK));
+    return judge(gate, q, dq, targets, within < 1 ? 1 : (int64_t)within, dt, time, answer);
+}

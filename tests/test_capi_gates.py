@@ -1,0 +1,256 @@
+"""Gates of the library for C hold their answers against Python's, tick by tick."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loewner import Body, CollisionChecker, Scene
+from loewner._native import library
+from loewner.planners import Gate, GateState
+from test_gates import DT, JERK, Q0, V0, along_the_rail, arm, at, wall
+
+OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
+pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
+
+capi = pytest.importorskip("capi")
+REASONS = ("", "contact", "brake", "may be hit", "limits", "budget")
+MOST = 60
+
+
+class Both:
+    """A gate of Python and one of the library, for the same scene."""
+
+    def __init__(self, scene: Scene, folder: Path, robot=None, **options) -> None:
+        self.robot, self.scene = robot or arm(), scene
+        still = scene.copy()
+        for name in list(scene.bounds):
+            still.detach(name, at(*scene.following[name].positions[0]))
+        CollisionChecker(self.robot, still).save(folder / "cell.lwn")
+        self.python = Gate(CollisionChecker(self.robot, scene), **options)
+        self.checker = capi.Checker(folder / "cell.lwn")
+        for name in scene.bounds:
+            self.see(name)
+        fastest = self.robot.velocity
+        given = {"acceleration": self.robot.acceleration, "velocity": fastest, "wants_scale": 1} | options
+        self.mine = capi.Gate(self.checker, MOST, **given)
+        self.states: list[GateState] = []
+
+    def see(self, name: str) -> None:
+        """Let the library know what Python does of a body that rests."""
+        its = self.scene.bounds[name]
+        self.checker.move(name, at(*self.scene.following[name].positions[0]))
+        numbers = {key: getattr(its, key) for key in ("metres", "radians", "speed", "turn", "since")}
+        self.checker.set_bounds(name, **numbers)
+
+    def check(self, q, dq, targets, dt=DT, time=0.0):
+        """Ask both, and expect the same answers."""
+        wanted = self.python.check(q, dq, targets, dt, time=time)
+        found = self.mine.check(q, dq, targets, dt, time)
+        got = (found.state, found.steps, REASONS[found.reason], found.is_proven, found.scale)
+        assert got == (wanted.state, wanted.steps, wanted.reason, wanted.is_proven, wanted.scale)
+        self.states.append(wanted.state)
+        if wanted.state != GateState.INSIDE:  # of several pairs in contact, Python names the deepest one
+            names = tuple(capi.ask("checker_body_name", self.checker, b).decode() for b in found.bodies if b >= 0)
+            if found.joint >= 0:
+                names = (capi.ask("checker_value_name", self.checker, found.joint).decode(),)
+            assert names == wanted.names
+        if wanted.state == GateState.GO:  # otherwise Python goes on behind what is not free
+            assert found.work == (pytest.approx(wanted.work, rel=0.1) if self.scene.bounds else wanted.work)
+        brake = wanted.brake
+        times, positions, velocities, accelerations = self.mine.brake(found)
+        assert np.array_equal(times, brake.times)
+        assert np.array_equal(positions, brake.knots)
+        assert np.array_equal(velocities, brake.rates)
+        if brake.bends is not None:
+            assert np.array_equal(accelerations, brake.bends)
+        return wanted, found
+
+
+def random_scene(rng) -> Scene:
+    scene = Scene()
+    for k in range(4):
+        scene.add(f"box {k}", Body.box(rng.uniform(0.1, 0.4, 3)), at(*rng.uniform(-1.5, 1.5, 3)))
+    return scene
+
+
+@pytest.mark.parametrize("brake", ["joints", "path"])
+@pytest.mark.parametrize("jerk", [None, JERK])
+@pytest.mark.parametrize("grows", [False, True])
+def test_chunks_are_judged_as_in_python(tmp_path, brake, jerk, grows):
+    """Random chunks, tick by tick: states, steps, reasons, pairs, scales and brakes."""
+    states = set()
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng)
+        if grows:
+            scene.add("person", Body.sphere(0.1))
+            place = rng.uniform(-1.5, 1.5, 3)
+            scene.follow("person", [0.0], at(*place)[None], speed=0.3, since=0.0, error=(0.01, 0.0))
+        late = int(rng.integers(0, 3)) * DT
+        both = Both(scene, tmp_path, brake=brake, jerk=jerk, joint_error=2e-3, velocity_error=2e-2, latency=late)
+        q = both.robot.random_configurations(20, seed=seed)[int(rng.integers(20))]
+        dq, t, running = np.zeros(3), 0.0, np.empty((0, 3))
+        for _ in range(40):
+            if len(running) < 4 or rng.random() < 0.1:
+                s = DT * np.arange(1, int(rng.integers(8, 30)))[:, None]
+                running = q + rng.normal(size=3) * rng.uniform(0.2, 2.0) * s + rng.normal(size=3) * s * s
+            elif rng.random() < 0.7:  # the chunk goes on
+                running = np.vstack([running, 2 * running[-1] - running[-2] + rng.uniform(-1e-3, 1e-3, 3)])[:MOST]
+            if grows and rng.random() < 0.3:
+                place = place + rng.uniform(-1, 1, 3) * 2e-3
+                scene.follow("person", [t], at(*place)[None], speed=0.3, since=t, error=(0.01, 0.0))
+                both.see("person")
+            off = rng.uniform(-1, 1, 3)
+            answer, _ = both.check(q + 2e-3 * off, dq + 2e-2 * off, running, time=t)
+            if answer.steps == 0:
+                break
+            q, dq, running, t = running[0], (running[0] - q) / DT, running[1:], t + DT
+        states |= set(both.states)
+    assert len(states) >= 3
+
+
+CHANGES = ["none", "position", "velocity", "targets", "structure", "moved", "margin", "period"]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_was_proven_is_used_as_in_python(tmp_path, change):
+    """A state outside the tube, other targets, or a body that moved: everything is proven again."""
+    scene = wall(3.0)
+    scene.add("ball", Body.sphere(0.1), at(0.0, -1.0))
+    both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+    whole, _ = both.check(Q0, V0, targets[:20])
+    q, dq, dt, rest = targets[0].copy(), V0.copy(), DT, targets[1:21].copy()
+    if change == "position":
+        q[2] += 1.1e-3
+    elif change == "velocity":
+        dq[2] += 1.1e-2
+    elif change == "targets":
+        rest[4, 2] += 1e-9
+    elif change == "structure":
+        scene.remove("ball")
+        both.checker.set_present("ball", False)
+    elif change == "moved":
+        scene.move("ball", at(0.0, -1.001))
+        both.checker.move("ball", at(0.0, -1.001))
+    elif change == "margin":
+        scene.set_margin(0.01, "wall")
+        for body in both.robot.link_names[1:]:
+            both.checker.set_margin(body, "wall", 0.01)
+    elif change == "period":
+        dt *= 1.001
+    _, found = both.check(q, dq, rest, dt, time=DT)
+    assert (found.work < whole.work / 4) == (change == "none")
+
+
+@pytest.mark.parametrize(
+    ("seen", "is_within"),
+    [
+        ({"T": at(0.0, -2.0), "since": 0.0}, True),  # as before
+        ({"T": at(0.01, -2.0), "since": DT, "error": (0.0, 0.0)}, True),  # seen again within its cone
+        ({"T": at(0.03, -2.0), "since": DT}, False),  # seen outside
+        ({"T": at(0.01, -2.0), "since": DT, "error": (0.02, 0.0)}, False),  # an error that pokes out
+        ({"T": at(0.0, -2.0), "since": DT, "speed": 1.1}, False),  # faster
+        ({"T": at(0.0, -2.0), "since": DT, "turn": 0.1}, False),
+        ({"T": at(0.0, -2.0), "since": DT, "error": (0.0, 0.1)}, False),
+        ({"T": at(0.0, -2.0), "since": 2 * DT}, False),  # from the future
+    ],
+)
+@pytest.mark.parametrize("late", [0.0, DT / 2])
+def test_a_person_who_is_seen_again(tmp_path, seen, is_within, late):
+    """What was proven holds if the new places were allowed before, and at a tick."""
+    scene = wall(3.0)
+    scene.add("person", Body.sphere(0.2))
+    scene.follow("person", [0.0], at(0.0, -2.0)[None], speed=1.0, since=0.0)
+    both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+    whole, _ = both.check(Q0, V0, targets[:20])
+    given = {"speed": 1.0, "error": None} | seen
+    scene.follow("person", [0.0], given.pop("T")[None], **given)
+    both.see("person")
+    _, found = both.check(targets[0], V0, targets[1:21], time=DT + late)
+    assert (found.work < whole.work / 3) == (is_within and late == 0.0)
+
+
+def test_a_body_that_turns_is_known_by_its_turn(tmp_path):
+    """A pose that is turned by less than was allowed, and by more."""
+    scene = wall(3.0)
+    scene.add("box", Body.box([0.2, 0.3, 0.4]))
+    scene.follow("box", [0.0], at(0.0, -2.0)[None], turn=1.0, since=0.0)
+    for angle in (0.9 * DT, 1.1 * DT):
+        both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+        whole, _ = both.check(Q0, V0, targets[:20])
+        T = at(0.0, -2.0)
+        T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        both.checker.move("box", T)
+        both.checker.set_bounds("box", metres=0.0, radians=0.0, speed=0.0, turn=1.0, since=DT)
+        found = both.mine.check(targets[0], V0, targets[1:21], DT, DT)
+        assert (found.work < whole.work / 3) == (angle < DT)
+
+
+def test_a_brake_on_the_path_is_the_one_that_was_proven(tmp_path):
+    """A brake that ended behind the last target does not turn with targets that came later."""
+    both = Both(wall(1.5), tmp_path, brake="path")
+    targets = along_the_rail(1.0, 20)
+    both.check(Q0, V0, targets)
+    bent = np.vstack([targets[1:], targets[-1] + [0.02, 0.04, 0.0]])
+    both.check(targets[0], V0, bent)
+    bad = np.vstack([targets[5:], np.full((1, 3), 1.4)])
+    wanted, _ = both.check(targets[4], V0, bad)
+    assert wanted.state == GateState.PREFIX
+    assert wanted.brake.knots[:, 1] == pytest.approx(np.pi / 2)
+    shorter, _ = both.check(targets[4], V0, targets[5:10])
+    assert shorter.state == GateState.GO
+
+
+def test_targets_that_end_before_a_brake_begins(tmp_path):
+    """No brake can be proven, so nothing is let through."""
+    wanted, _ = Both(wall(3.0), tmp_path, latency=5 * DT).check(Q0, V0, along_the_rail(1.0, 5))
+    assert (wanted.state, wanted.reason, wanted.is_proven) == (GateState.BRAKE, "brake", False)
+    wanted, _ = Both(wall(3.0), tmp_path, latency=5 * DT).check(Q0, V0, along_the_rail(1.0, 6))
+    assert (wanted.state, wanted.steps) == (GateState.GO, 1)
+
+
+def test_budgets_and_horizons(tmp_path):
+    """With too few steps less is let through, and the work stays near them."""
+    targets = along_the_rail(1.0, 40)
+    both = Both(wall(1.3), tmp_path)
+    whole, _ = both.check(Q0, V0, targets)
+    for steps in (1, 10, 100, 300, 1000):
+        mine = capi.Gate(both.checker, MOST, acceleration=both.robot.acceleration, steps=steps)
+        found = mine.check(Q0, V0, targets, DT)
+        assert found.work <= steps + 200
+        assert found.steps <= whole.steps
+        assert (REASONS[found.reason] == "budget") == (found.work < whole.work)
+    near, _ = Both(wall(1.3), tmp_path, horizon=10 * DT).check(Q0, V0, targets)
+    assert (near.state, near.steps) == (GateState.GO, 10)
+
+
+def test_bad_ticks_are_refused(tmp_path):
+    """Each with the name of the argument; the gate goes on afterwards."""
+    both, targets = Both(wall(3.0), tmp_path), along_the_rail(1.0, 20)
+    both.check(Q0, V0, targets, time=1.0)
+    given = {"q": targets[0], "dq": V0, "targets": targets[1:], "dt": DT, "time": 1.0 + DT}
+    for name, bad in (
+        ("q", [0.0, np.nan, 0.0]), ("dq", [np.inf, 0.0, 0.0]), ("targets", np.zeros((0, 3))),
+        ("targets", np.zeros((MOST + 1, 3))), ("targets", np.full((2, 3), np.nan)), ("dt", 0.0), ("dt", np.nan),
+        ("time", np.nan), ("time", 0.5),
+    ):  # fmt: skip
+        with pytest.raises(capi.Error, match=name):
+            both.mine.check(**given | {name: bad})
+    assert both.mine.check(**given).state == GateState.GO
+
+
+def test_bad_gates_are_refused(tmp_path):
+    """Errors of the options."""
+    CollisionChecker(arm(), Scene()).save(tmp_path / "cell.lwn")
+    checker, good = capi.Checker(tmp_path / "cell.lwn"), {"acceleration": 1.0}
+    for bad in (
+        {"latency": -1.0}, {"horizon": np.nan}, {"tolerance": -1.0}, {"steps": -1}, {"joint_error": -1.0},
+        {"velocity_error": np.inf}, {"acceleration": 0.0}, {"acceleration": None}, {"jerk": np.inf}, {"velocity": 0.0},
+    ):  # fmt: skip
+        with pytest.raises(capi.Error, match=next(iter(bad))):
+            capi.Gate(checker, MOST, **good | bad)
+    for most in (0, 10**7):
+        with pytest.raises(capi.Error, match="most_targets"):
+            capi.Gate(checker, most, **good)
