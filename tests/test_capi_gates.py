@@ -157,7 +157,7 @@ def test_what_was_proven_is_used_as_in_python(tmp_path, change):
         ({"T": at(0.0, -2.0), "since": 2 * DT}, False),  # from the future
     ],
 )
-@pytest.mark.parametrize("late", [0.0, DT / 2])
+@pytest.mark.parametrize("late", [0.0, 0.3 * DT])
 def test_a_person_who_is_seen_again(tmp_path, seen, is_within, late):
     """What was proven holds if the new places were allowed before, and at a tick."""
     scene = wall(3.0)
@@ -209,6 +209,14 @@ def test_targets_that_end_before_a_brake_begins(tmp_path):
     assert (wanted.state, wanted.reason, wanted.is_proven) == (GateState.BRAKE, "brake", False)
     wanted, _ = Both(wall(3.0), tmp_path, latency=5 * DT).check(Q0, V0, along_the_rail(1.0, 6))
     assert (wanted.state, wanted.steps) == (GateState.GO, 1)
+
+
+def test_a_brake_before_the_first_proven_one_is_not_called_proven(tmp_path):
+    """Another chunk at the same tick: the brake after the latency was never proven."""
+    both, targets = Both(wall(3.0), tmp_path, latency=2 * DT), along_the_rail(1.0, 20)
+    both.check(Q0, V0, targets)
+    wanted, _ = both.check(Q0, V0, targets + [9.0, 0.0, 0.0])
+    assert (wanted.state, wanted.is_proven) == (GateState.BRAKE, False)
 
 
 def test_budgets_and_horizons(tmp_path):

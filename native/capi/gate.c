@@ -15,7 +15,6 @@ enum { EXACT = CODE_EXACT, VECTORS = 8 };
 /* What may change of a body of the scene without making the scene another one. */
 typedef struct {
     double pose[16];
-    int has_bounds;
     loewner_bounds bounds;
 } Known;
 
@@ -142,7 +141,6 @@ static loewner_status look(loewner_gate *gate)
         const Body *body = checker->bodies + state->body[(size_t)state->moving + k];
         Known *its = gate->seen + k;
         memcpy(its->pose, body->pose, sizeof its->pose);
-        its->has_bounds = body->has_bounds;
         its->bounds = body->has_bounds ? body->bounds : (loewner_bounds){0, 0, 0, 0, 0};
     }
     return LOEWNER_OK;
@@ -203,7 +201,7 @@ static int is_within(const Known *seen, const Known *allowed, double now)
     double away = 0, turned = 0, far = 0;
     if (memcmp(seen->pose, allowed->pose, sizeof seen->pose) == 0 && memcmp(its, old, sizeof *its) == 0)
         return 1;
-    if (!seen->has_bounds || fmax(its->since, old->since) > now || its->speed > old->speed || its->turn > old->turn)
+    if (fmax(its->since, old->since) > now || its->speed > old->speed || its->turn > old->turn)
         return 0;
     for (int k = 0; k < 12; k++) {
         double step = seen->pose[k] - allowed->pose[k];
