@@ -38,6 +38,9 @@ SAME_TICK = 1e-6
 # Metres, radians and shares by which bounds must be narrower than older ones to lie within these.
 WITHIN = 1e-12
 
+# What rounding takes from a turn between two quaternions [rad]: cosines near 1 are off by some roundings.
+TURNED = 1e-6
+
 # By how much brakes on straight motions may be off them, as a share of their values.
 ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # 40 of them are derived in certified.md, "Brakes"
 
@@ -270,6 +273,7 @@ class Gate:
         known = robot.velocity if limits is None else limits.velocity
         self._fastest = np.where(np.isnan(known), np.inf, known)
         self._last: _Chunk | None = None
+        self._drift = 0.0  # by how much bodies grow while a tick may be off
         self._now = -math.inf
 
     @property
@@ -343,6 +347,7 @@ class Gate:
     def _judged(self, ready: Problem, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
         """Prove the new part of a chunk, and answer."""
         late, world = math.ceil(self._latency / dt * (1 - SAME_TICK)), _world(ready, self._checker)
+        self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
         before = self._here(world, state, now)
         chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt))), None)
@@ -395,7 +400,10 @@ class Gate:
         ticks = range(len(last.rows))
         if world.following or world.bounds:
             tick = round((now - last.t0) / last.dt)
-            on_time = abs(last.t0 + tick * last.dt - now) <= SAME_TICK * last.dt
+            # Proofs allow for growth that begins a little earlier, but not for other places on motions.
+            early = abs(last.t0 + tick * last.dt - now)
+            is_growing = all(path.rests for path in world.following.values())
+            on_time = early <= (SAME_TICK * last.dt if is_growing else 0.0)
             ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
         q, dq = state
         off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
@@ -470,7 +478,8 @@ class Gate:
             owner, low, high, times, cut, off = in_time.pieces(
                 self._checker.robot, ready.paths, courses, none if off is None else off, begin, end
             )
-        found = motions.settle(ready, cut, self._tolerance, off, limit=Limit(most, np.array([0, len(cut)])))
+        clear = np.full(len(cut), self._drift) if self._drift > 0.0 else motions.NO_CLEARANCES
+        found = motions.settle(ready, cut, self._tolerance, off, clear, Limit(most, np.array([0, len(cut)])))
         work = int(found.work[:, motions.STEPS].sum())
         for k in np.flatnonzero(found.verdicts != codes.FREE)[:1]:
             share = 0.0 if np.isnan(found.fractions[k]) else float(found.fractions[k])
@@ -628,11 +637,13 @@ def _path_is_within(
         return False
     # From now on, both grow linearly, and the older bounds no less.
     away = float(np.linalg.norm(path.positions[0] - old.positions[0]))
-    cosine = min(1.0, abs(float(path.quaternions[0] @ old.quaternions[0])))
-    away, turned = (0.0, 0.0) if same else (away, 2.0 * float(arccos(cosine)))
+    turned = 0.0
+    if not same and not np.array_equal(path.quaternions[0], old.quaternions[0]):
+        turned = 2.0 * float(arccos(min(1.0, abs(float(path.quaternions[0] @ old.quaternions[0]))))) + TURNED
+    away = 0.0 if same else away
     more = WITHIN * (1.0 + abs(now) + float(np.abs(path.positions[0]).max()))
     off = away + bounds.metres + bounds.speed * (now - bounds.since) + more
-    turned += bounds.radians + bounds.turn * (now - bounds.since) + 1e-7 * (turned > 0.0)
+    turned += bounds.radians + bounds.turn * (now - bounds.since)
     return bool(
         off <= allowed.metres + allowed.speed * (now - allowed.since)
         and turned <= allowed.radians + allowed.turn * (now - allowed.since)
