@@ -30,7 +30,7 @@ class ProcessorStep:
         """Return the transition for the next step."""
         raise NotImplementedError
 
-    def transform_features(self, features: dict) -> dict:
+    def transform_features(self, features: dict[str, Any]) -> dict[str, Any]:
         """Return the features of the transitions that the step returns."""
         return features
 
@@ -114,11 +114,11 @@ class GateStep(ProcessorStep):
 
     def to_radians(self, values: np.ndarray) -> np.ndarray:
         """From LeRobot's values to the model's."""
-        return np.asarray(values, dtype=float) * self._scales + self._offsets
+        return np.asarray(np.asarray(values, dtype=float) * self._scales + self._offsets)
 
     def from_radians(self, q: np.ndarray) -> np.ndarray:
         """From the model's values to LeRobot's."""
-        return (q - self._offsets) / self._scales
+        return np.asarray((q - self._offsets) / self._scales)
 
 
 def main() -> None:
@@ -146,6 +146,7 @@ def main() -> None:
             rows = step.to_radians(np.vstack([state, chunk]))
             hits[name] += bool((checker.certify_edges(rows[:-1], rows[1:]).verdict == Verdict.COLLIDING).any())
         answer = step.answer
+        assert answer is not None
         why = f": {answer.reason}, {' and '.join(answer.names)}" if answer.reason else ""
         print(f"chunk {k:2}: {answer.state.name}, {answer.steps} of {len(action)} actions{why}")
         state = done[-1]
@@ -156,7 +157,7 @@ def policy(state: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Fifty actions that start and end at rest, somewhere, in the units of the robot."""
     goal = np.array([rng.uniform(-50, 50), rng.uniform(60, 110), rng.uniform(10, 40)])
     share = np.linspace(0.0, 1.0, 51)[1:, None]
-    return state + (3 * share**2 - 2 * share**3) * (goal - state)
+    return np.asarray(state + (3 * share**2 - 2 * share**3) * (goal - state))
 
 
 def arm() -> Robot:
@@ -165,7 +166,7 @@ def arm() -> Robot:
     lying[:3, :3], lying[:3, 3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.075, 0, 0]  # along x
     links = {"base": None, "shoulder": None, "upper": [(Body.capsule(0.02, 0.15), lying)]}
     links["lower"] = [(Body.capsule(0.015, 0.15), lying)]
-    limits = {"velocity": 3.0, "lower": -1.9, "upper": 1.9}
+    limits: dict[str, Any] = {"velocity": 3.0, "lower": -1.9, "upper": 1.9}
     joints = [
         Joint("shoulder_pan", "revolute", "base", "shoulder", T_parent_joint=at(0, 0, 0.1), axis=(0, 0, 1), **limits),
         Joint("shoulder_lift", "revolute", "shoulder", "upper", axis=(0, 1, 0), **limits),

@@ -68,13 +68,14 @@ class Cell:
             self.checker, acceleration=BRAKE, joint_error=JOINT_ERROR, velocity_error=VELOCITY_ERROR
         )
         self.page = viewer.show_robot(self.truth) if view else None
-        self.longest, self.reasons = 0.0, set()
+        self.longest = 0.0
+        self.reasons = set[tuple[str, tuple[str, ...]]]()
         if self.page is not None:
             print(self.page.url)
 
-    def run(self, ticks: int, gated: bool) -> Counter:
+    def run(self, ticks: int, gated: bool) -> Counter[str]:
         """Steer for some ticks; without the gate, all commands are executed."""
-        robot, counts = self.checker.robot, Counter()
+        robot, counts = self.checker.robot, Counter[str]()
         q, dq, brake, since = robot.configuration("default"), np.zeros(robot.dof), None, 0.0
         for k in range(ticks):
             t = k * DT
@@ -120,7 +121,7 @@ class Cell:
         stick[:4] = 0.9 * np.sin(0.9 * t), 0.4 * np.sin(0.7 * t), 0.0, 0.3 * np.sin(0.5 * t)
         rate = dq + np.clip(stick - dq, -JERKY * DT, JERKY * DT)
         robot = self.checker.robot
-        return np.clip(q + DT * rate, robot.lower, robot.upper)
+        return np.asarray(np.clip(q + DT * rate, robot.lower, robot.upper))
 
     def meets(self, a: np.ndarray, b: np.ndarray, t: float) -> bool:
         """Whether the arm touches anything on its way, at four moments."""
