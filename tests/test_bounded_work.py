@@ -90,9 +90,9 @@ def thousands_of_pieces():
 
 def turning_beside_balls():
     """A box that turns beside such a wall: planes in parts of the intervals prove what no plane of a whole one does."""
-    robot = carriage(Body.box([0.3, 0.3, 0.3]))
+    robot = carriage(Body.box([0.3, 0.6, 0.3]))
     scene = scene_of(wall=(Body.spheres(wall() * [0, 1, 1], np.full(len(wall()), 0.01)), np.eye(4)))
-    return CollisionChecker(robot, scene), motion(robot, [0.223, 0.0, 0.0], [0.0, 0.1, 0.1], 2.0)
+    return CollisionChecker(robot, scene), motion(robot, [0.349, 0.0, 0.0], [0.0, 0.02, 0.0], 4.0)
 
 
 def grazing():
@@ -312,7 +312,7 @@ def test_bad_limits(tmp_path):
 @pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="it takes a C compiler and glibc")
 @pytest.mark.parametrize("name", ["balls_near_a_box", "dense_surfaces", "thousands_of_pieces", "grazing"])
 def test_proofs_allocate_nothing(tmp_path, name, rng):
-    """After the first proof of a workspace, neither proofs nor those that are given up allocate; nor do gates."""
+    """After the first proof of a workspace, neither proofs nor those that are given up allocate memory."""
     checker, (a, b) = WORLDS[name]()
     checker.save(tmp_path / "cell.lwn")
     ends = b + 0.01 * rng.normal(size=(20, len(b)))
