@@ -277,6 +277,8 @@ def test_budgets_end_the_work():
         ({"dq": [0.0, 0.0]}, "dq"),
         ({"targets": np.zeros((0, 3))}, "targets"),
         ({"targets": [[0.0, 0.0, np.inf]]}, "targets"),
+        ({"targets": [[1e308, 0.0, 0.0]]}, "finite velocities"),
+        ({"q": [0.0, -1e308, 0.0]}, "finite velocities"),
         ({"dt": 0.0}, "dt"),
         ({"time": np.nan}, "time"),
         ({"time": -1.0}, "time: expected one that is no earlier"),

@@ -324,6 +324,12 @@ class Gate:
         rows = _validate.finite_array(targets, "targets", (None, robot.dof))
         if len(rows) == 0:
             raise InputError("targets: expected one row or more, found none")
+        with np.errstate(over="ignore"):
+            speeds = np.diff(np.vstack([state[0], rows]), axis=0) / period
+        if not np.isfinite(speeds).all():
+            raise InputError(
+                f"targets: expected targets that are reached at finite velocities, found others, dt {period:g}"
+            )
         ready = prepared_of(self._checker, timed=True)
         if ready.paths is not None and time is None:
             raise InputError("time: expected the time of the tick, since bodies of the scene move or grow, found none")
