@@ -324,6 +324,8 @@ class Gate:
         rows = _validate.finite_array(targets, "targets", (None, robot.dof))
         if len(rows) == 0:
             raise InputError("targets: expected one row or more, found none")
+        if not math.isfinite(8.0 * (abs(now) + period * (1 + len(rows)))):
+            raise InputError(f"dt: expected a period after which the targets end at a finite time, found {period:g}")
         with np.errstate(over="ignore"):
             speeds = np.diff(np.vstack([state[0], rows]), axis=0) / period
         if not np.isfinite(speeds).all():
