@@ -172,6 +172,22 @@ def test_a_person_who_is_seen_again(tmp_path, seen, is_within, late):
     assert (found.work < whole.work / 3) == (is_within and late == 0.0)
 
 
+def test_what_was_proven_after_a_sighting_holds_for_it_alone(tmp_path):
+    """The third sighting is within the first cone, and outside the second one, for which new targets were proven."""
+    scene, work = wall(3.0), []
+    scene.add("person", Body.sphere(0.2))
+    for last in (0.01, 0.03):
+        scene.follow("person", [0.0], at(0.0, -2.0)[None], speed=1.0, since=0.0)
+        both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+        both.check(Q0, V0, targets[:20])
+        for k, x in ((1, 0.0), (2, last)):
+            scene.follow("person", [0.0], at(x, -2.0)[None], speed=1.0, since=k * DT)
+            both.see("person")
+            _, found = both.check(targets[k - 1], V0, targets[k : k + 20], time=k * DT)
+        work.append(found.work)
+    assert work[1] > 3 * work[0]
+
+
 def test_a_body_that_turns_is_known_by_its_turn(tmp_path):
     """A pose that is turned by less than was allowed, and by more."""
     scene = wall(3.0)

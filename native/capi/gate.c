@@ -557,19 +557,18 @@ static loewner_status begin_chunk(loewner_gate *gate, const double *q, const dou
     return LOEWNER_OK;
 }
 
-/* Let the chunk be the last one that may run. */
-static void adopt(loewner_gate *gate, int is_new)
+/* Let the chunk be the last one that may run. If it goes on, the places of now are within the older ones, and new motions
+   are proven for the places of now only. */
+static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;
     gate->made = gate->last;
     gate->last = made;
     gate->has_last = 1;
-    if (is_new) {
-        Known *seen = gate->seen;
-        gate->seen = gate->allowed;
-        gate->allowed = seen;
-        gate->structure = gate->checker->serial;
-    }
+    Known *seen = gate->seen;
+    gate->seen = gate->allowed;
+    gate->allowed = seen;
+    gate->structure = gate->checker->serial;
 }
 
 static loewner_status judge(loewner_gate *gate, const double *q, const double *dq, const double *targets,
@@ -585,8 +584,7 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
         if (goes_on(gate, tick, targets, count, dt))
             break;
-    int is_new = tick < 0;
-    if (is_new) {
+    if (tick < 0) {
         TRY(begin_chunk(gate, q, dq, targets, count, dt, now, late, &proof));
         if (proof.reason) {
             gate->has_last = 0;
@@ -608,7 +606,7 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same */
         TRY(find_scale(gate, late, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
-        adopt(gate, is_new);
+        adopt(gate);
         TRY(brake_from(gate, &gate->last, gate->last.braked));
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1, &proof, answer);
     }

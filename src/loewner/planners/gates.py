@@ -272,7 +272,7 @@ class Gate:
         self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
         known = robot.velocity if limits is None else limits.velocity
         self._fastest = np.where(np.isnan(known), np.inf, known)
-        self._last: _Chunk | None = None
+        self._last: _Chunk | None = None  # proven for all places that its world allows
         self._drift = 0.0  # by how much bodies grow while a tick may be off
         self._now = -math.inf
 
@@ -358,7 +358,7 @@ class Gate:
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
         before = self._here(world, state, now)
-        chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt))), None)
+        chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt, world))), None)
         if chunk is None:
             rows = np.vstack([state[0], wanted[:count]])
             ends = np.zeros(len(rows), dtype=np.int64)
@@ -419,8 +419,11 @@ class Gate:
         found = [j for j in ticks if near[j]]  # several, if the robot is slow
         return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(q - last.rows[j]).max()))]
 
-    def _going_on(self, old: _Chunk, wanted: Floats, dt: float) -> _Chunk | None:
-        """Append new targets to a chunk that goes on; None if these targets are others."""
+    def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
+        """Append new targets to a chunk that goes on; None if these targets are others.
+
+        What is new is proven in the world of now, which is within the older one, so the whole chunk is proven there.
+        """
         known, n = old.rows[1:], len(wanted)
         common = min(len(known), n)
         if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
@@ -430,7 +433,7 @@ class Gate:
             braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
         return old._replace(
             rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
-            ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)),
+            ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)), world=world,
         )  # fmt: skip
 
     def _proven(self, ready: Problem, chunk: _Chunk, most: int) -> tuple[_Chunk, _Block | None, int]:
@@ -597,7 +600,7 @@ class Gate:
             pair = [block.pair] if block.pair >= 0 else np.arange(len(ready.pairs) if reason == "contact" else 0)
             if len(pair):
                 alone, q = ready.as_given.only(np.array(pair)), self._placed(ready, block.q[None], block.t)
-                lower, upper, away, bodies, _, _, normal = (c[0] for c in nearest_columns(alone, q, True, care=False))
+                _, _, away, bodies, _, _, normal = (c[0] for c in nearest_columns(alone, q, True, care=False))
                 names, away = tuple(ready.names[k] for k in bodies.tolist()), float(away)
             elif reason == "limits":
                 names = (joint,)
