@@ -332,12 +332,20 @@ class Gate:
             raise InputError(
                 f"targets: expected targets that are reached at finite velocities, found others, dt {period:g}"
             )
-        ready = prepared_of(self._checker, timed=True)
+        ready, world = self._present()
         if ready.paths is not None and time is None:
             raise InputError("time: expected the time of the tick, since bodies of the scene move or grow, found none")
         self._now = now
         within = math.ceil(min(self._horizon / period, len(rows)) * (1 - SAME_TICK))
-        return self._judged(ready, state, rows[: max(within, 1)], period, now)
+        return self._judged(ready, world, state, rows[: max(within, 1)], period, now)
+
+    def _present(self) -> tuple[Problem, _World]:
+        """Return the pairs and the world of one moment, also if another thread changes the scene meanwhile."""
+        while True:
+            ready = prepared_of(self._checker, timed=True)
+            world = _world(ready, self._checker)
+            if self._checker.scene.version == ready.version:
+                return ready, world
 
     def _time(self, given: float | None) -> float:
         """Check the time of a tick."""
@@ -352,9 +360,9 @@ class Gate:
 
     # -- the order of a check -----------------------------------------------------------------
 
-    def _judged(self, ready: Problem, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
+    def _judged(self, ready: Problem, world: _World, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
         """Prove the new part of a chunk, and answer."""
-        late, world = math.ceil(self._latency / dt * (1 - SAME_TICK)), _world(ready, self._checker)
+        late = math.ceil(self._latency / dt * (1 - SAME_TICK))
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
         before = self._here(world, state, now)
@@ -422,7 +430,7 @@ class Gate:
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
         """Append new targets to a chunk that goes on; None if these targets are others.
 
-        What is new is proven in the world of now, which is within the older one, so the whole chunk is proven there.
+        New targets are proven in the present world, which is within the older one, so the whole chunk is proven there.
         """
         known, n = old.rows[1:], len(wanted)
         common = min(len(known), n)
