@@ -188,6 +188,42 @@ def test_what_was_proven_after_a_sighting_holds_for_it_alone(tmp_path):
     assert work[1] > 3 * work[0]
 
 
+@pytest.mark.parametrize("brake", ["joints", "path"])
+def test_a_stop_is_remembered_while_the_world_is_the_same(tmp_path, brake):
+    """A motion or a brake that failed is not tried again, until a body that was near is seen to be farther away."""
+    scene, targets = wall(3.0), along_the_rail(1.0, 60)
+    scene.add("person", Body.sphere(0.1))
+    scene.follow("person", [0.0], at(1.1)[None], speed=0.05, since=0.0, error=(0.1, 0.0))
+    given = {"joint_error": 1e-3, "velocity_error": 1e-2}
+    both = Both(scene, tmp_path, brake=brake, **given)
+    quiet = capi.Gate(both.checker, MOST, acceleration=both.robot.acceleration, brake=brake, **given)  # without scales
+    first, _ = both.check(Q0, V0, targets)
+    quiet.check(Q0, V0, targets, DT, 0.0)
+    assert first.state == GateState.PREFIX
+    for k in range(1, 5):  # the same targets, seen from later ticks
+        wanted, _ = both.check(targets[k - 1], V0, targets[k:], time=k * DT)
+        assert (wanted.steps, wanted.reason, wanted.names) == (first.steps - k, first.reason, first.names)
+        assert wanted.distance == pytest.approx(first.distance)
+        assert quiet.check(targets[k - 1], V0, targets[k:], DT, k * DT).work == 0
+    scene.follow("person", [0.0], at(1.1)[None], speed=0.05, since=0.0, error=(0.02, 0.0))
+    both.see("person")
+    wanted, _ = both.check(targets[4], V0, targets[5:], time=5 * DT)
+    assert wanted.steps > first.steps - 5
+    assert quiet.check(targets[4], V0, targets[5:], DT, 5 * DT).work > 0
+
+
+@pytest.mark.parametrize("more", [[0.02, 0.0, 0.0], [-0.02, 0.0, 0.0]])
+def test_a_stop_behind_the_last_target_is_tried_again_with_more_targets(tmp_path, more):
+    """A brake that went on along the last motion ends elsewhere if the next targets turn back."""
+    both, targets = Both(wall(1.15), tmp_path, brake="path"), along_the_rail(1.0, 47)
+    first, _ = both.check(Q0, V0, targets)
+    assert (first.steps, first.reason) == (46, "brake")
+    later = np.vstack([targets[1:], targets[-1] + np.arange(1, 11)[:, None] * more])
+    wanted, _ = both.check(targets[0], V0, later)
+    anew, _ = Both(wall(1.15), tmp_path, brake="path").check(targets[0], V0, later)
+    assert (wanted.state, wanted.steps) == (anew.state, anew.steps)
+
+
 def test_a_body_that_turns_is_known_by_its_turn(tmp_path):
     """A pose that is turned by less than was allowed, and by more."""
     scene = wall(3.0)

@@ -18,6 +18,13 @@ typedef struct {
     loewner_bounds bounds;
 } Known;
 
+/* A motion or a brake that is not free, where it begins, and how many targets it depends on; `tick` is -1 if there is
+   none. It is not tried again while the world is the same. */
+typedef struct {
+    int64_t tick, needed, pair;
+    int32_t reason;
+} Stop;
+
 /* A chunk, and how far it is proven: see `_Chunk` of gates.py. */
 typedef struct {
     double *rows; /* `count` + 1, behind the one before them */
@@ -25,6 +32,7 @@ typedef struct {
     int64_t *ends; /* how many targets were known when the brake from each tick was proven */
     double dt, t0;
     int64_t count, motions, first, braked;
+    Stop motion_stop, brake_stop;
 } Chunk;
 
 /* Why a proof ended, 0 if it did not, and the work of all proofs of a check. */
@@ -216,6 +224,30 @@ static int is_within(const Known *seen, const Known *allowed, double now)
            turned <= old->radians + old->turn * (now - old->since);
 }
 
+/* Whether the places that bodies may have are the same as in the world of the last chunk. */
+static int is_same_world(const loewner_gate *gate)
+{
+    for (size_t k = 0; k < gate->known; k++)
+        if (memcmp(gate->seen[k].pose, gate->allowed[k].pose, sizeof gate->seen->pose) != 0 ||
+            memcmp(&gate->seen[k].bounds, &gate->allowed[k].bounds, sizeof gate->seen->bounds) != 0)
+            return 0;
+    return 1;
+}
+
+static Stop later(Stop stop, int64_t tick)
+{
+    stop.needed -= tick;
+    stop.tick = stop.tick >= tick ? stop.tick - tick : -1;
+    return stop;
+}
+
+/* Remember where a proof failed, unless it would succeed with more work. */
+static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
+{
+    int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
+    return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
+}
+
 /* Range of the ticks of the last chunk at which the robot may be, if what was proven of it still holds. */
 static void find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
@@ -290,6 +322,10 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     int64_t first = made->first > 0 ? made->first : 0;
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
         made->braked--;
+    const Stop none = {-1, 0, -1, 0};
+    int is_same = is_same_world(gate);
+    made->motion_stop = is_same ? later(last->motion_stop, tick) : none;
+    made->brake_stop = is_same ? later(last->brake_stop, tick) : none;
     return 1;
 }
 
@@ -409,32 +445,50 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         most = fmax(most, fabs(chunk->rows[k]));
     for (int64_t c = 0; c < dof; c++)
         gate->widened[c] = gate->error[c] + ROUNDED * most;
-    for (; chunk->motions < chunk->count; chunk->motions++) {
+    for (const Stop *stop = &chunk->motion_stop; chunk->motions < chunk->count; chunk->motions++) {
         double begin = chunk->t0 + chunk->dt * (double)chunk->motions;
+        if (stop->tick == chunk->motions) {
+            proof->reason = stop->reason;
+            proof->pair = stop->pair;
+            break;
+        }
         TRY(prove_course(gate, chunk->rows + chunk->motions * dof, 2, gate->widened, begin, begin + chunk->dt,
                          chunk->dt, proof));
+        chunk->motion_stop = stop_at(chunk->motions, chunk->motions + 1, proof);
         if (proof->reason)
             break;
     }
     const Proof motions = *proof;
+    const Stop *stop = &chunk->brake_stop;
     int64_t tick = chunk->braked + 1 > chunk->first ? chunk->braked + 1 : chunk->first;
     proof->reason = 0;
     proof->pair = -1;
     for (tick = tick > 0 ? tick : 0; tick <= chunk->motions; tick++) {
+        if (stop->tick == tick && stop->needed <= chunk->count) {
+            proof->reason = stop->reason;
+            proof->pair = stop->pair;
+            break;
+        }
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
-        double periods = gate->times[gate->pieces_made - 1] / chunk->dt;
-        int is_covered = gate->on_path && growing == 0 && /* by motions that are proven, at all times */
-                         (double)tick + ceil(periods * (1 + SAME_TICK)) <= (double)chunk->motions;
+        double end = (double)tick, periods = gate->times[gate->pieces_made - 1] / chunk->dt;
+        if (gate->on_path)
+            end += ceil(periods * (1 + SAME_TICK));
+        int is_covered = gate->on_path && growing == 0 && end <= (double)chunk->motions; /* proven, at all times */
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
                             gate->on_path ? NULL : chunk->rates + tick * dof, proof));
-        if (proof->reason)
+        if (proof->reason) {
+            if (proof->reason == LOEWNER_REASON_CONTACT)
+                proof->reason = LOEWNER_REASON_BRAKE;
+            /* Behind the last target, a brake would go another way with more targets. */
+            chunk->brake_stop.tick = -1;
+            if (end <= (double)chunk->count)
+                chunk->brake_stop = stop_at(tick, (int64_t)end, proof);
             break;
+        }
         chunk->braked = tick;
     }
-    if (proof->reason == LOEWNER_REASON_CONTACT)
-        proof->reason = LOEWNER_REASON_BRAKE;
     if (!proof->reason) {
         proof->reason = motions.reason;
         proof->pair = motions.pair;
@@ -458,6 +512,7 @@ static loewner_status find_scale(loewner_gate *gate, int64_t late, Proof *proof,
         slower->motions = 0;
         slower->first = late + 1;
         slower->braked = late;
+        slower->motion_stop.tick = slower->brake_stop.tick = -1;
         for (int64_t c = 0; c < gate->dof; c++)
             rates[c] = *scale * chunk->rates[c];
         write_rates(gate, slower);
@@ -541,6 +596,7 @@ static loewner_status begin_chunk(loewner_gate *gate, const double *q, const dou
     made->motions = 0;
     made->first = late + 1;
     made->braked = late;
+    made->motion_stop.tick = made->brake_stop.tick = -1;
     write_rates(gate, made);
     loewner_workspace *its = gate->workspace;
     int64_t work[WORK];

@@ -132,6 +132,32 @@ class _World(NamedTuple):
     bounds: dict[str, PoseBounds]
 
 
+class _Block(NamedTuple):
+    """Where a proof fails: the reason, the pair or -1, the configuration and the time."""
+
+    reason: str
+    pair: int
+    q: Floats
+    t: float
+
+
+class _Stop(NamedTuple):
+    """A motion or a brake of a chunk that is not free, which is not tried again while the world is the same.
+
+    Attributes
+    ----------
+    tick : int
+        Where it begins.
+    needed : int
+        How many targets it depends on.
+    block : _Block
+    """
+
+    tick: int
+    needed: int
+    block: _Block
+
+
 class _Chunk(NamedTuple):
     """A chunk, and how far it is proven.
 
@@ -152,6 +178,7 @@ class _Chunk(NamedTuple):
         How many targets were known when the brake from each tick was proven: a brake on the path that does
         not end there goes on along the last motion, also if targets came later.
     world : _World
+    motion_stop, brake_stop : _Stop, optional
     """
 
     rows: Floats
@@ -164,23 +191,20 @@ class _Chunk(NamedTuple):
     braked: int
     ends: Ints
     world: _World
+    motion_stop: _Stop | None = None
+    brake_stop: _Stop | None = None
 
     def from_tick(self, j: int) -> _Chunk:
         """Return the chunk as it is seen from a later tick."""
+        stops = [
+            stop and stop._replace(tick=stop.tick - j, needed=stop.needed - j)
+            for stop in (self.motion_stop, self.brake_stop)
+        ]
         return self._replace(
             rows=self.rows[j:], rates=self.rates[j:], before=self.rows[j - 1] if j > 0 else self.before,
             t0=self.t0 + j * self.dt, motions=max(self.motions - j, 0), first=self.first - j, braked=self.braked - j,
-            ends=self.ends[j:] - j,
+            ends=self.ends[j:] - j, motion_stop=stops[0], brake_stop=stops[1],
         )  # fmt: skip
-
-
-class _Block(NamedTuple):
-    """Where a proof fails: the reason, the pair or -1, the configuration and the time."""
-
-    reason: str
-    pair: int
-    q: Floats
-    t: float
 
 
 class Gate:
@@ -439,26 +463,35 @@ class Gate:
         rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
         if self._on_path:  # not brakes whose path was longer
             braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
+        stops = (old.motion_stop, old.brake_stop) if _is_same(world, old.world) else (None, None)
         return old._replace(
             rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
             ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)), world=world,
+            motion_stop=stops[0], brake_stop=stops[1],
         )  # fmt: skip
 
     def _proven(self, ready: Problem, chunk: _Chunk, most: int) -> tuple[_Chunk, _Block | None, int]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
         n, work = len(chunk.rows) - 1, 0
         block: _Block | None = None
-        if chunk.motions < n:
+        stop = chunk.motion_stop
+        if stop is not None and stop.tick == chunk.motions < n:
+            block = stop.block
+        elif chunk.motions < n:
             courses = np.stack([chunk.rows[chunk.motions : -1], chunk.rows[chunk.motions + 1 :]], axis=1)
             begin: Floats = chunk.t0 + chunk.dt * np.arange(float(chunk.motions), float(n))
             error = np.tile(self._error, (n - chunk.motions, 1))
             if self._on_path:
                 error += ROUNDED * np.abs(chunk.rows).max()
             free, block, work = self._first_block(ready, courses, error, begin, begin + chunk.dt, most)
-            chunk = chunk._replace(motions=chunk.motions + free)
+            m = chunk.motions + free
+            chunk = chunk._replace(motions=m, motion_stop=_stop(m, m + 1, block))
         ticks = np.arange(max(chunk.braked + 1, chunk.first, 0), chunk.motions + 1)
         if len(ticks) == 0:
             return chunk, block, work
+        stop = chunk.brake_stop
+        if stop is not None and stop.tick == ticks[0] and stop.needed <= n:
+            return chunk, stop.block, work
         ends = chunk.ends.copy()
         ends[ticks], chunk = n, chunk._replace(ends=ends)
         brakes = self._brakes(chunk, ticks, n)
@@ -475,11 +508,15 @@ class Gate:
         end = np.cumsum(seconds)
         end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
         free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
-        chunk = chunk._replace(braked=chunk.motions if other is None else int(ticks[owner[free]]) - 1)
         work += more
-        if other is not None:
-            block = other._replace(reason="brake") if other.reason == "contact" else other
-        return chunk, block, work
+        if other is None:
+            return chunk._replace(braked=chunk.motions), block, work
+        block, k = other._replace(reason="brake") if other.reason == "contact" else other, int(owner[free])
+        tick = int(ticks[k])
+        needed = tick + math.ceil(brakes.durations[k] / chunk.dt * (1 + SAME_TICK)) if self._on_path else tick
+        # Behind the last target, a brake would go another way with more targets.
+        stop = _stop(tick, needed, block) if needed <= n else None
+        return chunk._replace(braked=tick - 1, brake_stop=stop), block, work
 
     def _first_block(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats, most: int
@@ -625,6 +662,16 @@ def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
 
 def _world(ready: Problem, checker: CollisionChecker) -> _World:
     return _World(ready.structure_version, ready.standing.poses, checker.scene.following, checker.scene.bounds)
+
+
+def _stop(tick: int, needed: int, block: _Block | None) -> _Stop | None:
+    """Remember where a proof failed, unless it would succeed with more work."""
+    return None if block is None or block.reason == "budget" else _Stop(tick, needed, block)
+
+
+def _is_same(new: _World, old: _World) -> bool:
+    """Whether the places that bodies may have are the same as in an older world, within which they are."""
+    return new.bounds == old.bounds and np.array_equal(new.poses, old.poses)
 
 
 def _is_within(new: _World, old: _World, now: float) -> bool:
