@@ -1,6 +1,7 @@
-/* Time a gate on chunks: CELL CHUNKS DOF ROWS NEW BRAKE JERK STEPS. CHUNKS has chunks of ROWS configurations, 20 ms
+/* Time a gate on chunks: CELL CHUNKS DOF ROWS NEW BRAKE JERK STEPS HOW. CHUNKS has chunks of ROWS configurations, 20 ms
    apart. Each begins with NEW targets; at each tick after that, one is appended. Prints microseconds of processor time of this
-   thread, and steps, of new chunks and of ticks that continue; and of the clock alone. */
+   thread, and steps, of new chunks and of ticks that continue; and of the clock alone; and how many there are between powers of two if HOW is
+   "histograms". */
 
 #include <loewner.hpp>
 
@@ -14,6 +15,8 @@
 
 namespace
 {
+bool with_histograms = false;
+
 double now()
 {
     timespec t;
@@ -27,13 +30,24 @@ void print(const char *name, std::vector<double> numbers)
     const double last = static_cast<double>(numbers.size()) - 1;
     const auto at = [&](double share) { return numbers[static_cast<std::size_t>(share * last)]; };
     std::printf("%-22s %8zu %10.1f %10.1f %10.1f\n", name, numbers.size(), at(0.5), at(0.999), at(1));
+    if (!with_histograms)
+        return;
+    auto from = numbers.begin(); // how many are below 1, 2, 4, ...
+    for (double most = 1; from != numbers.end(); most *= 2) {
+        const auto to = std::lower_bound(from, numbers.end(), most);
+        if (to != from)
+            std::printf("  below %.0f: %zu", most, static_cast<std::size_t>(to - from));
+        from = to;
+    }
+    std::printf("\n");
 }
 } // namespace
 
 int main(int count, char **words)
 {
-    if (count != 9)
+    if (count != 10)
         return 2;
+    with_histograms = std::string(words[9]) == "histograms";
     constexpr double dt = 0.02;
     const loewner::Checker checker(words[1]);
     const std::size_t dof = std::stoul(words[3]), rows = std::stoul(words[4]), first = std::stoul(words[5]);

@@ -29,7 +29,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chunks", type=int, default=300)
     parser.add_argument("--steps", type=int, default=20_000, help="the budget")
+    parser.add_argument("--histograms", action="store_true", help="counts between powers of two, too")
     options = parser.parse_args(arguments)
+    how = "histograms" if options.histograms else "table"
     robot = panda().robot
     checker = CollisionChecker(robot, obstacles(0))
     with tempfile.TemporaryDirectory() as folder:
@@ -44,16 +46,16 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{'':22} {'ticks':>8} {'median':>10} {'99.9 %':>10} {'worst':>10}", flush=True)
         for brake, jerk in (("path", "jumps"), ("joints", "jumps"), ("joints", "jerk")):
             for steps in (0, options.steps):
-                words = [cell, chunks, robot.dof, made.shape[1], TARGETS, brake, jerk, steps]
+                words = [cell, chunks, robot.dof, made.shape[1], TARGETS, brake, jerk, steps, how]
                 subprocess.run([program, *map(str, words)], check=True)
     return 0
 
 
 def random_chunks(robot: Robot, checker: CollisionChecker, count: int) -> Array:
     """Chunks from rest at free configurations towards others, shape (count, rows, dof); no joint exceeds 1 rad/s."""
-    Q = robot.random_configurations(40 * count, seed=1)
+    Q = robot.random_configurations(12 * count + 1000, seed=1)
     Q = Q[~checker.collide(Q)]
-    a, b = Q[:count], Q[-count:]
+    a, b = Q[:count], Q[count : 2 * count]
     t = DT * np.arange(TARGETS + TICKS + 1)
     way = np.where(t < 0.4, t * t / 0.8, t - 0.2)
     speed = np.random.default_rng(2).uniform(0.2, 1.0, count) / np.abs(b - a).max(axis=1)

@@ -23,11 +23,13 @@ from loewner.pose_paths import PoseBounds, PosePath
 from loewner.robots import CollisionChecker, in_time, motions, verdicts
 from loewner.robots.checker import prepared_of
 from loewner.robots.contacts import OFF
-from loewner.robots.courses import configurations
+from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated
 from loewner.robots.curves import joint_errors
 from loewner.robots.distances import nearest_columns
 from loewner.robots.motions import Limit
 from loewner.robots.problem import Problem
+from loewner.robots.proof_models import model_of
+from loewner.robots.written_proofs import Proof, proof_of
 
 # Scales of time that are tried if a chunk is not free at its own: half, a quarter and an eighth of its speed.
 SCALES = (0.5, 0.25, 0.125)
@@ -362,6 +364,55 @@ class Gate:
         self._now = now
         within = math.ceil(min(self._horizon / period, len(rows)) * (1 - SAME_TICK))
         return self._judged(ready, world, state, rows[: max(within, 1)], period, now)
+
+    def proof(self) -> Proof:
+        """Write the proof of the last chunk that may run, for a log: other programs verify it without this library.
+
+        It takes far longer than a check, so it belongs outside of the control loop.
+
+        Returns
+        -------
+        Proof
+            Its motions are the ones up to the last target from which a brake is proven, and then all pieces of the
+            brakes, in the order of the ticks. All of them may deviate by as much as the brakes.
+
+        Raises
+        ------
+        InputError
+            If no chunk may run, the scene has changed since, or bodies of it move or are known by growing bounds.
+        ConvergenceError
+            If the format's bounds do not suffice.
+
+        See Also
+        --------
+        CollisionChecker.certify_trajectory : Proves the chunk and one brake as curves, among moving bodies as well.
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot, Scene
+        >>> gate = Gate(CollisionChecker(Robot.from_urdf("arm.urdf"), Scene()), acceleration=2.0)
+        >>> answer = gate.check([0.0, 0.0], [0.0, 0.0], [[0.01, 0.0], [0.02, 0.0]], dt=0.02)
+        >>> len(gate.proof().verify().motions)  # two motions, and two brakes of one piece each
+        4
+        """
+        last = self._last
+        if last is None:
+            raise InputError("proof: expected a chunk that may run, found none")
+        ready, world = self._present()
+        model = model_of(ready)
+        if not (_is_within(world, last.world, self._now) and _is_same(world, last.world)):
+            raise InputError("proof: expected the scene of the last chunk that may run, found one that has changed")
+        lines = np.stack([last.rows[: last.braked], last.rows[1 : last.braked + 1]], axis=1)
+        made, error = [], self._error.copy()
+        ticks = np.arange(max(last.first, 0), last.braked + 1)
+        for j in ticks.tolist():
+            brake = self._brakes(last, np.array([j]), int(last.ends[j]))
+            made.append(brake.courses(self._jerk is not None or self._on_path)[0])
+            error = error if self._on_path else np.maximum(error, self._error + self._farther(last.rates[j]))
+        brakes = np.concatenate(made)
+        courses = np.concatenate([elevated(lines, brakes.shape[1] - 2), brakes])
+        error += (ROUNDED + CURVE_ROUNDINGS) * np.abs(courses).max()
+        return proof_of(model, ready, courses, error, None)
 
     def _present(self) -> tuple[Problem, _World]:
         """Return the pairs and the world of one moment, also if another thread changes the scene meanwhile."""
