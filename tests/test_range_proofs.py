@@ -99,7 +99,7 @@ def test_both_checkers_verify_pairs_of_a_panda(agrees):  # noqa: F811
 @pytest.mark.parametrize("name", ["panda", "ur5"])
 def test_both_checkers_verify_all_pairs_of_a_robot(name, agrees):  # noqa: F811
     """All pairs that are NEVER have a proof of less than 100 kB."""
-    robot = example_robot(name)
+    robot = example_robot(name, meshes="hull")
     never = robot.prove_pairs(cache=False).with_verdict("NEVER")
     found = proven(robot, *(row.names for row in never))
     expect_stated(robot, found, agrees)

@@ -95,7 +95,10 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
 def _refuse(model: Model, ready: Problem, claim: Claim, names: str) -> None:
     """Refuse pairs that cannot be written."""
     if any((ready.packs[k].layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any() for k in claim.pair):
-        raise InputError(f"proof: expected bodies of convex pieces, found a surface in {names}")
+        raise InputError(
+            f"proof: expected bodies of convex pieces, found a surface in {names}; a robot that is read with "
+            'meshes="hull" has hulls, which hold its meshes'
+        )
     if not (np.abs([claim.lower, claim.upper]) < LARGEST).all():
         raise InputError(f"proof: expected ranges below {LARGEST:g}, found others for {names}")
 
