@@ -25,6 +25,7 @@ FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined",
 
 # What drives the extension.
 TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/test_capi.py",
+         "tests/test_capi_gates.py", "tests/test_bounded_work.py::test_limits_in_c_are_those_of_python",
          "tests/fuzz/test_border.py", "tests/fuzz/test_hostile_calls.py")  # fmt: skip
 # The sanitizer keeps in memory what was freed, which one of these measures; and a fork while another thread is in its
 # allocator leaves the child without it. Of the bad arguments a sample will do: few of them reach the extension.
@@ -54,7 +55,7 @@ def instrumented(to: Path) -> None:
 
 
 def threads_are_clean(to: Path) -> bool:
-    """Run eight threads under the sanitizer of threads, and under that of addresses with its search for leaks."""
+    """Run eight threads with gates under the sanitizer of threads, and under that of addresses, which finds leaks."""
     cell, kernels = to / "cell.lwn", library.HOME
     save = [sys.executable, str(HERE.parent / "examples" / "save_cell.py"), cell.name]
     subprocess.run(save, check=True, cwd=to, env=os.environ | {"PYTHONPATH": str(SOURCES)})

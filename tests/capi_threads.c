@@ -1,20 +1,24 @@
-/* Eight threads query one checker, each with a workspace of its own, between changes of its scene; all have to agree.
+/* Eight threads query one checker, each with a workspace and a gate of its own, between changes of its scene; all have to
+   agree. Gates outlive the changes.
 
    For the sanitizers: see native/sanitize.py. */
 
 #include <loewner.h>
 #include <pthread.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { THREADS = 8, COUNT = 300 };
+enum { THREADS = 8, COUNT = 300, TARGETS = 12, TICKS = 4 };
 
 static loewner_checker *checker;
 static double *configurations;
 static int dof;
 static int8_t first[3][COUNT];
 static double lengths[2];
+static int has_bounds;       /* then only gates can answer */
+static loewner_gate *shared; /* refused while another thread uses it */
 
 static void expect(loewner_status status)
 {
@@ -26,13 +30,42 @@ static void expect(loewner_status status)
 
 typedef struct {
     int8_t verdicts[3][COUNT];
-    double sum, length;
+    double sum, length, brakes;
+    int64_t steps[COUNT], work[COUNT];
+    loewner_gate *gate;
 } Answers;
+
+/* Chunks from each configuration to the next one, which begin anew, and go on. */
+static void check_chunks(Answers *answers)
+{
+    double *rows = malloc(sizeof(double) * (size_t)dof * (TARGETS + 1));
+    loewner_gate_answer answer;
+    answers->brakes = 0;
+    for (int k = 0; k < COUNT - 1; k += 3)
+        for (int tick = 0; tick < TICKS; tick++) {
+            for (int j = 0; j <= TARGETS; j++)
+                for (int c = 0; c < dof; c++) {
+                    const double *from = configurations + dof * k + c;
+                    rows[dof * j + c] = *from + 0.002 * (tick + j) * (from[dof] - *from);
+                }
+            expect(loewner_gate_check(answers->gate, rows, rows + dof, rows + dof, TARGETS, 0.02, 0.0, &answer));
+            answers->steps[k] = (int64_t)answer.steps + 100 * answer.state;
+            answers->work[k] = answer.work;
+            answers->brakes += answer.positions[answer.brake_count * (size_t)dof - 1];
+            loewner_status outcome = loewner_gate_check(shared, rows, rows, rows, 1, 0.02, 0.0, &answer);
+            if (outcome != LOEWNER_OK && outcome != LOEWNER_BAD_ARGUMENT)
+                exit(4);
+        }
+    free(rows);
+}
 
 static void *ask(void *given)
 {
     Answers *answers = given;
     loewner_workspace *workspace;
+    check_chunks(answers);
+    if (has_bounds)
+        return NULL;
     loewner_distance distances[COUNT];
     double *gradients = malloc(sizeof(double) * COUNT * (size_t)dof),
            *poses = malloc(sizeof(double) * 16 * (size_t)loewner_checker_link_count(checker));
@@ -73,9 +106,10 @@ static void *ask(void *given)
     return NULL;
 }
 
+static Answers answers[THREADS];
+
 static void round_of(int number)
 {
-    static Answers answers[THREADS];
     pthread_t threads[THREADS];
     for (int k = 0; k < THREADS; k++)
         if (pthread_create(&threads[k], NULL, ask, &answers[k]) != 0)
@@ -83,7 +117,7 @@ static void round_of(int number)
     for (int k = 0; k < THREADS; k++)
         pthread_join(threads[k], NULL);
     for (int k = 1; k < THREADS; k++)
-        if (memcmp(&answers[k], &answers[0], sizeof *answers) != 0) {
+        if (memcmp(&answers[k], &answers[0], offsetof(Answers, gate)) != 0) {
             fprintf(stderr, "threads disagree in round %d\n", number);
             exit(2);
         }
@@ -103,6 +137,13 @@ int main(int count, char **arguments)
     for (int k = 0; k < dof * COUNT; k++)
         configurations[k] = lower[k % dof] + (upper[k % dof] - lower[k % dof]) * rand() / RAND_MAX;
     int32_t body = loewner_checker_body_count(checker) - 1, touch = loewner_checker_link_count(checker) - 1;
+    double *limits = malloc(sizeof(double) * (size_t)dof);
+    for (int c = 0; c < dof; c++)
+        limits[c] = 5;
+    const loewner_gate_options options = {.acceleration = limits, .jerk = limits};
+    for (int k = 0; k < THREADS; k++)
+        expect(loewner_gate_new(checker, &options, TARGETS, &answers[k].gate));
+    expect(loewner_gate_new(checker, &options, 1, &shared));
     round_of(0);
     expect(loewner_checker_move(checker, &body, pose, 1));
     round_of(1);
@@ -114,7 +155,17 @@ int main(int count, char **arguments)
     expect(loewner_checker_detach(checker, body, pose));
     expect(loewner_checker_set_present(checker, body - 1, 1));
     round_of(4);
+    const loewner_bounds bounds = {0.01, 0.01, 0.1, 0.1, 0.0};
+    has_bounds = 1;
+    expect(loewner_checker_set_bounds(checker, body, &bounds));
+    round_of(5);
+    expect(loewner_checker_move(checker, &body, pose, 1));
+    round_of(6);
+    for (int k = 0; k < THREADS; k++)
+        loewner_gate_free(answers[k].gate);
+    loewner_gate_free(shared);
     loewner_checker_close(checker);
+    free(limits);
     free(configurations);
     free(lower);
     free(upper);

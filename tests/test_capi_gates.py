@@ -1,5 +1,6 @@
 """Gates of the library for C hold their answers against Python's, tick by tick."""
 
+import ctypes
 import os
 from pathlib import Path
 
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {l
 
 capi = pytest.importorskip("capi")
 REASONS = ("", "contact", "brake", "may be hit", "limits", "budget")
-MOST = 60
+MOST, OVERFLOW = 60, 9
 
 
 class Both:
@@ -314,3 +315,53 @@ def test_bad_gates_are_refused(tmp_path):
     for most in (0, 10**7):
         with pytest.raises(capi.Error, match="most_targets"):
             capi.Gate(checker, most, **good)
+
+
+def raw_check(gate, q, dq, targets, count, dt, time, answer):
+    """The status of the bare function, which may get NULL."""
+    given = [None if x is None else x.ctypes.data_as(ctypes.c_void_p) for x in (q, dq, targets)]
+    numbers = capi.size(count), ctypes.c_double(dt), ctypes.c_double(time)
+    return capi.functions().loewner_gate_check(gate, *given, *numbers, None if answer is None else ctypes.byref(answer))
+
+
+LOUD = [np.nan, np.inf, -np.inf, -1e300]
+FORGED = {  # what is refused, and what is legal and lets no target through
+    True: {
+        "gate": [None], "q": [None, *LOUD], "dq": [None, *LOUD], "targets": [None, *LOUD], "answer": [None],
+        "count": [0, MOST + 1, 2**40, 2**64 - 1], "dt": [*LOUD, 0.0, -DT], "time": [*LOUD, 0.0, np.nextafter(1.0, 0.0)],
+    },
+    False: {
+        "q": [-4.0, 1e6, -1e18, 1e100], "targets": [-4.0, 1e6, -1e18, 1e100], "dt": [5e-324, 1e-310, 1e-20, 1e-4],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("brake", ["joints", "path"])
+@pytest.mark.parametrize("grows", [False, True])
+def test_forged_ticks_let_nothing_through(tmp_path, brake, grows):
+    """A thousand ticks with one to three forged arguments: an error, or no target; true ones in between pass."""
+    scene = wall(3.0)
+    if grows:
+        scene.add("person", Body.sphere(0.1))
+        scene.follow("person", [0.0], at(0.0, -2.0)[None], speed=0.1, since=0.0)
+    both, targets = Both(scene, tmp_path, brake=brake, latency=DT), along_the_rail(1.0, 20)
+    rng, answer, now = np.random.default_rng(7), capi.GateAnswer(), 1.0
+    for k in range(1000):
+        is_loud = k % 2 == 0
+        given = {"gate": both.mine, "q": Q0, "dq": V0, "targets": targets, "count": 20, "dt": DT, "time": now}
+        given["answer"] = answer
+        pool = FORGED[is_loud]
+        for name in rng.choice(list(pool), size=int(rng.integers(1, 4)), replace=False):
+            value = pool[name][int(rng.integers(len(pool[name])))]
+            if name in ("q", "dq", "targets") and value is not None:
+                forged = given[name].copy()
+                forged.flat[int(rng.integers(3))] = value
+                value = forged
+            given[name] = value
+        status = raw_check(**given)
+        assert (status != 0) == is_loud or (status == OVERFLOW and not is_loud), given
+        assert status or (answer.state >= GateState.BRAKE and answer.steps == 0), given
+        if k % 20 == 0:
+            now += 1e-3 * (k % 40 == 0)
+            assert raw_check(both.mine, Q0, V0, targets, 20, DT, now, answer) == 0
+            assert (answer.state, answer.steps) == (GateState.GO, 19)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner import CollisionChecker
+from loewner import CollisionChecker, Verdict
 from loewner._native import library
 from motion_oracle import example, ring
+from test_gates import DT, Q0, along_the_rail, arm, wall
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 pytestmark = [
@@ -27,8 +28,8 @@ LINK = [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner", f"-Wl,-rpath,{library.
 STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
-def built(program, source, *flags):
-    made = subprocess.run(["g++", *STRICT, source, "-o", program, *flags, *LINK], capture_output=True, text=True)
+def built(program, *sources_and_flags):
+    made = subprocess.run(["g++", *STRICT, *sources_and_flags, "-o", program, *LINK], capture_output=True, text=True)
     assert made.returncode == 0, made.stderr
     return program
 
@@ -85,3 +86,63 @@ def test_ompl_proves_every_motion(cell, tmp_path):
     )
     assert motions, said.stdout
     assert motions[1] == motions[2] != "0"
+
+
+LATE = np.full(3, np.nan)
+EVENTS = {  # what happens at the 20th cycle: another reference, or a state off the command
+    "nothing": (None, None),
+    "late": (LATE, None),
+    "partly late": ([0.4, np.nan, 0.0], None),
+    "infinite": ([0.4, np.inf, 0.0], None),
+    "beyond the limits": ([2.1, np.pi / 2, 0.0], None),
+    "too fast": ([0.9, np.pi / 2, 0.0], None),
+    "state is NaN": (None, [0.0, 0.0, np.nan]),
+    "state jumped": (None, [0.0, 2e-3, 0.0]),
+}
+
+
+@pytest.fixture(scope="module")
+def control(tmp_path_factory):
+    """The controller of ros2_control in its program, and a cell whose wall begins 1.1 m along the rail."""
+    home, example = tmp_path_factory.mktemp("control"), EXAMPLES / "ros2_control"
+    checker = CollisionChecker(arm(), wall(1.1 + 0.05))
+    checker.save(home / "cell.lwn")
+    sources = HERE / "cpp_control.cpp", example / "gate_controller.cpp"
+    program = built(home / "control", sources[0], sources[1], f"-I{example / 'stubs'}")
+
+    def run(references, offsets):
+        """Commands of a loop; no update may have allocated memory."""
+        given = np.hstack([references, offsets]).ravel().tolist()
+        told = " ".join(map(repr, [*Q0.tolist(), *given]))
+        said = subprocess.run([program, home / "cell.lwn", "3"], input=told, capture_output=True, text=True)
+        assert said.returncode == 0, said.stderr
+        assert "acceleration: expected a number for each joint" in said.stderr
+        *rows, allocations = said.stdout.splitlines()
+        assert allocations == "0"
+        return np.array([[float(word) for word in row.split()] for row in rows])
+
+    return checker, run
+
+
+@pytest.mark.parametrize("event", EVENTS)
+@pytest.mark.parametrize("lasts", [1, 80])
+def test_what_a_controller_commands_is_proven(control, event, lasts, rng):
+    """References into a wall: whatever happens on the way, the robot comes to rest in front of it."""
+    checker, run = control
+    references, offsets = along_the_rail(1.0, 120), rng.uniform(-1e-3, 1e-3, (120, 3))
+    other, off = EVENTS[event]
+    if other is not None:
+        references[20 : 20 + lasts] = other
+    if off is not None:
+        offsets[20 : 20 + lasts] = off
+    commands = run(references, offsets)
+    path = np.vstack([Q0, commands])
+    assert (checker.certify_edges(path[:-1], path[1:]).verdict == Verdict.FREE).all()
+    assert np.abs(np.diff(path[20:], 2, axis=0)).max() <= 4.0 * DT * DT * 1.001  # brakes as strong as allowed
+    passed = references[0, 0] * np.arange(1, 21)
+    np.testing.assert_allclose(commands[:20, 0], passed, atol=1e-12)
+    if event == "nothing":  # the last command from which 0.125 m and a radius of 0.05 m are left: see test_gates.py
+        assert commands[-1, 0] == pytest.approx(0.92 + 0.125)
+    elif lasts > 1:
+        assert commands[20, 0] == pytest.approx(passed[-1] + DT - 2.0 * DT * DT)
+        assert commands[-1, 0] == pytest.approx(passed[-1] + 0.125)

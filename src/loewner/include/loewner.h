@@ -313,7 +313,7 @@ typedef struct {
     /* The brake after `steps` targets and the latency, if no new answer arrives by then; at once if the state is BRAKE.
        The gate owns these numbers until its next check. From each time to the next one, accelerations change linearly;
        velocities and accelerations hold from the time on. */
-    size_t brake_count;
+    size_t brake_count; /* joint by joint at most 3 dof + 1 */
     const double *times;                                  /* seconds since it began, shape (brake_count,) */
     const double *positions, *velocities, *accelerations; /* shape (brake_count, dof) */
 } loewner_gate_answer;

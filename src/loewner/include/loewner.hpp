@@ -372,6 +372,8 @@ public:
         return found;
     }
 
+    loewner_gate *get() noexcept { return held_.get(); }
+
 private:
     struct Leave {
         void operator()(loewner_gate *held) const noexcept { loewner_gate_free(held); }
