@@ -46,7 +46,7 @@ class WithoutRest(Gate):
     """Proves brakes for as long as they last at the velocities of the chunk."""
 
     def _pieces(self, ready, brakes, rates):
-        return brakes.courses(self._jerk is not None or self._on_path)
+        return brakes.courses(self._jerk is not None or rates is None)
 
 
 def world_of(**same):

@@ -376,7 +376,7 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
 }
 
 /* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. A robot that is
-   faster by the error goes farther and stands later. */
+   faster by the error goes farther and is at rest later. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;

@@ -374,18 +374,8 @@ class Gate:
                 return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False, 0)
             if chunk is None:
                 rows = np.vstack([state[0], wanted[:count]])
-                chunk = _Chunk(
-                    rows,
-                    _rates(rows, state[1], dt),
-                    rows[0],
-                    dt,
-                    now,
-                    0,
-                    late + 1,
-                    late,
-                    np.zeros(len(rows), np.int64),
-                    world,
-                )
+                ends = np.zeros(len(rows), dtype=np.int64)
+                chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
             else:  # from the last command on, from which the robot is off by the errors
                 chunk = chunk._replace(t0=now, motions=0, first=late + 1, braked=late)
         chunk, block, work = self._proven(ready, chunk, self._steps)
@@ -585,8 +575,8 @@ class Gate:
         return block is None, work
 
     def _pieces(self, ready: Problem, brakes: Brakes, rates: Floats | None) -> tuple[Floats, Floats, Ints]:
-        """Return pieces of brakes, at velocities which are None on the path, until a faster robot stands as well."""
-        courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
+        """Return pieces of brakes, at velocities which are None on the path, until a faster robot is at rest."""
+        courses, seconds, first = brakes.courses(self._jerk is not None or rates is None)
         if rates is None or not self._rate_error.any():
             return courses, seconds, first
         later = self._stopping_time(np.abs(rates) + self._rate_error).max(axis=1) - brakes.durations
