@@ -10,7 +10,7 @@ import pytest
 from loewner import Body, CollisionChecker, Scene
 from loewner._native import library
 from loewner.planners import Gate, GateState
-from test_gates import DT, JERK, Q0, V0, along_the_rail, arm, at, wall
+from test_gates import DT, JERK, LATER, Q0, V0, along_the_rail, arm, at, person_behind, wall
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
@@ -223,6 +223,39 @@ def test_a_stop_behind_the_last_target_is_tried_again_with_more_targets(tmp_path
     wanted, _ = both.check(targets[0], V0, later)
     anew, _ = Both(wall(1.15), tmp_path, brake="path").check(targets[0], V0, later)
     assert (wanted.state, wanted.steps) == (anew.state, anew.steps)
+
+
+@pytest.mark.parametrize(("jerk", "steps"), LATER)
+def test_a_robot_that_is_faster_by_the_error_stands_later(tmp_path, jerk, steps):
+    """Brakes are proven until the robot stands, and at rest it may go on, in a world at rest as well."""
+    both = Both(person_behind(0.31), tmp_path, velocity_error=[0.4, 0.0, 0.0], jerk=jerk)
+    assert both.check(Q0, 0.0 * V0, along_the_rail(0.0, 15))[1].steps == steps
+    for gap, state in ((0.031, GateState.BRAKE), (0.0315, GateState.GO)):
+        both = Both(wall(0.1 + gap), tmp_path, velocity_error=[0.5, 0.0, 0.0])
+        assert both.check(Q0, 0.0 * V0, along_the_rail(0.0, 15))[1].state == state
+
+
+@pytest.mark.parametrize("time", [0.0, 9 * DT])
+def test_the_time_decides_where_a_slow_robot_is(tmp_path, time):
+    """Off its command by two ticks, it is nearest to another one."""
+    options = {"joint_error": 2.5e-3, "velocity_error": 1e-2, "latency": 2 * DT}
+    both, slow, targets = Both(wall(3.0), tmp_path, **options), 0.05 * V0, along_the_rail(0.05, 40)
+    both.check(Q0, slow, targets[:30])
+    bad = targets[10:30] + [9.0, 0.0, 0.0]
+    _, found = both.check(targets[10] + [1e-4, 0.0, 0.0], slow, bad, time=time)
+    assert both.mine.brake(found)[1][0] == pytest.approx(targets[10 if time > 0.0 else 12], abs=1e-12)
+
+
+def test_targets_that_go_on_are_proven_again_from_the_last_command(tmp_path):
+    """If the world has left its bounds, the velocity is that of the commands."""
+    scene = wall(3.0)
+    scene.add("ball", Body.sphere(0.1), at(0.0, -1.0))
+    both, targets = Both(scene, tmp_path, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+    both.check(Q0, V0, targets[:20])
+    scene.move("ball", at(0.0, -1.001))
+    both.checker.move("ball", at(0.0, -1.001))
+    _, found = both.check(targets[0] - [9e-4, 0.0, 0.0], V0, targets[1:2], time=DT)
+    assert both.mine.brake(found)[2][0] == pytest.approx(V0, abs=1e-9)
 
 
 def test_a_body_that_turns_is_known_by_its_turn(tmp_path):

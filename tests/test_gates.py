@@ -148,6 +148,61 @@ def test_a_slow_robot_brakes_from_the_nearest_tick():
     np.testing.assert_allclose(answer.brake.knots[0], targets[11], rtol=0, atol=1e-12)
 
 
+def test_the_time_decides_where_a_slow_robot_is():
+    """Off its command by two ticks, it is nearest to another one; the time of the tick has the one that it runs."""
+    for time, begins in ((9 * DT, 10), (0.0, 12)):  # a time that does not run on decides nothing
+        gate = Gate(CollisionChecker(arm(), wall(3.0)), joint_error=2.5e-3, velocity_error=1e-2, latency=2 * DT)
+        slow, targets = 0.05 * V0, along_the_rail(0.05, 40)
+        assert gate.check(Q0, slow, targets[:30], DT, time=0.0).state == GateState.GO
+        answer = gate.check(targets[10] + [1e-4, 0.0, 0.0], slow, targets[10:30] + [9.0, 0.0, 0.0], DT, time=time)
+        assert answer.is_proven
+        np.testing.assert_allclose(answer.brake.knots[0], targets[begins], rtol=0, atol=1e-12)
+
+
+def person_behind(gap: float) -> Scene:
+    """A person who may come at 1 m/s, at a distance from the cart at its start."""
+    scene = Scene()
+    scene.add("person", Body.sphere(0.2))
+    scene.follow("person", [0.0], at(-0.25 - gap)[None], speed=1.0, since=0.0)
+    return scene
+
+
+# At rest, a robot may go on at 0.4 m/s: 0.02 m and 0.1 s, with limits of jerk 0.033 m and 0.167 s. Meanwhile a person
+# comes nearer, so that 0.31 m are enough for 9 periods of 0.02 m, or 5.
+LATER = [(None, 9), (JERK, 5)]
+
+
+@pytest.mark.parametrize(("jerk", "steps"), LATER)
+def test_a_robot_that_is_faster_by_the_error_stands_later(jerk, steps):
+    """A brake is proven until the robot stands, also if it lasts longer than at the velocities of the chunk."""
+    gate = Gate(CollisionChecker(arm(), person_behind(0.31)), velocity_error=[0.4, 0.0, 0.0], jerk=jerk)
+    answer = gate.check(Q0, 0.0 * V0, along_the_rail(0.0, 15), DT, time=0.0)
+    assert (answer.state, answer.steps, answer.reason) == (GateState.PREFIX, steps, "may be hit")
+
+
+def test_a_robot_at_rest_may_go_on():
+    """At 0.5 m/s, it takes 0.03125 m to stand, in a world at rest as well."""
+    for gap, state in ((0.031, GateState.BRAKE), (0.0315, GateState.GO)):
+        gate = Gate(CollisionChecker(arm(), wall(0.1 + gap)), velocity_error=[0.5, 0.0, 0.0])
+        answer = gate.check(Q0, 0.0 * V0, along_the_rail(0.0, 15), DT)
+        assert answer.state == state
+        assert answer.is_proven == (state == GateState.GO)
+
+
+def test_targets_that_go_on_are_proven_again_from_the_last_command():
+    """If the world has left its bounds: the velocity of the motion is the commands', not from the measured place."""
+    scene = wall(3.0)
+    scene.add("ball", Body.sphere(0.1), at(0.0, -1.0))
+    gate, targets = gate_in_motion(scene)
+    scene.move("ball", at(0.0, -1.001))
+    off = targets[0] - [9e-4, 0.0, 0.0]  # by the motion from here, the velocity is 1.045 m/s
+    answer = gate.check(off, V0, targets[1:2], DT, time=DT)
+    assert answer.steps == 1
+    np.testing.assert_allclose(answer.brake.rates[0], V0, rtol=0, atol=1e-9)
+    other = gate.check(targets[1], V0, targets[2:3] + 1e-9, DT, time=2 * DT)  # others begin where the robot is
+    assert other.brake.rates[0, 0] != pytest.approx(1.0, abs=1e-9)
+
+
 def test_limits_end_a_chunk():
     """A target outside the limits, and one that is too fast, with the name of the joint."""
     gate = Gate(CollisionChecker(arm(), Scene()))

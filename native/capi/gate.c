@@ -248,16 +248,13 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
     return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
 }
 
-/* Range of the ticks of the last chunk at which the robot may be, if what was proven of it still holds. */
-static void find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
+/* Range of the ticks of the last chunk at which the robot may be; whether what was proven of it still holds. */
+static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;
     *from = *to = 0;
-    if (!gate->has_last || gate->structure != gate->checker->serial)
-        return;
-    for (size_t k = 0; k < gate->known; k++)
-        if (!is_within(gate->seen + k, gate->allowed + k, now))
-            return;
+    if (!gate->has_last)
+        return 0;
     double tick = rint((now - last->t0) / last->dt);
     if (gate->checker->state.growing == 0) {
         *to = last->count + 1;
@@ -266,14 +263,19 @@ static void find_ticks(const loewner_gate *gate, double now, int64_t *from, int6
         *from = (int64_t)tick;
         *to = *from + 1;
     }
+    int holds = gate->structure == gate->checker->serial;
+    for (size_t k = 0; k < gate->known && holds; k++)
+        holds = is_within(gate->seen + k, gate->allowed + k, now);
+    return holds;
 }
 
 /* The ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1 if there
-   are no more. There are several if the robot is slow. `off` and `tick` are those of the call before, first -1. */
+   are no more. There are several if the robot is slow; the tick of a time that has run on comes first, in a world at rest
+   as well. `off` and `tick` are those of the call before, first -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
-    double nearest = INFINITY;
+    double nearest = INFINITY, now = rint((gate->now - gate->last.t0) / gate->last.dt);
     int64_t found = -1;
     for (int64_t k = from; k < to; k++) {
         const double *row = gate->last.rows + k * gate->dof, *rate = gate->last.rates + k * gate->dof;
@@ -283,6 +285,7 @@ static int64_t next_tick(const loewner_gate *gate, const double *q, const double
             away = fmax(away, fabs(q[c] - row[c]));
             is_in_tube = fabs(q[c] - row[c]) <= gate->error[c] && fabs(dq[c] - rate[c]) <= gate->rate_error[c];
         }
+        away = k > 0 && (double)k == now ? -1 : away;
         if (is_in_tube && (away > *off || (away == *off && k > tick)) && away < nearest) {
             nearest = away;
             found = k;
@@ -400,19 +403,21 @@ static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t
     return call(kernels()->brakes_on_path, &arguments, &nothing);
 }
 
-/* Bound how much farther a joint goes while it brakes if its velocity is off by the error. */
-static double stopping_distance(const loewner_gate *gate, int64_t c, double v)
+static double stopping_time(const loewner_gate *gate, int64_t c, double v)
 {
     double strongest = gate->strongest[c], jerk = gate->jerk[c];
     if (!gate->has_jerk)
-        return v * v / (2 * strongest);
-    return v / 2 * (v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk);
+        return v / strongest;
+    return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. */
+/* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. A robot that is
+   faster by the error goes farther and is at rest later. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
+    double stands = 0;
+    int is_off = 0;
     const struct {
         Array2 times;
         Array4 states;
@@ -425,15 +430,22 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
     };
     TRY(call(kernels()->courses_of_brakes, &arguments, &made));
     for (int64_t c = 0; c < dof; c++) {
-        double v = rate == NULL ? 0 : fabs(rate[c]);
+        double v = rate == NULL ? 0 : fabs(rate[c]), fast = v + gate->rate_error[c];
         gate->widened[c] = gate->error[c];
         if (rate != NULL)
-            gate->widened[c] += stopping_distance(gate, c, v + gate->rate_error[c]) - stopping_distance(gate, c, v);
+            gate->widened[c] += (fast * stopping_time(gate, c, fast) - v * stopping_time(gate, c, v)) / 2;
+        stands = fmax(stands, rate != NULL ? stopping_time(gate, c, fast) : 0);
+        is_off |= rate != NULL && gate->rate_error[c] > 0;
     }
     for (int64_t k = 0; k < pieces && !proof->reason; k++)
         TRY(prove_course(gate, gate->courses + k * points * dof, points, gate->widened, begin + gate->times[k],
                          begin + gate->times[k + 1], dt, proof));
-    return LOEWNER_OK;
+    if (!is_off || !(stands > gate->times[pieces]) || (gate->checker->state.growing == 0 && pieces > 0) || proof->reason)
+        return LOEWNER_OK;
+    for (int64_t k = 0; k < points; k++)
+        memcpy(gate->courses + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *gate->courses);
+    return prove_course(gate, gate->courses, points, gate->widened, begin + gate->times[pieces], begin + stands, dt,
+                        proof);
 }
 
 /* Prove motions, and then the brakes from their ends, as far as they are free. */
@@ -580,35 +592,41 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk; a pair that is not free where it begins becomes the proof's. */
-static loewner_status begin_chunk(loewner_gate *gate, const double *q, const double *dq, const double *targets,
-                                  int64_t count, double dt, double now, int64_t late, Proof *proof)
+/* Begin a new chunk, or prove one that goes on again, from the last command on; a pair that is not free where the robot
+   is becomes the proof's. */
+static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
+                                  const double *targets, int64_t count, double dt, double now, int64_t late,
+                                  Proof *proof)
 {
     Chunk *made = &gate->made;
     size_t size = (size_t)gate->dof * sizeof *q;
-    memcpy(made->rows - gate->dof, q, size);
-    memcpy(made->rows, q, size);
-    memcpy(made->rows + gate->dof, targets, (size_t)count * size);
-    memcpy(made->rates, dq, size);
-    made->dt = dt;
+    if (!goes_on) {
+        memcpy(made->rows - gate->dof, q, size);
+        memcpy(made->rows, q, size);
+        memcpy(made->rows + gate->dof, targets, (size_t)count * size);
+        memcpy(made->rates, dq, size);
+        made->dt = dt;
+        made->count = count;
+        write_rates(gate, made);
+    }
     made->t0 = now;
-    made->count = count;
     made->motions = 0;
     made->first = late + 1;
     made->braked = late;
     made->motion_stop.tick = made->brake_stop.tick = -1;
-    write_rates(gate, made);
     loewner_workspace *its = gate->workspace;
+    double *still = gate->courses, fraction;
     int64_t work[WORK];
-    double fraction;
     int8_t verdict;
-    TRY(collide(gate->checker, its, HASTY, made->rows, 1, &verdict));
+    memcpy(still, q, size);
+    memcpy(still + gate->dof, q, size);
+    TRY(collide(gate->checker, its, HASTY, still, 1, &verdict));
     if (verdict == LOEWNER_AMBIGUOUS)
-        TRY(collide(gate->checker, its, EXACT, made->rows, 1, &verdict));
+        TRY(collide(gate->checker, its, EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    TRY(certify(gate->checker, its, made->rows - gate->dof, 1, 2, its->off, 0, gate->tolerance, gate->steps, work,
-                &verdict, &fraction, &proof->pair)); /* a motion that stays where it begins has the pair */
+    TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, gate->steps, work, &verdict, &fraction,
+                &proof->pair)); /* a motion that stays where it begins has the pair */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }
@@ -635,13 +653,13 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     int64_t count = within_limits(gate, q, targets, wanted, dt, &answer->joint);
     Proof proof = {0, -1, gate->steps, 0};
     TRY(look(gate));
-    find_ticks(gate, now, &from, &to);
+    int holds = find_ticks(gate, now, &from, &to);
     double off = -1;
     for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
         if (goes_on(gate, tick, targets, count, dt))
             break;
-    if (tick < 0) {
-        TRY(begin_chunk(gate, q, dq, targets, count, dt, now, late, &proof));
+    if (tick < 0 || !holds) {
+        TRY(begin_chunk(gate, tick >= 0, q, dq, targets, count, dt, now, late, &proof));
         if (proof.reason) {
             gate->has_last = 0;
             answer->scale = 0;
@@ -667,7 +685,7 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1, &proof, answer);
     }
     off = -1; /* the last chunk that may run goes on until the robot brakes */
-    for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+    for (tick = -1; holds && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
         if (gate->last.first <= late + tick && late + tick <= gate->last.braked) {
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, &proof, answer);

@@ -407,7 +407,7 @@ class Gate:
         ticks = np.arange(max(last.first, 0), last.braked + 1)
         for j in ticks.tolist():
             brake = self._brakes(last, np.array([j]), int(last.ends[j]))
-            made.append(brake.courses(self._jerk is not None or self._on_path)[0])
+            made.append(self._pieces(ready, brake, None if self._on_path else last.rates[j][None])[0])
             error = error if self._on_path else np.maximum(error, self._error + self._farther(last.rates[j]))
         brakes = np.concatenate(made)
         courses = np.concatenate([elevated(lines, brakes.shape[1] - 2), brakes])
@@ -440,16 +440,21 @@ class Gate:
         late = math.ceil(self._latency / dt * (1 - SAME_TICK))
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
-        before = self._here(world, state, now)
+        before, holds = self._here(world, state, now)
         chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt, world))), None)
-        if chunk is None:
-            rows = np.vstack([state[0], wanted[:count]])
-            ends = np.zeros(len(rows), dtype=np.int64)
-            chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
-            if not verdicts.free(ready.as_given, self._placed(ready, rows[:1], now))[0]:
+        if chunk is None or not holds:
+            if not verdicts.free(ready.as_given, self._placed(ready, state[0][None], now))[0]:
                 self._last = None
-                met = _Block("contact", -1, rows[0], now)
+                met = _Block("contact", -1, state[0], now)
                 return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False, 0)
+            if chunk is None:
+                rows = np.vstack([state[0], wanted[:count]])
+                ends = np.zeros(len(rows), dtype=np.int64)
+                chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
+            else:  # from the last command on, from which the robot is off by the errors
+                chunk = chunk._replace(
+                    t0=now, motions=0, first=late + 1, braked=late, motion_stop=None, brake_stop=None
+                )
         chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
@@ -466,7 +471,7 @@ class Gate:
                 ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work, joint
             )
         for old in before:  # the last chunk that may run goes on until the robot brakes
-            if old.first <= late <= old.braked:
+            if holds and old.first <= late <= old.braked:
                 return self._answer(
                     ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True, work, joint
                 )
@@ -483,29 +488,31 @@ class Gate:
         rows, columns = np.nonzero(beyond)
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 
-    def _here(self, world: _World, state: State, now: float) -> list[_Chunk]:
-        """Return the last chunk from each tick at which the robot may be, nearest first, if its proofs still hold."""
+    def _here(self, world: _World, state: State, now: float) -> tuple[list[_Chunk], bool]:
+        """Return the last chunk from each tick where the robot may be, likeliest first, and whether its proofs hold."""
         last = self._last
-        if last is None or not _is_within(world, last.world, now):
-            return []
-        ticks = range(len(last.rows))
+        if last is None:
+            return [], False
+        ticks, tick, holds = range(len(last.rows)), round((now - last.t0) / last.dt), True
         if world.following or world.bounds:
-            tick = round((now - last.t0) / last.dt)
-            # Proofs allow for growth that begins a little earlier, but not for other places on motions.
             early = abs(last.t0 + tick * last.dt - now)
-            is_growing = all(path.rests for path in world.following.values())
-            on_time = early <= (SAME_TICK * last.dt if is_growing else 0.0)
+            on_time = early <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
+            # Proofs allow for growth that begins a little earlier, but not for other places on motions.
+            holds = early == 0.0 or all(path.rests for path in world.following.values())
         q, dq = state
         off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
         near = np.asarray(~off.any(axis=1))
-        found = [j for j in ticks if near[j]]  # several, if the robot is slow
-        return [last.from_tick(j) for j in sorted(found, key=lambda j: float(np.abs(q - last.rows[j]).max()))]
+        # Several, if the robot is slow; a time that runs on decides, in a world at rest as well.
+        found = [j for j in ticks if near[j]]
+        away: Floats = np.abs(q - last.rows).max(axis=1)
+        found.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
+        return [last.from_tick(j) for j in found], holds and _is_within(world, last.world, now)
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
         """Append new targets to a chunk that goes on; None if these targets are others.
 
-        New targets are proven in the present world, which is within the older one, so the whole chunk is proven there.
+        New targets are proven in the present world. If it is within the older one, the whole chunk is proven there.
         """
         known, n = old.rows[1:], len(wanted)
         common = min(len(known), n)
@@ -551,7 +558,7 @@ class Gate:
             last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
             open_ones = np.flatnonzero(last > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
-        courses, seconds, first = brakes.courses(self._jerk is not None or self._on_path)
+        courses, seconds, first = self._pieces(ready, brakes, None if self._on_path else chunk.rates[ticks])
         owner = np.repeat(np.arange(len(ticks)), np.diff(first))
         error = np.tile(self._error, (len(ticks), 1))
         if not self._on_path:
@@ -651,25 +658,35 @@ class Gate:
 
     def _stops_free(self, ready: Problem, state: State, now: float, most: int) -> tuple[bool, int]:
         """Whether a brake from a measured state, which is free, is proven, and the steps that this took."""
-        courses, seconds, _ = self._stopping(state).courses(self._jerk is not None)
+        courses, seconds, _ = self._pieces(ready, self._stopping(state), state[1][None])
         end = now + np.cumsum(seconds)
         error = np.tile(self._error + self._farther(state[1]), (len(courses), 1))
         _, block, work = self._first_block(ready, courses, error, end - seconds, end, most)
         return block is None, work
 
+    def _pieces(self, ready: Problem, brakes: Brakes, rates: Floats | None) -> tuple[Floats, Floats, Ints]:
+        """Return pieces of brakes, at velocities which are None on the path, until a faster robot is at rest."""
+        courses, seconds, first = brakes.courses(self._jerk is not None or rates is None)
+        if rates is None or not self._rate_error.any():
+            return courses, seconds, first
+        later = self._stopping_time(np.abs(rates) + self._rate_error).max(axis=1) - brakes.durations
+        if ready.paths is None:  # only brakes from rest, which have no pieces
+            later[np.diff(first) > 0] = 0.0
+        rests = np.flatnonzero(later > 0.0)
+        ends = brakes.states[rests, np.maximum(brakes.counts[rests] - 1, 0), 0]
+        courses = np.insert(courses, first[rests + 1], ends[:, None], axis=0)
+        return courses, np.insert(seconds, first[rests + 1], later[rests]), first + np.append(0, np.cumsum(later > 0.0))
+
     def _farther(self, rates: Floats) -> Floats:
         """Bound how much farther joints go while they brake if their velocities are off by the error."""
-        return self._stopping_distance(np.abs(rates) + self._rate_error) - self._stopping_distance(np.abs(rates))
+        fast, v = np.abs(rates) + self._rate_error, np.abs(rates)
+        return np.asarray((fast * self._stopping_time(fast) - v * self._stopping_time(v)) / 2.0)
 
-    def _stopping_distance(self, v: Floats) -> Floats:
+    def _stopping_time(self, v: Floats) -> Floats:
         if self._jerk is None:
-            return v * v / (2.0 * self._strongest)
+            return v / self._strongest
         ramped = v <= self._strongest**2 / self._jerk
-        return (
-            v
-            / 2.0
-            * np.where(ramped, 2.0 * np.sqrt(v / self._jerk), v / self._strongest + self._strongest / self._jerk)
-        )
+        return np.where(ramped, 2.0 * np.sqrt(v / self._jerk), v / self._strongest + self._strongest / self._jerk)
 
     def _trajectory(self, made: tuple[Floats, ...], start: float, jumps: bool) -> Trajectory:
         times, knots, rates, bends = made
