@@ -72,7 +72,7 @@ class Loop:
         certify, move = self.library.loewner_checker_certify_edges, self.library.loewner_checker_move
         checker, workspace, one = self.mine._as_parameter_, self.mine.workspace._as_parameter_, ctypes.c_size_t(1)
         for k in range(len(a)):
-            options = capi.ProofOptions(0.0, None, limit, steps.ctypes.data + 8 * k)
+            options = capi.ProofOptions(steps=limit, steps_taken=steps.ctypes.data + 8 * k)
             start, end = (ctypes.c_void_p(x.ctypes.data + x.strides[0] * k) for x in (a, b))
             to, given = ctypes.c_void_p(verdicts.ctypes.data + k), ctypes.byref(options)
             if self.moves:

@@ -40,7 +40,7 @@ from loewner._kernels.codes import (
     TOUCHING,
     UNFINISHED,
 )
-from loewner._kernels.columns import KIND, OUTER_RADIUS, SURFACE, SURFACE_AT
+from loewner._kernels.columns import KIND, OUTER_RADIUS, SURFACE, SURFACE_AT, WIDE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_fast
@@ -69,6 +69,7 @@ from loewner._kernels.robots.sweeps import (
     PIECE,
     PLACED,
     PLACED_PIECES,
+    WIDER,
     Swept,
     near_group,
     near_in_world,
@@ -78,11 +79,15 @@ from loewner._kernels.robots.sweeps import (
     place_body,
     place_pieces,
     see_piece,
+    see_piece_standing,
     sweep,
+    write_box,
 )
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
 from loewner._kernels.simd.vectors import LANES, highest_bit, load, lowest_bit, movemask
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.trees.boxes import LEVELS
+from loewner._kernels.trees.piece_tree import open_group, reach_of
 
 # How far points may be from their chords [m] in the first intervals; a choice.
 FIRST_OFF = 0.02
@@ -206,6 +211,8 @@ _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 MEMORY = Arena(
     times=floats(LANES),  # of the block
     scratch=floats(PIECE),  # a piece relative to another body
+    box=floats(6),  # about a piece in a block, in the frame of another body
+    tree_stack=integers(LEVELS * WIDE),  # groups of a tree over pieces, and pieces, that have yet to be compared
     near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
     listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
     listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
@@ -256,6 +263,7 @@ _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = 
 _gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
     "gaps planes part_times ends near_pairs listed listed_ways"
 )
+_box_of, _tree_stack_of = MEMORY.accessors("box tree_stack")
 _answers_of, _growth_of, _most_growth_of = MEMORY.accessors("answers growth most_growth")
 _size = MEMORY.sizing()
 
@@ -1053,15 +1061,33 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     if swept.done[one] & PLACED_PIECES == 0:
         _place_pieces(motion, one)
         tally[STEPS_LEFT] -= start[one + 1] - start[one]
+    stack, box, root = _tree_stack_of(motion), _box_of(motion), pieces.roots[other]
     for i in range(start[one], start[one + 1]):
         rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
             rows, first = scratch, 0
-        for j in range(start[other], start[other + 1]):
+        following, height = start[other], 0
+        if root >= 0:
+            # Only the pieces near i: those of the tree's boxes that come near a box about i, in the frame of its body.
+            if other >= moving:
+                see_piece_standing(problem, i, other - moving, swept, scratch)
+                write_box(scratch, 0, reach_of(pieces, other), box)
+            else:
+                write_box(rows, first, reach_of(pieces, other), box)
+            stack[0], following, height = root, start[other + 1], 1
+        while height > 0 or following < start[other + 1]:
             tally[STEPS_LEFT] -= 1
             if tally[STEPS_LEFT] < 0:
                 return Found(UNFINISHED, times[0], pair), count
+            if height == 0:
+                j, following = following, following + 1
+            else:
+                height -= 1
+                if stack[height] >= 0:
+                    height = open_group(pieces, stack[height], box, keep * WIDER, stack, height)
+                    continue
+                j = ~stack[height]
             at = count * LISTED_WAYS
             to = at + _NORMALS
             table, row = (hot, j) if other < moving else (tables.standing_rows, j - start[moving])
