@@ -255,8 +255,8 @@ def test_batches_keep_the_limit(rng):
     """Each motion of a batch has its own limit, whatever the others take and how many threads there are."""
     checker, (a, b) = balls_near_a_box()
     ends = b + np.abs(rng.normal(size=(200, len(b)))) * [0.02, 0.1, 0.1, 0.0] - [0.005, 0.0, 0.0, 0.0]
-    alone = [checker.certify_edges(a, end, steps=5200) for end in ends]
-    found = checker.certify_edges(a, ends, steps=5200)
+    alone = [checker.certify_edges(a, end, steps=6300) for end in ends]
+    found = checker.certify_edges(a, ends, steps=6300)
     assert np.array_equal(found.verdict, [one.verdict for one in alone])
     assert np.array_equal(found.steps, [one.steps for one in alone])
     assert len(np.unique(found.verdict)) == 3

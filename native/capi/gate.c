@@ -312,7 +312,7 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
         is_off |= error[c] > 0;
     write_off(checker, course, points, is_off ? error : NULL, t0, t1, late, its->off);
     TRY(certify(checker, its, course, 1, points, its->off, is_off || growing > 0 ? gate->dof + growing : 0,
-                gate->tolerance, proof->most - proof->work, work, &verdict, &fraction, &proof->pair));
+                gate->tolerance, 0, proof->most - proof->work, work, &verdict, &fraction, &proof->pair));
     proof->work += work[WORK - 1];
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
@@ -551,7 +551,7 @@ static loewner_status begin_chunk(loewner_gate *gate, const double *q, const dou
         TRY(collide(gate->checker, its, EXACT, made->rows, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    TRY(certify(gate->checker, its, made->rows - gate->dof, 1, 2, its->off, 0, gate->tolerance, gate->steps, work,
+    TRY(certify(gate->checker, its, made->rows - gate->dof, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work,
                 &verdict, &fraction, &proof->pair)); /* a motion that stays where it begins has the pair */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;

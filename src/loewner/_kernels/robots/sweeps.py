@@ -317,7 +317,7 @@ def write_box(rows, at, reach, box):
 
 
 @inline
-def near_piece(rows, at, radius, table, q, keep, live, out, to):
+def near_piece(rows, at, radius, table, q, keep, nearer, live, out, to):
     """The intervals among `live` in which two ellipsoids may come within `keep` of each other.
 
     Parameters
@@ -329,11 +329,13 @@ def near_piece(rows, at, radius, table, q, keep, live, out, to):
     table, q :
         Row of the static piece, in a table like `Pieces.hot`.
     keep : float
+    nearer : vector
+        How much nearer to each other they may be than they are given, at the configurations.
     live : int
         As bits.
     out, to :
         Receives, from entry `to` on, directions from the static piece to the moving one; and how far apart the
-        ellipsoids are along them at both ends, as shares of the distance at which they touch.
+        ellipsoids may be along them at both ends, as shares of the distance at which they touch.
     """
     center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)
@@ -354,11 +356,12 @@ def near_piece(rows, at, radius, table, q, keep, live, out, to):
         last, _ = outward_width(P1, n, squared)
         along_first, along_last = dot(n, c0), dot(n, c1)
         gap = minimum(along_first - first, along_last - last) - width
-        live &= ~movemask(gap > sqrt(squared) * (keep * WIDER))
+        length = sqrt(squared)
+        live &= ~movemask(gap > length * (keep * WIDER))
         if live != 0:
             store(out, to, n[0])
             store(out, to + LANES, n[1])
             store(out, to + 2 * LANES, n[2])
-            store(out, to + 3 * LANES, along_first / (first + width))
-            store(out, to + 4 * LANES, along_last / (last + width))
+            store(out, to + 3 * LANES, (along_first - length * nearer) / (first + width))
+            store(out, to + 4 * LANES, (along_last - length * next_lanes(nearer)) / (last + width))
     return live
