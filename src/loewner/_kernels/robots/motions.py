@@ -5,8 +5,9 @@ one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in 
 body beyond it at both ends by more than the margin and A w² / 8, proves the pair for the whole interval.
 
 cull
-    boxes about bodies in a whole block, then balls and boxes about swept bodies, and planes between their ellipsoids,
-    seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are tested at once.
+    boxes about bodies in a whole block, then balls and boxes about swept bodies, boxes of trees over many pieces, and
+    planes between ellipsoids, seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are
+    tested at once.
 search
     a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair; a plane that proves one
     interval is tried on the others (`planes`).
@@ -140,7 +141,8 @@ _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in
 # a block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is
-# placed; each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
+# placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points that walks through
+# surfaces meet.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
