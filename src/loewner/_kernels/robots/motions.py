@@ -1069,6 +1069,26 @@ def _margin_in_block(motion, pair):
     return margin + max(rise * times[0], rise * times[INTERVALS])
 
 
+@apart
+def _begin_tree(motion, i, other):
+    """Begin the walk through the tree of a body near piece i, seen from the body; return the height of the stack."""
+    pieces, problem, moving, scratch = (
+        pieces_of(motion.pack), problem_of(motion.problem), motion.counts.moving, _scratch_of(motion),
+    )  # fmt: skip
+    if other >= moving:
+        see_piece_standing(problem, i, other - moving, _swept_of(motion), scratch)
+    write_box(scratch, 0, reach_of(pieces, other), _box_of(motion))
+    _tree_stack_of(motion)[0] = pieces.roots[other]
+    return 1
+
+
+@apart
+def _open_group(motion, keep, height):
+    """Replace the group on top of the stack by its boxes that are near; return the height of the stack."""
+    stack = _tree_stack_of(motion)
+    return open_group(pieces_of(motion.pack), stack[height], _box_of(motion), keep * WIDER, stack, height)
+
+
 @njit()
 def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
     """List the pieces of two bodies that may be near each other in the intervals `live`.
@@ -1091,21 +1111,15 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     if swept.done[one] & PLACED_PIECES == 0:
         _place_pieces(motion, one)
         tally[STEPS_LEFT] -= start[one + 1] - start[one]
-    stack, box, root = _tree_stack_of(motion), _box_of(motion), pieces.roots[other]
+    stack = _tree_stack_of(motion)
     for i in range(start[one], start[one + 1]):
         rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
             rows, first = scratch, 0
         following, height = start[other], 0
-        if root >= 0:
-            # Only the pieces near i: those of the tree's boxes that come near a box about i, in the frame of its body.
-            if other >= moving:
-                see_piece_standing(problem, i, other - moving, swept, scratch)
-                write_box(scratch, 0, reach_of(pieces, other), box)
-            else:
-                write_box(rows, first, reach_of(pieces, other), box)
-            stack[0], following, height = root, start[other + 1], 1
+        if pieces.roots[other] >= 0:
+            following, height = start[other + 1], _begin_tree(motion, i, other)
         while height > 0 or following < start[other + 1]:
             tally[STEPS_LEFT] -= 1
             if tally[STEPS_LEFT] < 0:
@@ -1115,7 +1129,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
             else:
                 height -= 1
                 if stack[height] >= 0:
-                    height = open_group(pieces, stack[height], box, keep * WIDER, stack, height)
+                    height = _open_group(motion, keep, height)
                     continue
                 j = ~stack[height]
             at = count * LISTED_WAYS
