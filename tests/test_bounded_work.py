@@ -15,7 +15,9 @@ import capi
 import mechanisms
 from families import translation
 from loewner import Body, CollisionChecker, InputError, Scene, Verdict
+from loewner._kernels.tolerances import ROTATION_TOLERANCE
 from loewner._native import library
+from test_piece_trees import without_trees
 
 HERE = Path(__file__).parent
 
@@ -206,6 +208,61 @@ def test_no_proof_takes_more_than_its_limit(name, error):
     assert stopped > 0
 
 
+def test_waiting_intervals_keep_the_limit():
+    """Many intervals wait to be halved, and planes in their parts prove nearly all of them: each is compared."""
+    checker, _ = turning_beside_balls()
+    a, b = motion(checker.robot, [0.3475, 0.0, 0.0], [0.0, 0.02, 0.0], 2.0)
+    whole, more = checker.certify_edges(a, b), more_than_the_limit(checker)
+    assert whole.verdict == FREE
+    for most in range(1, whole.steps, 41):
+        found = checker.certify_edges(a, b, steps=most)
+        held(whole, found, most, more, found.steps)
+
+
+def clouds(rng, made, moves):
+    """A hand of several pieces beside a cloud of voxels, which is static or in the other hand; its pose is bent."""
+    T = translation(0.55, 0.3, 0.1)
+    T[:3, :3] = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    T[:3, :3] += rng.uniform(-1, 1, (3, 3)) * 0.25 * ROTATION_TOLERANCE
+    cloud = Body.from_cloud(rng.uniform(-0.3, 0.3, (400, 3)) * [1.0, 1.0, 0.2], voxel=0.02)
+    hand = made(Body.spheres(rng.uniform(-0.1, 0.1, (9, 3)), rng.uniform(0.01, 0.05, 9)))
+    if moves:
+        return CollisionChecker(carriage(hand, None, made(cloud.transformed(translation(0.2, 0.1, 0.17)))))
+    return CollisionChecker(carriage(hand), scene_of(cloud=(made(cloud), T)))
+
+
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("margin", [0.0, 0.03])
+def test_trees_change_the_work_and_no_verdict(moves, margin):
+    """Only pieces near the way are compared; the verdicts are those of all pairs of pieces."""
+    one, other = (clouds(np.random.default_rng(1), made, moves) for made in (lambda body: body, without_trees))
+    for checker in (one, other):
+        checker.scene.set_margin(margin)
+    rng, n, dof = np.random.default_rng(2), 150, one.robot.dof
+    a = rng.uniform(-1, 1, (n, dof)) * np.append([0.4, 0.4, 0.3], np.full(dof - 3, 3.0))
+    b = a + rng.uniform(-1, 1, (n, dof)) * 0.3 * rng.random((n, 1))
+    found, wanted = (checker.certify_edges(a, b) for checker in (one, other))
+    assert np.array_equal(found.verdict, wanted.verdict)
+    assert (np.bincount(found.verdict, minlength=2)[:2] > 10).all()
+    free = found.verdict == FREE
+    assert found.steps[free].sum() < 0.1 * wanted.steps[free].sum()
+
+
+def test_a_tree_leaves_out_what_is_farther_than_the_margin():
+    """A ball passes a row of balls, at the margin and a little more or less; each of them is the nearest once."""
+    robot, at = carriage(Body.sphere(0.05)), np.linspace(-0.5, 0.5, 40)
+    row = Body.spheres(np.stack([at, np.zeros(40), np.zeros(40)], axis=1), np.full(40, 0.01))
+    scene = scene_of(row=(row, np.eye(4)))
+    scene.set_margin(0.2)
+    checker = CollisionChecker(robot, scene)
+    for lead in (-3e-5, 3e-5):
+        for k in range(40):
+            a, b = motion(robot, [at[k] - 0.01, 0.0, 0.26 + lead], [0.02, 0.0, 0.0], 0.0)
+            found = checker.certify_edges(a, b)
+            assert found.verdict == (FREE if lead > 0 else COLLIDING)
+            assert found.steps < 80
+
+
 def in_time():
     """The same motion among bodies that follow motions: its pieces share the steps."""
     checker, (a, b) = balls_near_a_box()
@@ -255,8 +312,8 @@ def test_batches_keep_the_limit(rng):
     """Each motion of a batch has its own limit, whatever the others take and how many threads there are."""
     checker, (a, b) = balls_near_a_box()
     ends = b + np.abs(rng.normal(size=(200, len(b)))) * [0.02, 0.1, 0.1, 0.0] - [0.005, 0.0, 0.0, 0.0]
-    alone = [checker.certify_edges(a, end, steps=5200) for end in ends]
-    found = checker.certify_edges(a, ends, steps=5200)
+    alone = [checker.certify_edges(a, end, steps=6300) for end in ends]
+    found = checker.certify_edges(a, ends, steps=6300)
     assert np.array_equal(found.verdict, [one.verdict for one in alone])
     assert np.array_equal(found.steps, [one.steps for one in alone])
     assert len(np.unique(found.verdict)) == 3

@@ -22,6 +22,7 @@ from loewner import (
     planners,
     save_scene,
 )  # fmt: skip
+from test_bounded_work import carriage
 from test_moving_bodies import moving_scene, turned
 
 RADIUS = 0.1  # of the ball that slides along x and y
@@ -320,6 +321,25 @@ def test_a_plane_that_holds_later_is_not_enough_in_the_middle(slider, speed):
     assert (least < 0) == (speed > 0.53)
     found = CollisionChecker(slider, scene).certify_trajectory(curve).verdict
     assert found == (Verdict.FREE if least > 0 else Verdict.AMBIGUOUS)
+
+
+@pytest.mark.parametrize("lead", [-1e-5, 1e-5])
+def test_a_plane_that_turns_with_a_link_keeps_the_growth(lead):
+    """A plate turns about an axis beside a ball that grows; they come nearest within a quarter of a tested interval."""
+    radius, lever, rate, speed, nearest = 0.02, 0.05, 6.0, 0.01, 13.25 / 28.0
+    aligned, t = nearest - speed / (lever * rate**2), np.linspace(0.0, 1.0, 20001)
+    left = -radius - lever * np.cos(rate * (t - aligned)) - speed * t
+    offset = lead - left.min()
+    assert abs(t[left.argmin()] - nearest) < 1e-3
+    assert (left + offset < 0).mean() < 0.01
+    robot = carriage(Body.box([0.02, 2.0, 0.5]).transformed(translation(x=offset + 0.01)))
+    scene = Scene()
+    scene.add("ball", Body.sphere(radius))
+    scene.follow("ball", [0.0], [translation(x=lever)], speed=speed)
+    a, b = np.zeros((2, robot.dof))
+    a[3], b[3] = -rate * aligned, rate * (1.0 - aligned)
+    found = CollisionChecker(robot, scene).certify_edges(a, b, t0=0.0, t1=1.0, tolerance=1e-7)
+    assert found.verdict == (Verdict.FREE if lead > 0 else Verdict.AMBIGUOUS)
 
 
 @given(st.integers(0, 2**31), st.booleans())

@@ -351,7 +351,7 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
         is_off |= error[c] > 0;
     write_off(checker, course, points, is_off ? error : NULL, t0, t1, late, its->off);
     TRY(certify(checker, its, course, 1, points, its->off, is_off || growing > 0 ? gate->dof + growing : 0,
-                gate->tolerance, proof->most - proof->work, work, &verdict, &fraction, &proof->pair));
+                gate->tolerance, 0, proof->most - proof->work, work, &verdict, &fraction, &proof->pair));
     proof->work += work[WORK - 1];
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
@@ -625,8 +625,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         TRY(collide(gate->checker, its, EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, gate->steps, work, &verdict, &fraction,
-                &proof->pair)); /* a motion that stays where it begins has the pair */
+    TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,
+                &fraction, &proof->pair)); /* a motion that stays where it begins has the pair */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }

@@ -43,7 +43,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(first_fault, FAULT_TAKES, FAULT_GIVES)                                                                           \
     X(check_configurations, CHECK_TAKES, "")                                                                           \
     X(memory_size, "i i i", "i")                                                                                       \
-    X(certify_motions, "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", "")                                                          \
+    X(certify_motions, "i i F3 F2 F1 f i i i i B1 F1 I1 I2 i", "")                                                        \
     X(free_motions, "i i i F3 i f i i i I2 B1 i", "")                                                                  \
     X(motion_memory, "i i i", "i")                                                                                     \
     X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \
@@ -290,10 +290,11 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
                      int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs);
 
 /* Let the kernel prove courses, and nothing be confirmed; `off` has rows of `width`, with what bodies may be off behind
-   the values. Each course may take `steps`, and `work`, shape (count, WORK), receives what it took. */
+   the values; COLLIDING counts this as a margin, unless `as_given`. Each course may take `steps`, and `work`, shape
+   (count, WORK), receives what it took. */
 loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
-                       int64_t points, double *off, int64_t width, double tolerance, int64_t steps, int64_t *work,
-                       int8_t *verdicts, double *fractions, int64_t *pairs);
+                       int64_t points, double *off, int64_t width, double tolerance, int64_t as_given, int64_t steps,
+                       int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs);
 
 /* Write how far the values of a course (`joint_error` may be NULL) and bodies with bounds may be off from t0 to t1, if
    these times are off by `late`; the row has dof + 3 growing numbers. */

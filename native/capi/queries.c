@@ -495,8 +495,8 @@ void evaluate(const File *file, const double *course, int32_t degree, double t, 
 }
 
 loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
-                       int64_t points, double *off, int64_t width, double tolerance, int64_t steps, int64_t *work,
-                       int8_t *verdicts, double *fractions, int64_t *pairs)
+                       int64_t points, double *off, int64_t width, double tolerance, int64_t as_given, int64_t steps,
+                       int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs)
 {
     const Half *half = half_of(checker, CUT);
     int64_t dof = checker->file->dof, nothing;
@@ -506,7 +506,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         Array2 off;
         Array1 clear;
         double tolerance;
-        int64_t pack, problem, tables;
+        int64_t as_given, pack, problem, tables;
         Array1 out, fractions, pairs;
         Array2 work;
         void *memory;
@@ -517,6 +517,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         {off, width > 0 ? count : 0, width},
         {NULL, 0}, /* nothing beside the margins */
         tolerance,
+        as_given,
         (int64_t)half->words,
         half->handle,
         half->motions,
@@ -575,29 +576,6 @@ void write_off(const loewner_checker *checker, const double *course, int64_t poi
     write_growth(checker, t0, t1, late, row + dof);
 }
 
-/* Keep COLLIDING only where a course collides with all bodies at their poses; the steps that are left may be taken. */
-static loewner_status doubt_bounds(const loewner_checker *checker, loewner_workspace *workspace, double *course,
-                                   int64_t points, double *off, int64_t width, double tolerance, int64_t steps,
-                                   int64_t *work, int8_t *verdict, double *fraction, int64_t *pair)
-{
-    int64_t before[WORK];
-    memcpy(before, work, sizeof before);
-    int8_t given;
-    double at;
-    int64_t which;
-    if (*verdict == LOEWNER_FREE || *verdict == CODE_TOO_LONG)
-        return LOEWNER_OK;
-    int64_t left = steps > before[WORK - 1] ? steps - before[WORK - 1] : 0;
-    TRY(certify(checker, workspace, course, 1, points, off, width, tolerance, left, work, &given, &at, &which));
-    for (int64_t k = 0; k < WORK; k++)
-        work[k] += before[k];
-    int is_hit = given == LOEWNER_COLLIDING || given == CODE_BY_CARE;
-    *verdict = is_hit ? given : LOEWNER_AMBIGUOUS;
-    *fraction = is_hit ? at : *fraction;
-    *pair = is_hit ? which : *pair;
-    return LOEWNER_OK;
-}
-
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
                      int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
                      int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs)
@@ -612,12 +590,8 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
     for (int64_t k = 0; is_wide && k < count; k++)
         write_off(checker, courses + k * points * dof, points, is_off ? joint_error : NULL, t0 == NULL ? 0 : t0[k],
                   t1 == NULL ? 0 : t1[k], 0, workspace->off + k * width);
-    TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, steps,
+    TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, 1, steps,
                 workspace->work, verdicts, fractions, pairs));
-    for (int64_t k = 0; state->growing > 0 && k < count; k++)
-        TRY(doubt_bounds(checker, workspace, courses + k * points * dof, points, workspace->off + k * width,
-                         is_off ? dof : 0, tolerance, steps, workspace->work + WORK * k, verdicts + k, fractions + k,
-                         pairs + k));
     double *q = workspace->slopes;
     for (int64_t k = 0; k < count; k++) {
         const double *course = courses + k * points * dof;

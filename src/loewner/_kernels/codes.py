@@ -4,8 +4,8 @@ FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 
 # Codes in place of a verdict: whole numbers must decide (`fallback`); a GPU thread leaves the pair to the CPU (above
 # AMBIGUOUS, see `threads.pairs`); a motion takes too many intervals, or collides if `collide` confirms it, or has no
-# steps left.
-INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED = 3, 4, 5, 6, 7
+# steps left, or a body that is not where it is given may be hit.
+INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED, MAY_BE_HIT = 3, 4, 5, 6, 7, 8
 
 # Steps of a proof without a limit.
 NO_LIMIT = 2**62

@@ -69,7 +69,7 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
         before.moving if same and before is not None else None,
     ).with_poses(poses, version)  # fmt: skip
     if errors.any():
-        made = made.with_given(given)
+        made = made.with_errors(given, errors)
     return made.with_paths(tuple(following.values()), growing) if following or growing else made
 
 

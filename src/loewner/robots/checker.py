@@ -404,7 +404,7 @@ class CollisionChecker:
             motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
         steps : int, optional
             How much work each motion may take: configurations placed, pairs of bodies and of pieces compared, searches,
-            and boxes of surfaces opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the
+            and boxes of trees opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the
             pair where its proof stopped. docs/certified.md, "Bounded work", has the time of a step. Default: no limit.
         proof : bool
             Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a

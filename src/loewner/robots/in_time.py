@@ -21,7 +21,7 @@ from loewner.robots import motions, verdicts
 from loewner.robots.courses import CURVE_ROUNDINGS, between, elevated, straight
 from loewner.robots.motions import Found, Limit
 from loewner.robots.problem import Problem
-from loewner.robots.proofs import apply_rules, deviations, doubt_bounds, refuse_starts
+from loewner.robots.proofs import apply_rules, deviations, refuse_starts
 from loewner.robots.robot import Robot, interpolated
 
 # Values of a floating joint.
@@ -209,8 +209,7 @@ def prove_edges(
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
     first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
     limit = None if steps is None else Limit(steps, first)
-    found = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit)
-    doubt_bounds(ready, cut.courses, tolerance, cut.off, found, limit)
+    found = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit, as_given=True)
     refuse_starts(ready.as_given, cut.courses[:, 0], found)
     if off is None:
         apply_rules(ready, cut.courses, cut.off, first, tolerance, found, steps)

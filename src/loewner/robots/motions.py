@@ -150,6 +150,7 @@ def settle(
     off: Floats | None = None,
     clear: Floats = NO_CLEARANCES,
     limit: Limit | None = None,
+    as_given: bool = False,
 ) -> Found:
     """Let the kernel settle motions along courses.
 
@@ -162,18 +163,24 @@ def settle(
         Metres.
     off : ndarray, shape (N, dof + 3 growing), optional
         How far each value may deviate from the course at any fraction; FREE covers all such deviations. Then, how far
-        points of bodies may be off, as the kernel takes it; COLLIDING counts this as a margin.
+        points of bodies may be off, as the kernel takes it; COLLIDING counts this as a margin, unless `as_given`.
     clear : ndarray, shape (N,), optional
         Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING, too, then
         refers to them.
     limit : Limit, optional
+    as_given : bool
+        Whether COLLIDING refers to bodies at their given poses, without their errors, too.
 
     Notes
     -----
     If `ready.starts_matter`, FREE presupposes that the motion is free at its start.
     """
-    ready = ready.in_parts
     total = len(courses)
+    if as_given and ready.off is not None:
+        off = np.zeros((total, courses.shape[2])) if off is None else off
+        off = np.concatenate([off, np.tile(ready.off, (total, 1))], axis=1)
+        ready = ready.as_given
+    ready = ready.in_parts
     found = Found(
         np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
         np.full((total, 3), codes.NO_LIMIT if limit is None else -1, dtype=np.int64),
@@ -187,8 +194,8 @@ def settle(
 
     def share(begin: int, end: int) -> None:
         entries.certify_motions(
-            first[begin], first[end], courses, strays, clear, tolerance, ready.packed.handle, ready.handle,
-            prepared.handle, *found, workspace(prepared.memory),
+            first[begin], first[end], courses, strays, clear, tolerance, as_given, ready.packed.handle,
+            ready.handle, prepared.handle, *found, workspace(prepared.memory),
         )  # fmt: skip
 
     in_shares(share, len(first) - 1, LEAST_SHARE)

@@ -24,7 +24,7 @@ from loewner.bodies import Bodies, Body, Packed, bodies_of
 from loewner.bodies.layout import arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
-from loewner.pose_paths import PackedPaths, PoseBounds, PosePath
+from loewner.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
 from loewner.robots.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.robot import Robot, link_poses
 
@@ -142,6 +142,8 @@ class Problem:
         The motions that bodies follow; None if none does.
     given : ndarray, shape (pairs,), or None
         The margins without the errors of static bodies' poses, which `margins` include; None if there are no errors.
+    off : ndarray or None
+        These errors, as `motions.settle` takes them; None if there are none.
     """
 
     robot: Robot
@@ -167,6 +169,7 @@ class Problem:
     handle: int
     paths: PackedPaths | None = None
     given: Floats | None = None
+    off: Floats | None = None
 
     @classmethod
     def of(
@@ -223,7 +226,7 @@ class Problem:
             self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
         )._placed(
             self.standing.poses, version=self.version, paths=self.paths,
-            given=None if self.given is None else self.given[pairs],
+            given=None if self.given is None else self.given[pairs], off=self.off,
         )  # fmt: skip
         for value in (Problem.cut, Problem.open_cut):
             value.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
@@ -243,9 +246,10 @@ class Problem:
         numbers = np.array([place.get(name, -1) for name in bounds], dtype=np.int64)
         return self._changed(paths=PackedPaths.of(paths, tuple(bounds.values()), numbers))
 
-    def with_given(self, given: Floats) -> Problem:
-        """Set the margins without errors of poses."""
-        return self._changed(given=given)
+    def with_errors(self, given: Floats, errors: Floats) -> Problem:
+        """Set the margins without errors of poses, and these errors of all bodies [m]."""
+        at, raised = np.flatnonzero(errors), errors[errors > 0.0] * (1.0 + OFF_ROUNDINGS)
+        return self._changed(given=given, off=np.stack([at, raised, raised], axis=1).ravel())
 
     def _changed(self, **changes: Any) -> Problem:
         made = object.__new__(Problem)

@@ -33,37 +33,10 @@ def prove(
     Found
         Results whose verdict is TOO_LONG for motions that would take too many intervals.
     """
-    found = motions.settle(ready, courses, tolerance, off, limit=limit)
-    doubt_bounds(ready, courses, tolerance, off, found, limit)
+    found = motions.settle(ready, courses, tolerance, off, limit=limit, as_given=True)
     _confirm(ready.as_given, courses, found)
     refuse_starts(ready.as_given, courses[:, 0], found)
     return found
-
-
-def doubt_bounds(
-    ready: Problem, courses: Floats, tolerance: float, off: Floats | None, found: Found, limit: Limit | None = None
-) -> None:
-    """Keep COLLIDING only for courses that collide with all bodies at their given poses; the others are AMBIGUOUS.
-
-    The results of `motions.settle`, which counts the errors of poses as margins, are changed. The rest of a limit may
-    be used.
-    """
-    known, dof = ready.as_given, courses.shape[2]
-    exact = off if off is None else off[:, :dof]
-    if known is ready and (off is None or off.shape[1] == dof):
-        return
-    at = np.flatnonzero(np.isin(found.verdicts, (codes.COLLIDING, codes.AMBIGUOUS, codes.BY_CARE)))
-    found.verdicts[at] = codes.AMBIGUOUS
-    left = None
-    if limit is not None and len(at):
-        taken = np.diff(np.append(0, np.cumsum(found.work[:, STEPS]))[limit.first])
-        left = Limit(np.maximum(limit.steps - taken, 0), np.searchsorted(at, limit.first))
-    exact = None if exact is None else np.ascontiguousarray(exact[at])
-    given = motions.settle(known, courses[at], tolerance, exact, limit=left)
-    hit = np.isin(given.verdicts, (codes.COLLIDING, codes.BY_CARE))
-    found.verdicts[at[hit]], found.fractions[at[hit]] = given.verdicts[hit], given.fractions[hit]
-    found.pairs[at[hit]] = given.pairs[hit]
-    found.work[at] += given.work
 
 
 def prove_by_rules(

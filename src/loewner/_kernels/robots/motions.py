@@ -5,8 +5,9 @@ one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in 
 body beyond it at both ends by more than the margin and A w² / 8, proves the pair for the whole interval.
 
 cull
-    boxes about bodies in a whole block, then balls and boxes about swept bodies, and planes between their ellipsoids,
-    seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are tested at once.
+    boxes about bodies in a whole block, then balls and boxes about swept bodies, boxes of trees over many pieces, and
+    planes between ellipsoids, seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are
+    tested at once.
 search
     a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair; a plane that proves one
     interval is tried on the others (`planes`).
@@ -33,6 +34,7 @@ from loewner._kernels.codes import (
     BY_CARE,
     COLLIDING,
     FREE,
+    MAY_BE_HIT,
     MOST_INTERVALS,
     MOST_POINTS,
     NO_LIMIT,
@@ -40,7 +42,7 @@ from loewner._kernels.codes import (
     TOUCHING,
     UNFINISHED,
 )
-from loewner._kernels.columns import KIND, OUTER_RADIUS, SURFACE, SURFACE_AT
+from loewner._kernels.columns import KIND, OUTER_RADIUS, SURFACE, SURFACE_AT, WIDE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_fast
@@ -69,6 +71,7 @@ from loewner._kernels.robots.sweeps import (
     PIECE,
     PLACED,
     PLACED_PIECES,
+    WIDER,
     Swept,
     near_group,
     near_in_world,
@@ -78,11 +81,15 @@ from loewner._kernels.robots.sweeps import (
     place_body,
     place_pieces,
     see_piece,
+    see_piece_standing,
     sweep,
+    write_box,
 )
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
 from loewner._kernels.simd.vectors import LANES, highest_bit, load, lowest_bit, movemask
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.trees.boxes import LEVELS
+from loewner._kernels.trees.piece_tree import open_group, reach_of
 
 # How far points may be from their chords [m] in the first intervals; a choice.
 FIRST_OFF = 0.02
@@ -134,7 +141,8 @@ _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in
 # a block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is
-# placed; each pair of pieces; and the boxes, triangles and points that walks through surfaces meet.
+# placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points that walks through
+# surfaces meet.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -149,6 +157,7 @@ class Motion(NamedTuple):
     skew : relative error of turned lengths, which is also added for a pair's margin
     strays : whether values may deviate from the course; pairs then keep a larger distance
     clear : distance that pairs must keep in addition to their margins [m]
+    as_given : whether COLLIDING refers to the given places of bodies, however far their points may be off
     points : control points of the course
     counts : numbers of bodies, pieces, pairs and links
     work : address of `MEMORY`
@@ -162,6 +171,7 @@ class Motion(NamedTuple):
     skew: Any
     strays: Any
     clear: Any
+    as_given: Any
     points: Any
     counts: Any
     work: Any
@@ -206,6 +216,8 @@ _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 MEMORY = Arena(
     times=floats(LANES),  # of the block
     scratch=floats(PIECE),  # a piece relative to another body
+    box=floats(6),  # about a piece in a block, in the frame of another body
+    tree_stack=integers(LEVELS * WIDE),  # groups of a tree over pieces, and pieces, that have yet to be compared
     near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
     listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
     listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
@@ -239,7 +251,7 @@ MEMORY = Arena(
     off=floats(DOF),  # allowed deviations of values from the motion
     strays=_RATES,  # the resulting deviations of joints
     growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start, and its growth [m]
-    most_growth=floats(2),  # likewise for all static bodies
+    most_growth=floats(3),  # likewise for all static bodies; then whether any body may be off
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -256,6 +268,7 @@ _cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = 
 _gaps_of, _planes_of, _part_times_of, _ends_of, _near_pairs_of, _listed_of, _listed_ways_of = MEMORY.accessors(
     "gaps planes part_times ends near_pairs listed listed_ways"
 )
+_box_of, _tree_stack_of = MEMORY.accessors("box tree_stack")
 _answers_of, _growth_of, _most_growth_of = MEMORY.accessors("answers growth most_growth")
 _size = MEMORY.sizing()
 
@@ -407,6 +420,17 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
     return verdict
 
 
+@apart
+def _hits(motion, near, t, poses, row, others, other_row, n, tally):
+    """As `_collides`, with the margin at t; MAY_BE_HIT if only bodies that are not where they are given collide."""
+    margin, own = _margin_at(near, t), problem_of(motion.problem).margins[near.pair] + motion.clear
+    hit = _collides(motion, near.i, poses, row, near.j, others, other_row, margin, n, tally)
+    if hit != FREE and motion.as_given and margin > own:
+        hit = _collides(motion, near.i, poses, row, near.j, others, other_row, own, n, tally)
+        return MAY_BE_HIT if hit == FREE else hit
+    return hit
+
+
 @inline
 def _count(tally, entry, number):
     """Count poses or searches."""
@@ -441,12 +465,18 @@ def _to_body(poses, row, n):
 
 
 @inline
-def _margin(motion, pair):
-    """Distance that two bodies must keep [m]: at the start of the motion, and by how much it grows until the end."""
+def _off_together(motion, pair):
+    """How far points of two bodies may be off [m]: at the start of the motion, and by how much it grows until the end."""
     problem, growth = problem_of(motion.problem), _growth_of(motion)
     one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
-    off, rise = growth[one, 0] + growth[other, 0], growth[one, 1] + growth[other, 1]
-    return problem.margins[pair] + motion.clear + off, rise
+    return growth[one, 0] + growth[other, 0], growth[one, 1] + growth[other, 1]
+
+
+@inline
+def _margin(motion, pair):
+    """Distance that two bodies must keep [m]: at the start of the motion, and by how much it grows until the end."""
+    off, rise = _off_together(motion, pair)
+    return problem_of(motion.problem).margins[pair] + motion.clear + off, rise
 
 
 @inline
@@ -639,10 +669,9 @@ def _test_middle(motion, near, t, width, poses, row, other_row, toward, tally):
 
     AMBIGUOUS if they come within the tolerance where points move by less than that.
     """
-    margin = _margin_at(near, t)
-    hit = _collides(motion, near.i, poses, row, near.j, poses, other_row, margin, toward, tally)
+    hit = _hits(motion, near, t, poses, row, poses, other_row, toward, tally)
     if hit == FREE and _off(near, width) <= motion.tolerance:
-        wide = margin + motion.tolerance
+        wide = _margin_at(near, t) + motion.tolerance
         if _collides(motion, near.i, poses, row, near.j, poses, other_row, wide, toward, tally) != FREE:
             return AMBIGUOUS
     return hit
@@ -785,8 +814,14 @@ def _worse(found, verdict, t, pair):
 
 @inline
 def _hit(found):
-    """Whether the search ends: no worse result is possible, or no steps are left."""
-    return found.verdict == COLLIDING or found.verdict == BY_CARE or found.verdict == UNFINISHED
+    """Whether the search ends: no worse result is possible, no steps are left, or the block is begun again."""
+    return not (found.verdict == FREE or found.verdict == AMBIGUOUS)
+
+
+@inline
+def _open_verdict(motion):
+    """Verdict for what is neither proven nor colliding."""
+    return MAY_BE_HIT if motion.as_given and _most_growth_of(motion)[2] != 0.0 else AMBIGUOUS
 
 
 @njit()
@@ -822,7 +857,9 @@ def _halve_waiting(motion, count, found, tally):
             if row >= 0 and _apart_in_block(motion, near, k, k + 1, MOST_MORE, tally):
                 answers[row, 3] |= 1 << k
                 continue
-            found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), pair)
+            found = _worse(found, _open_verdict(motion), 0.5 * (times[k] + times[k + 1]), pair)
+            if _hit(found):
+                break
             continue
         low, high = times[k], times[k + 1]
         if left == EVERY:
@@ -832,7 +869,7 @@ def _halve_waiting(motion, count, found, tally):
             low, high = part[first], part[last]
             _write_ends(motion, near, _cut_links_of(motion), first, last)
         verdict, t, by_triangles = _halve(motion, near, back, low, high, n, tally)
-        found = _worse(found, verdict, t, pair)
+        found = _worse(found, _open_verdict(motion) if verdict == AMBIGUOUS else verdict, t, pair)
         if row >= 0 and (verdict == AMBIGUOUS or (by_triangles and left == EVERY)):
             answers[row, 3] |= 1 << k
         if _hit(found):
@@ -886,14 +923,13 @@ def _collides_in_block(motion, near, swept, k, n, tally):
     """Whether two pieces collide at configuration k of the block; n is from j to i, in j's frame."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
-    a, margin = one * LANES + k, _margin_at(near, _times_of(motion)[k])
+    a, t = one * LANES + k, _times_of(motion)[k]
     if other >= motion.counts.moving:
         still = _standing_poses(problem)
         s = other - motion.counts.moving
-        return _collides(motion, near.i, swept.poses, a, near.j, still, s, margin, negated(n), tally)
+        return _hits(motion, near, t, swept.poses, a, still, s, negated(n), tally)
     o = other * LANES + k
-    toward = negated(_to_world(swept.poses, o, n))
-    return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, margin, toward, tally)
+    return _hits(motion, near, t, swept.poses, a, swept.poses, o, negated(_to_world(swept.poses, o, n)), tally)
 
 
 @inline
@@ -1033,6 +1069,26 @@ def _margin_in_block(motion, pair):
     return margin + max(rise * times[0], rise * times[INTERVALS])
 
 
+@apart
+def _begin_tree(motion, i, other):
+    """Begin the walk through the tree of a body near piece i, seen from the body; return the height of the stack."""
+    pieces, problem, moving, scratch = (
+        pieces_of(motion.pack), problem_of(motion.problem), motion.counts.moving, _scratch_of(motion),
+    )  # fmt: skip
+    if other >= moving:
+        see_piece_standing(problem, i, other - moving, _swept_of(motion), scratch)
+    write_box(scratch, 0, reach_of(pieces, other), _box_of(motion))
+    _tree_stack_of(motion)[0] = pieces.roots[other]
+    return 1
+
+
+@apart
+def _open_group(motion, keep, height):
+    """Replace the group on top of the stack by its boxes that are near; return the height of the stack."""
+    stack = _tree_stack_of(motion)
+    return open_group(pieces_of(motion.pack), stack[height], _box_of(motion), keep * WIDER, stack, height)
+
+
 @njit()
 def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally):
     """List the pieces of two bodies that may be near each other in the intervals `live`.
@@ -1050,22 +1106,36 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
     width = times[1] - times[0]
     keep = margin + slack + bend * width * width / 8.0
+    off, rise = _off_together(motion, pair)
+    nearer = load(times, 0) * rise + off
     if swept.done[one] & PLACED_PIECES == 0:
         _place_pieces(motion, one)
         tally[STEPS_LEFT] -= start[one + 1] - start[one]
+    stack = _tree_stack_of(motion)
     for i in range(start[one], start[one + 1]):
         rows, first = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
             rows, first = scratch, 0
-        for j in range(start[other], start[other + 1]):
+        following, height = start[other], 0
+        if pieces.roots[other] >= 0:
+            following, height = start[other + 1], _begin_tree(motion, i, other)
+        while height > 0 or following < start[other + 1]:
             tally[STEPS_LEFT] -= 1
             if tally[STEPS_LEFT] < 0:
                 return Found(UNFINISHED, times[0], pair), count
+            if height == 0:
+                j, following = following, following + 1
+            else:
+                height -= 1
+                if stack[height] >= 0:
+                    height = _open_group(motion, keep, height)
+                    continue
+                j = ~stack[height]
             at = count * LISTED_WAYS
             to = at + _NORMALS
             table, row = (hot, j) if other < moving else (tables.standing_rows, j - start[moving])
-            left = near_piece(rows, first, hot[i, OUTER_RADIUS], table, row, keep, live, ways, to)
+            left = near_piece(rows, first, hot[i, OUTER_RADIUS], table, row, keep, nearer, live, ways, to)
             if left == 0:
                 continue
             listed[count, 0], listed[count, 1], listed[count, 2], listed[count, 3] = pair, i, j, left
@@ -1127,7 +1197,7 @@ def _find_near_pairs(motion, widest):
     tables, swept, ways, near_pairs = (
         motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
     )  # fmt: skip
-    times, (most, rise) = _times_of(motion), _most_growth_of(motion)
+    times, most, rise = _times_of(motion), _most_growth_of(motion)[0], _most_growth_of(motion)[1]
     grown = (1.0 + motion.skew) * (most + max(rise * times[0], rise * times[INTERVALS]))
     for body in range(motion.counts.moving):
         if swept.done[body] == 0:
@@ -1149,15 +1219,28 @@ def _stray(motion, body, link, fixed):
 @njit()
 def _settle_block(motion, low, high, found, tally):
     """Settle the seven intervals between two times."""
+    swept = _swept_of(motion)
+    widest = _place_between(motion, low, high, _times_of(motion), swept.links)
+    _count(tally, POSES, LANES)
+    for body in range(motion.counts.moving):
+        swept.done[body] = 0
+    found = _settle_pairs(motion, low, widest, found, tally)
+    if found.verdict == MAY_BE_HIT:
+        # The motion is not FREE. From now on bodies are where they are given, and only a collision counts.
+        _growth_of(motion)[:] = 0.0
+        _most_growth_of(motion)[:] = 0.0
+        found = _settle_pairs(motion, low, widest, Found(AMBIGUOUS, found.t, found.pair), tally)
+    return found
+
+
+@apart
+def _settle_pairs(motion, low, widest, found, tally):
+    """Settle all pairs in a block, which begins at the time `low` and whose links are placed."""
     problem, tables, swept, moving = (
         problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion), motion.counts.moving,
     )  # fmt: skip
     ways, scratch, near_pairs, order = _ways_of(motion), _scratch_of(motion), _near_pairs_of(motion), _order_of(motion)
-    widest = _place_between(motion, low, high, _times_of(motion), swept.links)
-    _count(tally, POSES, LANES)
     tally[STEPS_LEFT] -= moving + len(tables.group_pairs) // LANES
-    for body in range(moving):
-        swept.done[body] = 0
     for row in range(ANSWERS):
         _answers_of(motion)[row, 0] = -1
     count = 0
@@ -1224,7 +1307,7 @@ def _certify(motion, tally):
         rounding, strays = rounding + astray, False
     motion = Motion(
         motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, strays, motion.clear,
-        motion.points, motion.counts, motion.work,
+        motion.as_given, motion.points, motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
         return Found(TOO_LONG, np.nan, -1)  # an orientation that may turn arbitrarily fast
@@ -1258,16 +1341,18 @@ def _certify(motion, tally):
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, strays, clear, points, dof, memory):
+def _motion(pack, problem_handle, tables_handle, tolerance, strays, clear, as_given, points, dof, memory):
     """A motion in prepared memory, whose course has yet to be written."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, clear, points, counts, memory)
+    return Motion(
+        pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, clear, as_given, points, counts, memory
+    )
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write the data shared by all motions to the memory."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 0.0, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 0.0, False, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
@@ -1285,14 +1370,15 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 @njit()
 def _write_growth(motion, off):
     """Write how far points of bodies may be off on a motion, as `certify_motions` is given it."""
-    growth, most, start, end = _growth_of(motion), _most_growth_of(motion), 0.0, 0.0
+    growth, most, start, end, any_off = _growth_of(motion), _most_growth_of(motion), 0.0, 0.0, False
     for at in range(motion.counts.dof, len(off), 3):
         body = int(off[at])
         if body >= 0:
             growth[body, 0], growth[body, 1] = off[at + 1], off[at + 2] - off[at + 1]
+            any_off |= max(off[at + 1], off[at + 2]) > 0.0
         if body >= motion.counts.moving:
             start, end = max(start, off[at + 1]), max(end, off[at + 2])
-    most[0], most[1] = start, end - start
+    most[0], most[1], most[2] = start, end - start, any_off
 
 
 @njit()
@@ -1303,6 +1389,7 @@ def certify_motions(
     off,
     clear,
     tolerance,
+    as_given,
     pack,
     problem_handle,
     tables_handle,
@@ -1322,11 +1409,14 @@ def certify_motions(
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
         and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body whose points may be
         off: its number, and by how many metres at the start and at the end; in between, by as much as on the line
-        through both. COLLIDING refers to margins that are larger by this. A negative number stands for no body.
+        through both. A negative number stands for no body.
     clear : ndarray, shape (N,) or (0,)
         Distances in metres that all pairs must keep on a motion in addition to their margins. No rows: none.
     tolerance : float
         In metres; a motion that comes within the margin plus this may be AMBIGUOUS.
+    as_given : int
+        0: COLLIDING refers to margins that are larger by how far points may be off. 1: to the margins alone, and a
+        motion that may only be hit is AMBIGUOUS, where this is first found. Then the search goes on for a collision.
     pack : int
         Handle of the packed bodies, as for `configurations.check_configurations`.
     problem_handle, tables_handle : int
@@ -1348,7 +1438,9 @@ def certify_motions(
     left = NO_LIMIT
     for k in range(start, stop):
         more = clear[k] if len(clear) > 0 else 0.0
-        motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, more, points, dof, memory)
+        motion = _motion(
+            pack, problem_handle, tables_handle, tolerance, len(off) > 0, more, as_given != 0, points, dof, memory
+        )  # fmt: skip
         course, strays = _course_of(motion), _off_of(motion)
         for c in range(dof):
             for point in range(points):
@@ -1374,7 +1466,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
     collide most often come first.
     """
     dof = ends.shape[1]
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 0.0, 2, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 0.0, False, 2, dof, memory)
     course = _course_of(motion)
     for c in range(dof):
         course[0, c], course[1, c] = ends[0, c], ends[1, c]

@@ -34,6 +34,8 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
+from loewner._kernels.trees.boxes import lowered, raised
+from loewner._kernels.trees.piece_tree import BEND
 
 INTERVALS = LANES - 1
 EVERY = (1 << INTERVALS) - 1
@@ -278,14 +280,44 @@ def near_moving(problem, body, other, keep, to, scratch):
 def see_piece(problem, p, other, to, scratch):
     """Write center and shape of a moving piece p relative to the body `other`, which also moves."""
     link = problem.link[other]
-    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    _see_piece(p, rotation_of_link(to.links, link), translation_of_link(to.links, link), to, scratch)
+
+
+@inline
+def see_piece_standing(problem, p, k, to, scratch):
+    """As `see_piece`, relative to the static body in row k."""
+    T = problem.standing_poses
+    R = T[k, 0], T[k, 1], T[k, 2], T[k, 4], T[k, 5], T[k, 6], T[k, 8], T[k, 9], T[k, 10]
+    _see_piece(p, R, (T[k, 3], T[k, 7], T[k, 11]), to, scratch)
+
+
+@inline
+def _see_piece(p, R, t, to, scratch):
     _store_three(scratch, 0, apply_transposed(R, minus(_load_three(to.pieces, p * PIECE), t)))
     back = R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]
     _store_six(scratch, _SHAPE, rotated_shape(back, _load_six(to.pieces, p * PIECE + _SHAPE)))
 
 
 @inline
-def near_piece(rows, at, radius, table, q, keep, live, out, to):
+def write_box(rows, at, reach, box):
+    """Write lower and upper bounds of a piece at all eight configurations, as a body of this reach sees it.
+
+    Center and shape of the piece, from entry `at` on, are relative to the body. The body's own points may be as far from
+    their places as an accepted pose moves them.
+    """
+    center, Q = _load_three(rows, at), _load_six(rows, at + _SHAPE)
+    slack, size = SHAPE_ROUNDINGS * trace(Q), reach
+    half = sqrt(Q[0] + slack), sqrt(Q[3] + slack), sqrt(Q[5] + slack)
+    for c in range(3):
+        box[c], box[3 + c] = lowest(center[c] - half[c]), highest(center[c] + half[c])
+        size += max(abs(box[c]), abs(box[3 + c]))
+    wide = BEND * reach + position_error(size, UNIT_ROUNDOFF)
+    for c in range(3):
+        box[c], box[3 + c] = lowered(box[c], wide), raised(box[3 + c], wide)
+
+
+@inline
+def near_piece(rows, at, radius, table, q, keep, nearer, live, out, to):
     """The intervals among `live` in which two ellipsoids may come within `keep` of each other.
 
     Parameters
@@ -297,11 +329,13 @@ def near_piece(rows, at, radius, table, q, keep, live, out, to):
     table, q :
         Row of the static piece, in a table like `Pieces.hot`.
     keep : float
+    nearer : vector
+        How much nearer to each other they may be than they are given, at the configurations.
     live : int
         As bits.
     out, to :
         Receives, from entry `to` on, directions from the static piece to the moving one; and how far apart the
-        ellipsoids are along them at both ends, as shares of the distance at which they touch.
+        ellipsoids may be along them at both ends, as shares of the distance at which they touch.
     """
     center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)
@@ -322,11 +356,12 @@ def near_piece(rows, at, radius, table, q, keep, live, out, to):
         last, _ = outward_width(P1, n, squared)
         along_first, along_last = dot(n, c0), dot(n, c1)
         gap = minimum(along_first - first, along_last - last) - width
-        live &= ~movemask(gap > sqrt(squared) * (keep * WIDER))
+        length = sqrt(squared)
+        live &= ~movemask(gap > length * (keep * WIDER))
         if live != 0:
             store(out, to, n[0])
             store(out, to + LANES, n[1])
             store(out, to + 2 * LANES, n[2])
-            store(out, to + 3 * LANES, along_first / (first + width))
-            store(out, to + 4 * LANES, along_last / (last + width))
+            store(out, to + 3 * LANES, (along_first - length * nearer) / (first + width))
+            store(out, to + 4 * LANES, (along_last - length * next_lanes(nearer)) / (last + width))
     return live

@@ -114,8 +114,8 @@ def begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers):
             numbers[TURN + 3 * row + c] = turn
             shift += Tb[kb, c, row] * (Ta[ka, c, 3] - Tb[kb, c, 3])
         numbers[SHIFT + row] = shift
-    reach_a = _reach(a, ia)
-    reach_b = _reach(b, ib)
+    reach_a = reach_of(a, ia)
+    reach_b = reach_of(b, ib)
     numbers[SIZE] = size + reach_a + reach_b
     numbers[A_SLACK] = BEND * reach_a
     numbers[B_SLACK] = BEND * reach_b
@@ -229,10 +229,23 @@ def _open(groups, children, group, numbers, box, slack, reach, steps, stack, hei
         raised(numbers[box + 3], by), raised(numbers[box + 4], by), raised(numbers[box + 5], by),
         reach * reach,
     )  # fmt: skip
+    steps[height] = _push(children, group, mask, steps, stack + steps[height]) - stack
+
+
+@inline
+def open_group(a, group, box, reach, stack, height):
+    """Push the children of a group that come within `reach` of a box (lower, upper) onto a stack; return its height."""
+    mask = within(a.groups, group, box[0], box[1], box[2], box[3], box[4], box[5], reach * reach)
+    return _push(a.children, group, mask, stack, height)
+
+
+@inline
+def _push(children, group, mask, stack, height):
     while mask != 0:
         lane, mask = next_lane(mask)
-        steps[stack + steps[height]] = children[group * WIDE + lane]
-        steps[height] += 1
+        stack[height] = children[group * WIDE + lane]
+        height += 1
+    return height
 
 
 @inline
@@ -309,7 +322,7 @@ def _root_interval(groups, root, axis):
 
 
 @njit()
-def _reach(a, ia):
+def reach_of(a, ia):
     """Bound on the distance of any point of a body from its origin."""
     root = a.roots[ia]
     reach = 0.0
