@@ -9,7 +9,7 @@
 #   make other-machines     the core of the quick suite, computed as on processors without this one's wide registers
 #   make test-torch    what is tested with PyTorch, which takes 5 GB on Linux
 #   make test-gpu      what is tested of GPUs, with NVIDIA's assembler, 143 MB; on a GPU where there is one
-#   make test-models   robots that packages ship, 120 MB, and models in memory, against MuJoCo, pinocchio and Drake
+#   make test-models   robots that packages ship, 280 MB, and models in memory, against MuJoCo, pinocchio and Drake
 #   make newest   the quick suite with the newest versions of packages: PACKAGES="numpy scipy numba" TESTS=tests
 #   make docs     the documentation, as pages in docs/_build/html
 #   make test-docs     these pages in a browser: links, accessibility, screenshots in docs/_build/screenshots

