@@ -112,7 +112,7 @@ def verified(checker, plan):
 @pytest.mark.parametrize("name", ["ur5", "talos", "panda on a base"])
 def test_plans_of_robots(name):
     """Proofs of a hundred plans of an arm, a humanoid, and an arm on a mobile base with sliding joints are verified."""
-    robot, sizes = example(*ARMS[name.split()[0]]), []
+    robot, sizes, wide = example(*ARMS[name.split()[0]]), [], 0
     if "base" in name:
         robot = robot.add_base("planar", [[-2.0, 2.0], [-2.0, 2.0]])
     for seed in range(PLANS):
@@ -123,11 +123,16 @@ def test_plans_of_robots(name):
                 plan = planners.plan(checker, start, goal, full=True, proof=True)
             except PlanningError:
                 continue
+            except ConvergenceError as error:
+                assert "hulls of parts" in str(error)  # noqa: PT017
+                wide += 1
+                continue
             sizes.append(verified(checker, plan))
         if len(sizes) >= PLANS:
             break
-    print(f"{name}: {len(sizes)} plans verified, {np.median(sizes):.0f} bytes in the median, {max(sizes)} at most")
+    print(f"{name}: {len(sizes)} plans verified, {np.median(sizes):.0f} bytes in the median, {max(sizes)} at most, {wide} without")
     assert len(sizes) >= PLANS
+    assert wide <= PLANS / 20
 
 
 @pytest.mark.skipif("LOEWNER_MBM" not in os.environ, reason="LOEWNER_MBM names no file of MotionBenchMaker problems")

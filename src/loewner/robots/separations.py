@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import records
-from loewner._kernels.columns import BLOCK, CONE, CYLINDER, ELLIPSOID, POLYTOPE
+from loewner._kernels.columns import BLOCK, CONE, CYLINDER, ELLIPSOID, KIND, POLYTOPE, SURFACE
 from loewner._native import entries
 from loewner._rotations import rotations_of
 from loewner._validate import Floats, Ints
@@ -140,6 +140,11 @@ def _expect_tree(
         why = f"the trees would have more than {MOST_NODES} nodes; divide the motion"
     elif touches:
         why = "the planes of their contact, which may get deeper by the tolerance once, do not suffice"
+    elif any((ready.packs[n].layout[:, KIND] <= SURFACE).any() for n in model.pairs[tree.pair]):
+        why = (
+            "a proof holds hulls of parts of surfaces and solids, which reach beyond them; links that are read with "
+            'meshes="hull" have none'
+        )
     elif off:
         why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
     raise ConvergenceError(
