@@ -307,6 +307,18 @@ def test_motions_in_time_keep_the_limit():
         assert (found.verdict == FREE) == (found.steps <= most) or most >= whole.steps
 
 
+@pytest.mark.parametrize("speed", [1e-3, 0.02, 0.3])
+def test_bodies_that_grow_keep_the_limit(speed):
+    """Also where one may be hit, and the proof goes on without growth."""
+    checker, (a, b) = turning_beside_balls()
+    checker.scene.follow("wall", [0.0], [np.eye(4)], speed=speed)
+    whole, more = checker.certify_edges(a, b, t0=0.0, t1=1.0), more_than_the_limit(checker)
+    assert (whole.verdict == FREE) == (speed < 0.01)
+    for most in [*limits(whole.steps), *range(1, whole.steps, 97)]:
+        found = checker.certify_edges(a, b, t0=0.0, t1=1.0, steps=most)
+        held(whole, found, most, more, found.steps)
+
+
 def curve_through(rng, checker, count):
     """A quadratic curve of as many pieces."""
     a, b = motion(checker.robot, [0.1105, 0.0, 0.0], [0.0, 0.1, 0.05], 0.0)
