@@ -219,6 +219,30 @@ def test_waiting_intervals_keep_the_limit():
         held(whole, found, most, more, found.steps)
 
 
+def barely_not_free():
+    """Motions of one pair of pieces, and of many, that are not free; a search shows it only late."""
+    checker, (a, b) = grazing()
+    for nearer in (1.1e-5, 1.2e-5):
+        yield checker, (a + np.eye(len(a))[0] * nearer, b + np.eye(len(b))[0] * nearer)
+    checker, _ = turning_beside_balls()
+    for deep in (2e-4, 2e-3):
+        yield checker, motion(checker.robot, [0.3454 - deep, 0.0, 0.0], [0.0, 0.02, 0.0], 2.0)
+    # A rod that turns meets a ball at once, within the first interval; the others are searched before.
+    robot = carriage(Body.box([0.6, 0.01, 0.3]))
+    ball = Body.sphere(0.02).transformed(translation(0.2 * np.cos(0.21), 0.2 * np.sin(0.21), 0.0))
+    yield CollisionChecker(robot, scene_of(ball=(ball, np.eye(4)))), motion(robot, [0, 0, 0], [0, 0, 0], 3.0)
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_what_is_not_free_is_not_free_within_any_limit(number):
+    """Wherever a proof stops, it has proven nothing."""
+    checker, (a, b) = list(barely_not_free())[number]
+    whole = checker.certify_edges(a, b)
+    assert whole.verdict != FREE
+    for most in np.unique(np.linspace(1, whole.steps, 200).astype(int)).tolist():
+        assert checker.certify_edges(a, b, steps=most).verdict != FREE
+
+
 def clouds(rng, made, moves):
     """A hand of several pieces beside a cloud of voxels, which is static or in the other hand; its pose is bent."""
     T = translation(0.55, 0.3, 0.1)
@@ -281,6 +305,18 @@ def test_motions_in_time_keep_the_limit():
         found = checker.certify_edges(a, b, t0=0.0, t1=1.0, steps=most)
         held(whole, found, most, more, found.steps)
         assert (found.verdict == FREE) == (found.steps <= most) or most >= whole.steps
+
+
+@pytest.mark.parametrize("speed", [1e-3, 0.02, 0.3])
+def test_bodies_that_grow_keep_the_limit(speed):
+    """Also where one may be hit, and the proof goes on without growth."""
+    checker, (a, b) = turning_beside_balls()
+    checker.scene.follow("wall", [0.0], [np.eye(4)], speed=speed)
+    whole, more = checker.certify_edges(a, b, t0=0.0, t1=1.0), more_than_the_limit(checker)
+    assert (whole.verdict == FREE) == (speed < 0.01)
+    for most in [*limits(whole.steps), *range(1, whole.steps, 97)]:
+        found = checker.certify_edges(a, b, t0=0.0, t1=1.0, steps=most)
+        held(whole, found, most, more, found.steps)
 
 
 def curve_through(rng, checker, count):

@@ -43,7 +43,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(first_fault, FAULT_TAKES, FAULT_GIVES)                                                                           \
     X(check_configurations, CHECK_TAKES, "")                                                                           \
     X(memory_size, "i i i", "i")                                                                                       \
-    X(certify_motions, "i i F3 F2 F1 f i i i i B1 F1 I1 I2 i", "")                                                        \
+    X(certify_motions, "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", "")                                                          \
     X(free_motions, "i i i F3 i f i i i I2 B1 i", "")                                                                  \
     X(motion_memory, "i i i", "i")                                                                                     \
     X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \

@@ -506,7 +506,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         Array2 off;
         Array1 clear;
         double tolerance;
-        int64_t as_given, pack, problem, tables;
+        int64_t pack, problem, tables;
         Array1 out, fractions, pairs;
         Array2 work;
         void *memory;
@@ -517,7 +517,6 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         {off, width > 0 ? count : 0, width},
         {NULL, 0}, /* nothing beside the margins */
         tolerance,
-        as_given,
         (int64_t)half->words,
         half->handle,
         half->motions,
@@ -527,8 +526,10 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         {work, count, WORK},
         workspace->memory,
     };
-    for (int64_t k = 0; k < count; k++)
+    for (int64_t k = 0; k < count; k++) {
         work[WORK * k + WORK - 1] = steps;
+        verdicts[k] = (int8_t)as_given;
+    }
     return call(kernels()->certify_motions, &arguments, &nothing);
 }
 

@@ -28,7 +28,7 @@ ENTRIES = {
         Entry("robots.configurations", "check_configurations", "i i i F2 i i B1 B1 I1 i", ""),
         Entry("robots.configurations", "check_motion", "F1 F1 F1 i i B1 I1 i", "i i"),
         Entry("robots.configurations", "memory_size", "i i i", "i"),
-        Entry("robots.motions", "certify_motions", "i i F3 F2 F1 f i i i i B1 F1 I1 I2 i", ""),
+        Entry("robots.motions", "certify_motions", "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", ""),
         Entry("robots.motions", "free_motions", "i i i F3 i f i i i I2 B1 i", ""),
         Entry("robots.motions", "motion_memory", "i i i", "i"),
         Entry("robots.planning", "connect_trees", "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i"),

@@ -182,7 +182,7 @@ def settle(
         ready = ready.as_given
     ready = ready.in_parts
     found = Found(
-        np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
+        np.full(total, as_given, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
         np.full((total, 3), codes.NO_LIMIT if limit is None else -1, dtype=np.int64),
     )  # fmt: skip
     first = np.arange(total + 1) if limit is None else limit.first
@@ -194,8 +194,8 @@ def settle(
 
     def share(begin: int, end: int) -> None:
         entries.certify_motions(
-            first[begin], first[end], courses, strays, clear, tolerance, as_given, ready.packed.handle,
-            ready.handle, prepared.handle, *found, workspace(prepared.memory),
+            first[begin], first[end], courses, strays, clear, tolerance, ready.packed.handle, ready.handle,
+            prepared.handle, *found, workspace(prepared.memory),
         )  # fmt: skip
 
     in_shares(share, len(first) - 1, LEAST_SHARE)

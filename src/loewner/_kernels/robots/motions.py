@@ -32,7 +32,6 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import (
     AMBIGUOUS,
     BY_CARE,
-    COLLIDING,
     FREE,
     MAY_BE_HIT,
     MOST_INTERVALS,
@@ -141,8 +140,8 @@ _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in
 # a block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is
-# placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points that walks through
-# surfaces meet.
+# placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points that walks
+# through surfaces meet.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -466,7 +465,7 @@ def _to_body(poses, row, n):
 
 @inline
 def _off_together(motion, pair):
-    """How far points of two bodies may be off [m]: at the start of the motion, and by how much it grows until the end."""
+    """How far points of two bodies may be off [m]: at the start of the motion, and by how much this grows."""
     problem, growth = problem_of(motion.problem), _growth_of(motion)
     one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
     return growth[one, 0] + growth[other, 0], growth[one, 1] + growth[other, 1]
@@ -820,7 +819,7 @@ def _hit(found):
 
 @inline
 def _open_verdict(motion):
-    """Verdict for what is neither proven nor colliding."""
+    """Verdict for an interval that is not proven and in which nothing collides."""
     return MAY_BE_HIT if motion.as_given and _most_growth_of(motion)[2] != 0.0 else AMBIGUOUS
 
 
@@ -1389,7 +1388,6 @@ def certify_motions(
     off,
     clear,
     tolerance,
-    as_given,
     pack,
     problem_handle,
     tables_handle,
@@ -1414,15 +1412,14 @@ def certify_motions(
         Distances in metres that all pairs must keep on a motion in addition to their margins. No rows: none.
     tolerance : float
         In metres; a motion that comes within the margin plus this may be AMBIGUOUS.
-    as_given : int
-        0: COLLIDING refers to margins that are larger by how far points may be off. 1: to the margins alone, and a
-        motion that may only be hit is AMBIGUOUS, where this is first found. Then the search goes on for a collision.
     pack : int
         Handle of the packed bodies, as for `configurations.check_configurations`.
     problem_handle, tables_handle : int
         Handles of the problem and the tables, see `pack.problem_of` and `pack.motion_tables_of`.
     out : ndarray of int8, shape (N,)
-        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE.
+        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE. Contains, at first, 0 where COLLIDING refers to
+        margins that are larger by how far points may be off, and 1 where it refers to the margins alone: a motion that
+        may only be hit is then AMBIGUOUS where this is first found, and the search goes on for a collision.
     t_out : ndarray, shape (N,)
         Receives fractions at which a motion is colliding or ambiguous; NaN for the others.
     pair_out : ndarray of int64, shape (N,)
@@ -1439,7 +1436,7 @@ def certify_motions(
     for k in range(start, stop):
         more = clear[k] if len(clear) > 0 else 0.0
         motion = _motion(
-            pack, problem_handle, tables_handle, tolerance, len(off) > 0, more, as_given != 0, points, dof, memory
+            pack, problem_handle, tables_handle, tolerance, len(off) > 0, more, out[k] != 0, points, dof, memory
         )  # fmt: skip
         course, strays = _course_of(motion), _off_of(motion)
         for c in range(dof):

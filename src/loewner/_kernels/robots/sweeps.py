@@ -302,8 +302,8 @@ def _see_piece(p, R, t, to, scratch):
 def write_box(rows, at, reach, box):
     """Write lower and upper bounds of a piece at all eight configurations, as a body of this reach sees it.
 
-    Center and shape of the piece, from entry `at` on, are relative to the body. The body's own points may be as far from
-    their places as an accepted pose moves them.
+    Center and shape of the piece, from entry `at` on, are relative to the body. The body's own points may be as far
+    from their places as an accepted pose moves them.
     """
     center, Q = _load_three(rows, at), _load_six(rows, at + _SHAPE)
     slack, size = SHAPE_ROUNDINGS * trace(Q), reach
