@@ -130,7 +130,10 @@ def test_plans_of_robots(name):
             sizes.append(verified(checker, plan))
         if len(sizes) >= PLANS:
             break
-    print(f"{name}: {len(sizes)} plans verified, {np.median(sizes):.0f} bytes in the median, {max(sizes)} at most, {wide} without")
+    print(
+        f"{name}: {len(sizes)} plans verified, {np.median(sizes):.0f} bytes in the median, {max(sizes)} at most; "
+        f"{wide} without a proof"
+    )
     assert len(sizes) >= PLANS
     assert wide <= PLANS / 20
 
