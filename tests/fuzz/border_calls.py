@@ -371,6 +371,12 @@ def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
 
+def gate() -> planners.Gate:
+    made = planners.Gate(checker(), acceleration=1.0)
+    made.check(PATH[0], np.zeros(3), [PATH[0], PATH[0]], 0.5)
+    return made
+
+
 def proof() -> loewner.Proof:
     made: loewner.Proof = checker().certify_edges(PATH[0], PATH[0], proof=True).proof
     return made
@@ -1443,6 +1449,7 @@ CALLS: dict[str, Call] = {
             "time": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
         },
     ),
+    "planners.Gate.proof": Call(on(gate, "proof"), {}),
     "planners.ControllerPoints.save": Call(
         lambda **given: planners.ControllerPoints([0.0, 1.0], PATH[:2], names=("x", "y", "turn")).save(**given),
         {

@@ -166,8 +166,8 @@ typedef struct {
     int64_t *steps_taken;      /* shape (n,), or NULL: receives the steps that each motion took */
 } loewner_proof_options;       /* fields that are 0 have no effect, so new ones come last */
 
-/* STEPS count the work of a proof: configurations placed, pairs of bodies and of pieces compared, searches, and boxes of
-   surfaces opened. A motion takes no more than `steps` and a number that depends on the scene only; docs/certified.md,
+/* STEPS count the work of a proof: configurations placed, pairs of bodies and of pieces compared, searches, and boxes
+   about parts of surfaces and about many pieces opened. A motion takes no more than `steps` and a number that depends on the scene only; docs/certified.md,
    "Bounded work", has both and their time. Beside the steps, COLLIDING on a curve is confirmed as by `..._collide`, and
    so is the start of a motion that is free among solid surfaces: once for each motion. */
 
