@@ -485,7 +485,9 @@ class Run:
             self.crate = at(spot)
             self.gate.move("crate", self.crate)
         elif event == "pushed":
-            self.real = self.command = self.real - rng.uniform(0.02, 0.3) * np.sign(self.slope)
+            self.real = self.real - rng.uniform(0.02, 0.3) * np.sign(self.slope)
+            if (np.abs(self.real - self.command) > self.error).any():  # not where no joint leads to the nearest body
+                self.command = self.real
         elif event == "kicked":
             self.rate = self.rate - rng.uniform(0.3, 0.8) * self.fastest * np.sign(self.slope)
             return np.vstack([wanted[0] + 10.0, wanted])
