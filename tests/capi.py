@@ -59,7 +59,8 @@ class GateAnswer(ctypes.Structure):
     _fields_ = [
         ("state", ctypes.c_int32), ("reason", ctypes.c_int32), ("steps", ctypes.c_size_t), ("scale", ctypes.c_double),
         ("bodies", ctypes.c_int32 * 2), ("joint", ctypes.c_int32), ("is_proven", ctypes.c_int32),
-        ("work", ctypes.c_int64), ("brake_count", ctypes.c_size_t), ("times", ctypes.POINTER(ctypes.c_double)),
+        ("work", ctypes.c_int64), ("begins", ctypes.c_double), ("brake_count", ctypes.c_size_t),
+        ("times", ctypes.POINTER(ctypes.c_double)),
         ("positions", ctypes.POINTER(ctypes.c_double)), ("velocities", ctypes.POINTER(ctypes.c_double)),
         ("accelerations", ctypes.POINTER(ctypes.c_double)),
     ]  # fmt: skip

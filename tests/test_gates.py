@@ -93,7 +93,7 @@ def test_the_last_chunk_has_a_proof_for_a_log(brake, jerk):
     with pytest.raises(InputError, match="expected the scene of the last chunk that may run"):
         gate.proof()
     scene.follow("wall", [0.0], at(1.15)[None], speed=0.1, since=0.0)
-    with pytest.raises(InputError, match="follow motions"):
+    with pytest.raises(InputError, match="expected bodies at rest"):
         gate.proof()
 
 

@@ -228,7 +228,7 @@ def test_what_a_proof_cannot_express(tmp_path):
     scene = Scene()
     scene.add("ball", Body.sphere(0.1), translation(x=3))
     scene.follow("ball", [0, 1], [translation(x=3), translation(x=4)])
-    with pytest.raises(InputError, match=r"plans in time have no proofs yet, .*follow"):
+    with pytest.raises(InputError, match=r"expected bodies at rest, .*follow"):
         CollisionChecker(robot, scene).certify_edges(np.zeros(5), np.ones(5), t0=0, t1=1, proof=True)
 
 

@@ -560,8 +560,8 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
 }
 
 /* Write an answer with the brake that was made last. */
-static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t steps, int is_proven, const Proof *proof,
-                                  loewner_gate_answer *answer)
+static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t steps, int is_proven, double begins,
+                                  const Proof *proof, loewner_gate_answer *answer)
 {
     const State *its = &gate->checker->state;
     size_t size = (size_t)gate->dof * sizeof(double);
@@ -584,6 +584,7 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     answer->joint = proof->reason == LOEWNER_REASON_LIMITS ? answer->joint : -1;
     answer->is_proven = is_proven;
     answer->work = proof->work;
+    answer->begins = begins;
     answer->brake_count = (size_t)gate->pieces_made;
     answer->times = gate->times;
     answer->positions = gate->out[0];
@@ -664,7 +665,7 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
             gate->has_last = 0;
             answer->scale = 0;
             TRY(stop(gate, q, dq));
-            return answer_with(gate, LOEWNER_GATE_INSIDE, 0, 0, &proof, answer);
+            return answer_with(gate, LOEWNER_GATE_INSIDE, 0, 0, 0, &proof, answer);
         }
     }
     Chunk *made = &gate->made;
@@ -682,20 +683,21 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     if (!proof.reason || steps > 0) {
         adopt(gate);
         TRY(brake_from(gate, &gate->last, gate->last.braked));
-        return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1, &proof, answer);
+        return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
+                           dt * (double)gate->last.braked, &proof, answer);
     }
     off = -1; /* the last chunk that may run goes on until the robot brakes */
     for (tick = -1; holds && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
         if (gate->last.first <= late + tick && late + tick <= gate->last.braked) {
             TRY(brake_from(gate, &gate->last, late + tick));
-            return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, &proof, answer);
+            return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, dt * (double)late, &proof, answer);
         }
     Proof stopping = {0, -1, proof.most, proof.work};
     TRY(stop(gate, q, dq));
     if (late == 0)
         TRY(prove_brake(gate, now, dt, dq, &stopping));
     proof.work = stopping.work;
-    return answer_with(gate, LOEWNER_GATE_BRAKE, 0, late == 0 && !stopping.reason, &proof, answer);
+    return answer_with(gate, LOEWNER_GATE_BRAKE, 0, late == 0 && !stopping.reason, 0, &proof, answer);
 }
 
 loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq, const double *targets,

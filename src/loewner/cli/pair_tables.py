@@ -22,7 +22,7 @@ def print_pairs(found: ProvenPairs, robot: loewner.Robot) -> None:
     for row in sorted(found, key=lambda row: (ORDER.index(row.verdict), row.distance)):
         nearest = "" if np.isnan(row.distance) else f"{1e3 * row.distance:.3f} mm"
         over = ", ".join(row.columns) if row.complete else row.range_text
-        table.add_row(*row.names, str(row.verdict), nearest, _at(row, robot), row.reason or over)
+        table.add_row(*row.names, str(row.verdict), nearest, _at(row, robot), over + (row.reason and f": {row.reason}"))
     print_table(table)
     if found.rigid:
         print(f"note: on one rigid part, and never checked: {'; '.join(' and '.join(pair) for pair in found.rigid)}")

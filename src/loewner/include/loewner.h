@@ -272,8 +272,8 @@ typedef struct loewner_gate loewner_gate;
 
 enum { LOEWNER_BRAKE_JOINTS = 0, LOEWNER_BRAKE_PATH = 1 };
 
-/* What may be executed: all targets; the first `steps` targets; no target, but the brake; and nothing, since the robot
-   is in contact already, or nearer to something than its margin. */
+/* What may be executed: all targets; the first `steps` targets; no new target, but the brake; and, since the robot is in
+   contact already or nearer to something than its margin, no target, but a brake that is not proven. */
 enum { LOEWNER_GATE_GO = 0, LOEWNER_GATE_PREFIX = 1, LOEWNER_GATE_BRAKE = 2, LOEWNER_GATE_INSIDE = 3 };
 
 /* Why not all targets may be executed: the robot collides on the way to a target, or while it brakes (or the targets
@@ -310,9 +310,11 @@ typedef struct {
     int32_t joint;     /* the value whose target is outside the limits; -1 for none */
     int32_t is_proven; /* whether the brake is */
     int64_t work;      /* steps of the proofs */
-    /* The brake after `steps` targets and the latency, if no new answer arrives by then; at once if the state is BRAKE.
-       The gate owns these numbers until its next check. From each time to the next one, accelerations change linearly;
-       velocities and accelerations hold from the time on. */
+    /* The brake, which begins so many seconds after the tick of this check if no other answer arrives: after `steps`
+       targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot runs to targets
+       of the answer before until the latency is over. The gate owns these numbers until its next check. From each time to
+       the next one, accelerations change linearly; velocities and accelerations hold from the time on. */
+    double begins;
     size_t brake_count; /* joint by joint at most 3 dof + 1 */
     const double *times;                                  /* seconds since it began, shape (brake_count,) */
     const double *positions, *velocities, *accelerations; /* shape (brake_count, dof) */

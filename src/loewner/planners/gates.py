@@ -347,7 +347,7 @@ class Gate:
         robot = self._checker.robot
         period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
         state = _validate.finite_array(q, "q", (robot.dof,)), _validate.finite_array(dq, "dq", (robot.dof,))
-        rows = _validate.finite_array(targets, "targets", (None, robot.dof))
+        rows = robot.checked(_validate.finite_array(targets, "targets", (None, robot.dof)), "targets")
         if len(rows) == 0:
             raise InputError("targets: expected one row or more, found none")
         if not math.isfinite(8.0 * (abs(now) + period * (1 + len(rows)))):

@@ -81,8 +81,8 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
     groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in found.items() if names]
     if groups:
         warn(
-            f"{title}: expected closed meshes, found {' and '.join(groups)}; a surface with a hole has no inside, so "
-            f"that a part wholly within it would count as free; {instead} takes the triangles as they are"
+            f"{title}: expected closed meshes, found {' and '.join(groups)}; bodies wholly within them collide, "
+            f"which they would not with the triangles alone, that is, with {instead}; look at these meshes"
         )
 
 

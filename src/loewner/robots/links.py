@@ -168,7 +168,7 @@ def _body(link: Any, shapes: Any) -> Body | None:
     _expect_name(link, "a link")
     if shapes is None or isinstance(shapes, Body):
         return shapes
-    wanted = "a body, None, or pairs of a body and its pose"
+    wanted = "a body, None, or a list of pairs [(body, pose), ...]"
     parts = []
     for entry in _validate.listed(shapes, f"link {link!r}", wanted=wanted):
         if not isinstance(entry, (tuple, list)) or len(entry) != 2 or not isinstance(entry[0], Body):

@@ -238,8 +238,8 @@ def _refuse(ready: Problem) -> None:
     """Refuse robots and scenes that the format cannot express."""
     if ready.paths is not None:
         raise InputError(
-            "proof: plans in time have no proofs yet, and bodies of the scene follow motions (Scene.follow); leave out "
-            "proof= or --proof: motions among these bodies are proven all the same, but not written"
+            "proof: expected bodies at rest, found some that follow motions or grow (Scene.follow); motions among them "
+            "are proven without proof= or --proof, but no proof can be written"
         )
     tree = ready.robot.tree
     for k in np.flatnonzero((tree.kind == columns.FLOATING) | (tree.kind == columns.BALL))[:1]:
