@@ -490,7 +490,7 @@ class Run:
                 self.command = self.real
         elif event == "kicked":
             self.rate = self.rate - rng.uniform(0.3, 0.8) * self.fastest * np.sign(self.slope)
-            return np.vstack([wanted[0] + 10.0, wanted])
+            return np.vstack([wanted[0] + 1.0, wanted])
         elif self.world.has_person:
             if event == "cone":
                 self.place = spot - self.way * rng.uniform(0.0, 0.5)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from loewner import Body, CollisionChecker, Scene
 from loewner._native import library
@@ -247,7 +248,48 @@ def test_the_time_decides_where_a_slow_robot_is(tmp_path, time):
     both.check(Q0, slow, targets[:30])
     bad = targets[10:30] + [9.0, 0.0, 0.0]
     _, found = both.check(targets[10] + [1e-4, 0.0, 0.0], slow, bad, time=time)
-    assert both.mine.brake(found)[1][0] == pytest.approx(targets[10 if time > 0.0 else 12], abs=1e-12)
+    q = targets[10] + (time == 0.0) * np.array([1e-4, 0.0, 0.0])
+    assert both.mine.brake(found)[1][0] == pytest.approx(q, abs=1e-12)
+
+
+@pytest.mark.parametrize("brake", ["joints", "path"])
+def test_a_robot_that_ran_farther_than_it_may_is_looked_at_anew(tmp_path, brake):
+    """Inside a solid, motions are free of its surface: only an exact test of the start finds that."""
+    scene = Scene()
+    scene.add("block", Body.from_surface(trimesh.creation.box([1.2, 4.0, 4.0])), at(1.4))
+    both, targets = Both(scene, tmp_path, brake=brake, joint_error=1e-3, velocity_error=1e-2), along_the_rail(1.0, 60)
+    assert both.check(Q0, V0, targets)[0].state == GateState.PREFIX
+    wanted, _ = both.check(along_the_rail(1.0, 1, 1.38)[0], V0, along_the_rail(1.0, 8, 1.4))
+    assert wanted.state == GateState.INSIDE
+    both.check(Q0, V0, along_the_rail(1.0, 60), time=1.0)
+    wanted, _ = both.check(targets[54], V0, targets[55:], time=1.0 + 55 * DT)  # the ball is in the block
+    assert wanted.state == GateState.INSIDE
+
+
+def test_slower_chunks_brake_after_the_same_latency(tmp_path):
+    """At half of the speed it is half as many periods, and brakes from earlier targets count."""
+    scene = Scene()
+    for x in (-0.3, 0.3):
+        scene.add(f"wall {x}", Body.box([0.1, 4.0, 4.0]), at(x))
+    steps = np.r_[0.04 * np.ones(3), -0.004 * np.arange(1, 4), -0.02 * np.arange(1, 12)]  # quick, and slowly back
+    x = np.r_[np.cumsum(steps[:3]), 0.12 + steps[3:6], 0.108 + steps[6:]]
+    targets = np.column_stack([x, np.full(len(x), np.pi / 2), np.zeros(len(x))])
+    for late in (0, 1, 3, 4):
+        wanted, _ = Both(scene, tmp_path, latency=late * DT).check(Q0, 2.0 * V0, targets)
+        if wanted.scale > 0.0:
+            slower = Gate(CollisionChecker(arm(), scene), latency=late * DT)
+            found = slower.check(Q0, 2.0 * wanted.scale * V0, targets, DT / wanted.scale)
+            assert found.state == GateState.GO
+
+
+@pytest.mark.parametrize("time", [0.0, 6 * DT])
+def test_with_a_latency_the_tick_has_to_be_known(tmp_path, time):
+    """A chunk rests, and then goes: where the robot will brake depends on how long it has rested."""
+    both = Both(wall(1.15), tmp_path, latency=2 * DT)
+    both.check(Q0, 0.0 * V0, np.vstack([np.tile(Q0, (6, 1)), along_the_rail(2.0, 8)]))
+    wanted, _ = both.check(Q0, 0.0 * V0, along_the_rail(2.9, 30, 0.9), time=time)
+    assert (wanted.state, wanted.is_proven) == (GateState.BRAKE, time > 0.0)
+    assert wanted.brake.knots[0, 0] == pytest.approx(0.08 if time > 0.0 else 0.0)
 
 
 def test_targets_that_go_on_are_proven_again_from_the_last_command(tmp_path):

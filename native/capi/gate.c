@@ -248,7 +248,8 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
     return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
 }
 
-/* Range of the ticks of the last chunk at which the robot may be; whether what was proven of it still holds. */
+/* Range of the ticks of the last chunk at which the robot may be, none behind its proven motions, unless it did not do as
+   it was told; whether what was proven of it still holds. */
 static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;
@@ -257,8 +258,8 @@ static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64
         return 0;
     double tick = rint((now - last->t0) / last->dt);
     if (gate->checker->state.growing == 0) {
-        *to = last->count + 1;
-    } else if (tick >= 0 && tick <= (double)last->count &&
+        *to = last->motions + 1;
+    } else if (tick >= 0 && tick <= (double)last->motions &&
                fabs(last->t0 + tick * last->dt - now) <= SAME_TICK * last->dt) {
         *from = (int64_t)tick;
         *to = *from + 1;
@@ -293,6 +294,12 @@ static int64_t next_tick(const loewner_gate *gate, const double *q, const double
     }
     *off = nearest;
     return found;
+}
+
+static int64_t periods(const loewner_gate *gate, double dt)
+{
+    double count = ceil(gate->latency / dt * (1 - SAME_TICK));
+    return count > (double)gate->most ? gate->most + 1 : (int64_t)count;
 }
 
 static void write_rates(const loewner_gate *gate, Chunk *chunk)
@@ -509,7 +516,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
 }
 
 /* Find the largest scale of time, of 1/2, 1/4 and 1/8, with which the chunk is proven; 0 if there is none. */
-static loewner_status find_scale(loewner_gate *gate, int64_t late, Proof *proof, double *scale)
+static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
     const Proof found = *proof;
@@ -522,8 +529,8 @@ static loewner_status find_scale(loewner_gate *gate, int64_t late, Proof *proof,
         slower->ends = ends;
         slower->dt = chunk->dt / *scale;
         slower->motions = 0;
-        slower->first = late + 1;
-        slower->braked = late;
+        slower->braked = periods(gate, slower->dt);
+        slower->first = slower->braked + 1;
         slower->motion_stop.tick = slower->brake_stop.tick = -1;
         for (int64_t c = 0; c < gate->dof; c++)
             rates[c] = *scale * chunk->rates[c];
@@ -649,8 +656,7 @@ static void adopt(loewner_gate *gate)
 static loewner_status judge(loewner_gate *gate, const double *q, const double *dq, const double *targets,
                             int64_t wanted, double dt, double now, loewner_gate_answer *answer)
 {
-    double periods = ceil(gate->latency / dt * (1 - SAME_TICK));
-    int64_t late = periods > (double)gate->most ? gate->most + 1 : (int64_t)periods, from, to, tick;
+    int64_t late = periods(gate, dt), from, to, tick;
     int64_t count = within_limits(gate, q, targets, wanted, dt, &answer->joint);
     Proof proof = {0, -1, gate->steps, 0};
     TRY(look(gate));
@@ -679,16 +685,19 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
     if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same */
-        TRY(find_scale(gate, late, &proof, &answer->scale));
+        TRY(find_scale(gate, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
         adopt(gate);
         TRY(brake_from(gate, &gate->last, gate->last.braked));
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
                            dt * (double)gate->last.braked, &proof, answer);
     }
-    off = -1; /* the last chunk that may run goes on until the robot brakes */
-    for (tick = -1; holds && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
-        if (gate->last.first <= late + tick && late + tick <= gate->last.braked) {
+    off = -1; /* the last chunk that may run goes on until the robot brakes; with a latency, elsewhere for each tick */
+    int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
+    int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));
+    off = -1;
+    for (tick = -1; holds && (is_sure || late == 0) && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+        if ((tick == here || !is_sure) && gate->last.first <= late + tick && late + tick <= gate->last.braked) {
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, dt * (double)late, &proof, answer);
         }

@@ -110,7 +110,7 @@ def load(urdf: str, srdf: str) -> tuple[Robot, Rival]:
     semantics = robots_folder() / urdf.split("/")[0] / "srdf" / f"{srdf}.srdf"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # names that the files get wrong
-        robot = Robot.from_urdf(path, srdf=semantics)
+        robot = Robot.from_urdf(path, srdf=semantics, meshes="hull")  # as the rival takes them
         return robot, Rival(robot, path, semantics)
 
 

@@ -333,7 +333,8 @@ LOEWNER_API void loewner_gate_free(loewner_gate *gate);
 /* Judge a chunk, before it is executed and again at each tick: from the measured state `q`, `dq`, the robot is to be at
    the first of n targets, shape (n, dof), after `dt` seconds. A tick later, a chunk that goes on begins with the second
    of these targets, and only what is new is proven. `time` is that of the tick on the clock of `loewner_bounds`, and
-   must not run back; without bounds, any constant does. After an error, the brake of the last answer, which the caller
+   must not run back; without bounds, any constant does, but with a latency the brake of a slow robot is then not proven
+   if it may be at several ticks. After an error, the brake of the last answer, which the caller
    should have copied, is the safe motion. */
 LOEWNER_API loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq,
                                               const double *targets, size_t n, double dt, double time,

@@ -326,7 +326,8 @@ class Gate:
             Seconds.
         time : float, optional
             Seconds on the clock of the scene's moving bodies: the time of this tick, which must not run back. Required
-            if bodies move or are known by growing bounds.
+            if bodies move or are known by growing bounds. With a latency, it also decides where a slow robot is, which
+            may be at several ticks by its state; without it, no brake of an earlier answer is then proven.
 
         Returns
         -------
@@ -347,7 +348,7 @@ class Gate:
         robot = self._checker.robot
         period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
         state = _validate.finite_array(q, "q", (robot.dof,)), _validate.finite_array(dq, "dq", (robot.dof,))
-        rows = robot.checked(_validate.finite_array(targets, "targets", (None, robot.dof)), "targets")
+        rows = _validate.finite_array(targets, "targets", (None, robot.dof))
         if len(rows) == 0:
             raise InputError("targets: expected one row or more, found none")
         if not math.isfinite(8.0 * (abs(now) + period * (1 + len(rows)))):
@@ -358,6 +359,7 @@ class Gate:
             raise InputError(
                 f"targets: expected targets that are reached at finite velocities, found others, dt {period:g}"
             )
+        robot.checked(rows, "targets")  # warns of degrees
         ready, world = self._present()
         if ready.paths is not None and time is None:
             raise InputError("time: expected the time of the tick, since bodies of the scene move or grow, found none")
@@ -437,10 +439,10 @@ class Gate:
 
     def _judged(self, ready: Problem, world: _World, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
         """Prove the new part of a chunk, and answer."""
-        late = math.ceil(self._latency / dt * (1 - SAME_TICK))
+        late = self._periods(dt)
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
-        before, holds = self._here(world, state, now)
+        before, holds, is_sure = self._here(world, state, now)
         chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt, world))), None)
         if chunk is None or not holds:
             if not verdicts.free(ready.as_given, self._placed(ready, state[0][None], now))[0]:
@@ -470,7 +472,8 @@ class Gate:
             return self._answer(
                 ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work, joint
             )
-        for old in before:  # the last chunk that may run goes on until the robot brakes
+        # The last chunk that may run goes on until the robot brakes; with a latency, that is elsewhere for each tick.
+        for old in before[:1] if is_sure else before if late == 0 else []:
             if holds and old.first <= late <= old.braked:
                 return self._answer(
                     ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True, work, joint
@@ -478,6 +481,10 @@ class Gate:
         brake = self._stop(state, now)
         proven, more = self._stops_free(ready, state, now, self._steps - work) if late == 0 else (False, 0)
         return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, proven, work + more, joint)
+
+    def _periods(self, dt: float) -> int:
+        """The latency in whole periods."""
+        return math.ceil(self._latency / dt * (1 - SAME_TICK))
 
     def _within_limits(self, q: Floats, wanted: Floats, dt: float) -> tuple[int, str]:
         """Return how many targets are within the limits, and the name of the joint whose target is not."""
@@ -488,16 +495,20 @@ class Gate:
         rows, columns = np.nonzero(beyond)
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 
-    def _here(self, world: _World, state: State, now: float) -> tuple[list[_Chunk], bool]:
-        """Return the last chunk from each tick where the robot may be, likeliest first, and whether its proofs hold."""
+    def _here(self, world: _World, state: State, now: float) -> tuple[list[_Chunk], bool, bool]:
+        """Return the last chunk from each tick where the robot may be, likeliest first.
+
+        Then whether its proofs hold, and whether the first of these ticks is known to be the one. The robot is not
+        behind the motions that are proven, unless it did not do as it was told.
+        """
         last = self._last
         if last is None:
-            return [], False
-        ticks, tick, holds = range(len(last.rows)), round((now - last.t0) / last.dt), True
+            return [], False, False
+        ticks, tick, holds = range(last.motions + 1), round((now - last.t0) / last.dt), True
         if world.following or world.bounds:
             early = abs(last.t0 + tick * last.dt - now)
             on_time = early <= SAME_TICK * last.dt
-            ticks = range(tick, tick + 1) if on_time and 0 <= tick < len(last.rows) else range(0)
+            ticks = range(tick, tick + 1) if on_time and 0 <= tick <= last.motions else range(0)
             # Proofs allow for growth that begins a little earlier, but not for other places on motions.
             holds = early == 0.0 or all(path.rests for path in world.following.values())
         q, dq = state
@@ -507,7 +518,8 @@ class Gate:
         found = [j for j in ticks if near[j]]
         away: Floats = np.abs(q - last.rows).max(axis=1)
         found.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
-        return [last.from_tick(j) for j in found], holds and _is_within(world, last.world, now)
+        is_sure = len(found) == 1 or (tick > 0 and found[:1] == [tick])
+        return [last.from_tick(j) for j in found], holds and _is_within(world, last.world, now), is_sure
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
         """Append new targets to a chunk that goes on; None if these targets are others.
@@ -613,6 +625,7 @@ class Gate:
             return 0.0, 0  # slower motions would meet the same
         for scale in SCALES:
             dt = chunk.dt / scale
+            late = self._periods(dt)
             slower = _Chunk(
                 chunk.rows,
                 _rates(chunk.rows, scale * chunk.rates[0], dt),
