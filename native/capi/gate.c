@@ -248,8 +248,8 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
     return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
 }
 
-/* Range of the ticks of the last chunk at which the robot may be, none behind its proven motions, unless it did not do as
-   it was told; whether what was proven of it still holds. */
+/* Range of the ticks of the last chunk at which the robot may be, none behind its proven motions, where a robot that
+   executes the answers is not; whether what was proven of it still holds. */
 static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;

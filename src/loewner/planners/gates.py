@@ -498,8 +498,8 @@ class Gate:
     def _here(self, world: _World, state: State, now: float) -> tuple[list[_Chunk], bool, bool]:
         """Return the last chunk from each tick where the robot may be, likeliest first.
 
-        Then whether its proofs hold, and whether the first of these ticks is known to be the one. The robot is not
-        behind the motions that are proven, unless it did not do as it was told.
+        Then whether its proofs hold, and whether the first tick is known to be the one. A robot that executes the
+        answers is not behind the motions that are proven.
         """
         last = self._last
         if last is None:
