@@ -11,7 +11,7 @@ import trimesh
 from loewner import Body, CollisionChecker, Scene
 from loewner._native import library
 from loewner.planners import Gate, GateState
-from test_gates import DT, JERK, LATER, Q0, V0, along_the_rail, arm, at, person_behind, wall
+from test_gates import DT, JERK, LATER, Q0, SEEN, V0, along_the_rail, arm, at, person_behind, wall
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
@@ -150,19 +150,7 @@ def test_what_was_proven_is_used_as_in_python(tmp_path, change):
     assert (found.work < whole.work / 4) == (change == "none")
 
 
-@pytest.mark.parametrize(
-    ("seen", "is_within"),
-    [
-        ({"T": at(0.0, -2.0), "since": 0.0}, True),  # as before
-        ({"T": at(0.01, -2.0), "since": DT, "error": (0.0, 0.0)}, True),  # seen again within its cone
-        ({"T": at(0.03, -2.0), "since": DT}, False),  # seen outside
-        ({"T": at(0.01, -2.0), "since": DT, "error": (0.02, 0.0)}, False),  # an error that pokes out
-        ({"T": at(0.0, -2.0), "since": DT, "speed": 1.1}, False),  # faster
-        ({"T": at(0.0, -2.0), "since": DT, "turn": 0.1}, False),
-        ({"T": at(0.0, -2.0), "since": DT, "error": (0.0, 0.1)}, False),
-        ({"T": at(0.0, -2.0), "since": 2 * DT}, False),  # from the future
-    ],
-)
+@pytest.mark.parametrize(("seen", "is_within"), SEEN)
 @pytest.mark.parametrize("late", [0.0, 0.3 * DT])
 def test_a_person_who_is_seen_again(tmp_path, seen, is_within, late):
     """What was proven holds if the new places were allowed before, and at a tick."""
@@ -364,6 +352,16 @@ def test_budgets_and_horizons(tmp_path):
         assert (REASONS[found.reason] == "budget") == (found.work < whole.work)
     near, _ = Both(wall(1.3), tmp_path, horizon=10 * DT).check(Q0, V0, targets)
     assert (near.state, near.steps) == (GateState.GO, 10)
+
+
+@pytest.mark.parametrize("dt", [1e-300, 1e-310, 5e-324])
+@pytest.mark.parametrize("late", [0.0, DT])
+def test_periods_that_are_no_periods(tmp_path, dt, late):
+    """The latency has more of them than there are targets, and the time has run on by more than there are ticks."""
+    both = Both(wall(3.0), tmp_path, latency=late, joint_error=1e-3, velocity_error=1e-2)
+    for time in (0.0, 1.0):
+        wanted, _ = both.check(Q0, 0.0 * V0, np.tile(Q0, (3, 1)), dt, time=time)
+        assert wanted.state == (GateState.GO if late == 0.0 else GateState.BRAKE)
 
 
 def test_bad_ticks_are_refused(tmp_path):

@@ -696,8 +696,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));
     off = -1;
-    for (tick = -1; holds && (is_sure || late == 0) && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
-        if ((tick == here || !is_sure) && gate->last.first <= late + tick && late + tick <= gate->last.braked) {
+    for (tick = -1; holds && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
+        if ((late == 0 || (is_sure && tick == here)) && gate->last.first <= late + tick && late + tick <= gate->last.braked) {
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, dt * (double)late, &proof, answer);
         }

@@ -37,6 +37,9 @@ SCALES = (0.5, 0.25, 0.125)
 # Times that agree to this share of a period belong to the same tick.
 SAME_TICK = 1e-6
 
+# More periods than any chunk has, in place of quotients that may be infinite.
+MANY = 2.0**31
+
 # Metres, radians and shares by which bounds must be narrower than older ones to lie within these.
 WITHIN = 1e-12
 
@@ -464,7 +467,7 @@ class Gate:
             block = _Block("brake", -1, chunk.rows[-1], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
         if block is not None:
-            scale, more = self._scale(ready, chunk, late, block, self._steps - work)
+            scale, more = self._scale(ready, chunk, block, self._steps - work)
             work += more
         if block is None or steps > 0:
             self._last = chunk
@@ -473,7 +476,7 @@ class Gate:
                 ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work, joint
             )
         # The last chunk that may run goes on until the robot brakes; with a latency, that is elsewhere for each tick.
-        for old in before[:1] if is_sure else before if late == 0 else []:
+        for old in before if late == 0 else before[: int(is_sure)]:
             if holds and old.first <= late <= old.braked:
                 return self._answer(
                     ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True, work, joint
@@ -484,13 +487,14 @@ class Gate:
 
     def _periods(self, dt: float) -> int:
         """The latency in whole periods."""
-        return math.ceil(self._latency / dt * (1 - SAME_TICK))
+        return math.ceil(min(self._latency / dt * (1 - SAME_TICK), MANY))
 
     def _within_limits(self, q: Floats, wanted: Floats, dt: float) -> tuple[int, str]:
         """Return how many targets are within the limits, and the name of the joint whose target is not."""
         robot = self._checker.robot
         speeds = np.abs(np.diff(np.vstack([q, wanted]), axis=0)) / dt
-        speeds[0] -= self._error / dt  # the command was elsewhere
+        with np.errstate(over="ignore"):
+            speeds[0] -= self._error / dt  # the command was elsewhere
         beyond = (wanted < robot.hard_lower) | (wanted > robot.hard_upper) | (speeds > self._fastest * (1 + SAME_TICK))
         rows, columns = np.nonzero(beyond)
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
@@ -504,7 +508,7 @@ class Gate:
         last = self._last
         if last is None:
             return [], False, False
-        ticks, tick, holds = range(last.motions + 1), round((now - last.t0) / last.dt), True
+        ticks, tick, holds = range(last.motions + 1), round(min((now - last.t0) / last.dt, MANY)), True
         if world.following or world.bounds:
             early = abs(last.t0 + tick * last.dt - now)
             on_time = early <= SAME_TICK * last.dt
@@ -617,10 +621,10 @@ class Gate:
             return int(owner[k]), _Block(reason, int(found.pairs[k]), q, t), work
         return len(courses), None, work
 
-    def _scale(self, ready: Problem, chunk: _Chunk, late: int, block: _Block, most: int) -> tuple[float, int]:
+    def _scale(self, ready: Problem, chunk: _Chunk, block: _Block, most: int) -> tuple[float, int]:
         """Find the largest scale of time with which a chunk is proven, and the steps that this took."""
         spent = 0
-        short = len(chunk.rows) - 1 <= late
+        short = len(chunk.rows) - 1 <= self._periods(chunk.dt)
         if short or block.reason == "limits" or (block.reason != "brake" and ready.paths is None):
             return 0.0, 0  # slower motions would meet the same
         for scale in SCALES:
