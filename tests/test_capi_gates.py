@@ -38,7 +38,6 @@ class Both:
         given = {"acceleration": self.robot.acceleration, "velocity": fastest, "wants_scale": 1} | options
         self.mine = capi.Gate(self.checker, MOST, **given)
         self.states: list[GateState] = []
-        self.time = -1.0  # of the last check
 
     def see(self, name: str) -> None:
         """Let the library know what Python does of a body that rests."""
@@ -62,9 +61,7 @@ class Both:
         if wanted.state == GateState.GO:  # otherwise Python goes on behind what is not free
             assert found.work == (pytest.approx(wanted.work, rel=0.1) if self.scene.bounds else wanted.work)
         brake = wanted.brake
-        if time > self.time:  # a clock that stands counts from the chunk's beginning in Python
-            assert found.begins == pytest.approx(brake.start_time - time, abs=1e-9)
-        self.time = time
+        assert found.begins == pytest.approx(brake.start_time - time, abs=1e-9)
         times, positions, velocities, accelerations = self.mine.brake(found)
         assert np.array_equal(times, brake.times)
         assert np.array_equal(positions, brake.knots)

@@ -321,7 +321,7 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     memcpy(made->rows + dof, targets, (size_t)(count * dof) * sizeof *targets);
     memcpy(made->rates, last->rates + tick * dof, (size_t)dof * sizeof *here);
     made->dt = dt;
-    made->t0 = last->t0 + (double)tick * dt;
+    made->t0 = gate->checker->state.growing > 0 ? last->t0 + (double)tick * dt : gate->now;
     made->count = count;
     write_rates(gate, made);
     made->motions = last->motions - tick < 0 ? 0 : last->motions - tick < count ? last->motions - tick : count;

@@ -523,7 +523,10 @@ class Gate:
         away: Floats = np.abs(q - last.rows).max(axis=1)
         found.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
         is_sure = len(found) == 1 or (tick > 0 and found[:1] == [tick])
-        return [last.from_tick(j) for j in found], holds and _is_within(world, last.world, now), is_sure
+        here = [last.from_tick(j) for j in found]
+        if not (world.following or world.bounds):  # proofs hold at all times, so the chunk keeps the given clock
+            here = [chunk._replace(t0=now) for chunk in here]
+        return here, holds and _is_within(world, last.world, now), is_sure
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
         """Append new targets to a chunk that goes on; None if these targets are others.
