@@ -558,7 +558,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
 static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
                              int32_t *joint)
 {
-    const double *lower = gate->checker->file->limits, *upper = lower + gate->dof;
+    const double *lower = gate->checker->file->limits + 2 * gate->dof, *upper = lower + gate->dof;
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
