@@ -401,8 +401,9 @@ def raw_check(gate, q, dq, targets, count, dt, time, answer):
 LOUD = [np.nan, np.inf, -np.inf, -1e300]
 def test_targets_may_be_between_soft_and_hard_limits(tmp_path):
     """In both languages, a gate refuses targets beyond the limits of the file, and soft limits are for plans."""
-    text = """<robot name="slide"><link name="base"/><link name="cart"><collision><geometry><sphere radius="0.1"/></geometry>
-      </collision></link><joint name="rail" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+    text = """<robot name="slide"><link name="base"/>
+      <link name="cart"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+      <joint name="rail" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
       <limit lower="0" upper="1" velocity="1" effort="1"/>
       <safety_controller soft_lower_limit="0.2" soft_upper_limit="0.8" k_velocity="1"/></joint></robot>"""
     robot = Robot.from_urdf(text=text)
