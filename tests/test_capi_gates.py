@@ -399,6 +399,8 @@ def raw_check(gate, q, dq, targets, count, dt, time, answer):
 
 
 LOUD = [np.nan, np.inf, -np.inf, -1e300]
+
+
 def test_targets_may_be_between_soft_and_hard_limits(tmp_path):
     """In both languages, a gate refuses targets beyond the limits of the file, and soft limits are for plans."""
     text = """<robot name="slide"><link name="base"/>
