@@ -492,6 +492,10 @@ def write_files() -> None:
     pair_of_cubes().save("parts.npz")
     roadmap().save("roadmap.npz")
     loewner.save_scene(scene(), "scene.yaml")
+    Path("floor.pgm").write_bytes(b"P5 2 2 255\n\x00\xff\xcd\xff")
+    Path("floor.yaml").write_text(
+        "{image: floor.pgm, resolution: 0.5, origin: [0, 0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.196}"
+    )
     problem = {
         "index": 1,
         "sphere": [{"name": "a", "position": [9, 0, 0], "orientation_euler_xyz": [0, 0, 0], "radius": 0.5}],
@@ -905,6 +909,9 @@ CALLS: dict[str, Call] = {
     ),
     # -- scenes
     "Scene": Call(Scene, {"margin": margin()}),
+    "Scene.from_map": Call(
+        Scene.from_map, {"path": arg("floor.yaml"), "height": positive(), "unknown": flag(), "margin": margin()}
+    ),
     "Scene.pose": Call(on(scene, "pose"), {"name": arg("post")}),
     "Scene.snapshot": Call(on(scene, "snapshot"), {}),
     "Scene.copy": Call(on(scene, "copy"), {}),
