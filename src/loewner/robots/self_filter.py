@@ -45,7 +45,7 @@ def off_the_robot(
     """Keep the points of a sensor that are neither on the robot nor on a body that it carries.
 
     A point is removed if it is within `clear` of a link's body or of a body that is attached to a link, or inside
-    one; with `time`, also of a body of the scene that follows a motion, where it is then. All others stay, exactly.
+    one; with ``time``, also of a body of the scene that follows a motion, where it is then. All others stay, exactly.
 
     Parameters
     ----------
