@@ -1033,6 +1033,14 @@ CALLS: dict[str, Call] = {
             "reference": arg(0.5, NUMBERS, ZERO, NEGATIVE),
         },
     ),
+    "Robot.footprint": Call(
+        Robot.footprint,
+        {
+            "polygon": array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5], [0.0, 0.5]], FINITE, "without the first row"),
+            "height": positive(),
+            "bounds": arg(((-1.0, 1.0), (-1.0, 1.0)), NONE),
+        },
+    ),
     "Robot.from_links": Call(
         Robot.from_links,
         {

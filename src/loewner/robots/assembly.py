@@ -16,11 +16,15 @@ from loewner._kernels.records import Tree
 from loewner._validate import Floats, Named
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
+from loewner.mesh_files import parts
 from loewner.robots.links import checked_mimic, unit_axis
 from loewner.robots.srdf import Semantics
 from loewner.robots.tree import constant_pose, placed_tree
 from loewner.robots.urdf import VALUES, Description, Joint
 from loewner.robots.watch import Watch
+
+# Areas of a footprint are equal, or nothing, to this share.
+FLAT = 1e-9
 
 # A robot; its class is above this module.
 R = TypeVar("R")
@@ -213,6 +217,36 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     base = replace(base, lower=lower, upper=upper, hard_lower=lower, hard_upper=upper)
     robot: Any = self
     return cast(R, _combined([_Piece("", base), _Piece("", robot, base.link_names[-1])], robot.name))
+
+
+def footprint_body(polygon: ArrayLike, height: float) -> Body:
+    """Make the body of a footprint: the space above a polygon, in one piece if it is convex, else in prisms.
+
+    Raises
+    ------
+    InputError
+        If the polygon has fewer than three corners, is flat or crosses itself; or the height is not positive.
+    """
+    corners = _validate.finite_array(polygon, "polygon", ("n", 2))
+    top = _validate.positive_scalar(height, "height")
+    x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
+    area = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2.0
+    if len(corners) < 3 or not area > FLAT * float(np.square(np.ptp(corners, axis=0)).sum()):
+        raise InputError(
+            f"polygon: expected at least three corners around an area, found {len(corners)} around {area:g} m²"
+        )
+    flat, ring = np.column_stack([corners, np.zeros(len(corners))]), np.arange(len(corners))
+    triangles = parts.cut(flat, ring, np.array([len(ring)]), lambda text, place: None, str)
+    a, b, c = (np.column_stack([x, y])[triangles[:, k]] for k in range(3))
+    areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2.0
+    if not abs(float(areas.sum()) - area) <= FLAT * area:
+        raise InputError("polygon: expected one that does not cross itself, found one whose sides meet")
+    sides = np.roll(corners, -1, axis=0) - corners
+    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+    is_convex = (turns >= 0.0).all() or (turns <= 0.0).all()
+    pieces = [ring] if is_convex else list(triangles[areas > FLAT * area])
+    lifted = np.array([0.0, 0.0, top])
+    return Body.from_pieces([np.concatenate([flat[piece], flat[piece] + lifted]) for piece in pieces])
 
 
 def with_body(

@@ -506,6 +506,41 @@ class Robot(KeepsReadOnly):
 
     @classmethod
     @guarded
+    def footprint(cls, polygon: ArrayLike, *, height: float, bounds: ArrayLike | None = None) -> Robot:
+        """Make a mobile base: a polygon with a height that slides and turns on the plane z = 0.
+
+        Parameters
+        ----------
+        polygon : array_like, shape (n, 2)
+            Corners in the frame of the base, in metres, in either order. It need not be convex.
+        height : float
+            In metres.
+        bounds : array_like, shape (2, 2), optional
+            Lowest and highest x and y, in metres; a plan needs them.
+
+        Returns
+        -------
+        Robot
+            With the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from `add_base`. It
+            may move in each direction: a proof of its motions is one for a base that can drive sideways.
+
+        Raises
+        ------
+        InputError
+            If the polygon has fewer than three corners, is flat or crosses itself; if the height is not positive, or
+            the bounds are not in order.
+
+        Examples
+        --------
+        >>> base = Robot.footprint([[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]], height=0.5)
+        >>> base.configuration_names
+        ('base/x', 'base/y', 'base/theta')
+        """
+        body = assembly.footprint_body(polygon, height)
+        return cls.from_links({"footprint": body}, [], name="footprint").add_base("planar", bounds)
+
+    @classmethod
+    @guarded
     def from_links(
         cls,
         links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]],
