@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 
 from exact import ExactEllipsoid, rational, root_bounds
@@ -227,3 +228,25 @@ def test_the_deepest_point_of_a_cloud_counts():
             assert np.abs(found.distance + expected).max() < 1e-12
             along = ((found.witness_b - found.witness_a) * found.normal).sum(axis=-1)
             assert np.abs(along - found.distance).max() < 1e-12
+
+
+def test_witnesses_of_a_graze_are_in_both_bodies():
+    """A triangle whose core meets a flat ellipsoid: where there is no depth, both witnesses are a common point.
+
+    The simplex that contains the origin had the weights of the one before.
+    """
+    half, semi_axes = np.array([0.15, 0.1, 0.2]), np.array([1.0, 1.0, 1e-3])
+    shell = Body.from_surface(trimesh.creation.box(2 * half), solid=False)
+    flat = Body.ellipsoid(semi_axes)
+    rng = np.random.default_rng(5)
+    Ta, Tb = random_poses(rng, 400, 0.4), random_poses(rng, 400, 0.4)
+    gap = rng.choice([-1, 1], 400) * 10 ** rng.uniform(-13, -3, 400)
+    found = distance(shell, Ta, flat, Tb, exact=True)
+    Tb[:, :3, 3] += (gap - found.distance)[:, None] * found.normal
+    found = distance(shell, Ta, flat, Tb, exact=True)
+    touching = found.distance <= 0.0
+    assert touching.sum() > 50
+    on_b = np.einsum("nji,nj->ni", Tb[:, :3, :3], found.witness_b - Tb[:, :3, 3])[touching]
+    on_a = np.einsum("nji,nj->ni", Ta[:, :3, :3], found.witness_a - Ta[:, :3, 3])[touching]
+    assert (np.square(on_b / semi_axes).sum(axis=1) < 1.0 + 1e-4).all()
+    assert np.abs(np.abs(on_a) - half).min(axis=1).max() < 1e-9

@@ -190,6 +190,38 @@ def closest(S, k, weights, v):
     return _compact(S, 4, weights, v)
 
 
+@njit(forceinline=False)
+def weigh_inside(S, weights, v):
+    """Write weights of the origin, which is in the tetrahedron S, or of the nearest point found if S is too flat."""
+    total = 0.0
+    for i in range(4):
+        j, k, m = (1 if i == 0 else 0), (2 if i < 2 else 1), (3 if i < 3 else 2)
+        weights[i] = abs(dot(row(S, j), cross(row(S, k), row(S, m))))
+        total += weights[i]
+    for i in range(4):
+        weights[i] = weights[i] / total if total > 0.0 else 0.25
+    _combine(S, 4, weights, v)
+    best = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    for i in range(4):
+        j, k, m = (1 if i == 0 else 0), (2 if i < 2 else 1), (3 if i < 3 else 2)
+        a, b, c = row(S, j), row(S, k), row(S, m)
+        wa, wb, wc = triangle_weights(a, b, c)
+        near = combined(wa, a, wb, b, wc, c)
+        if dot(near, near) < best:
+            best = dot(near, near)
+            weights[i], weights[j], weights[k], weights[m] = 0.0, wa, wb, wc
+
+
+@inline
+def combined(wa, a, wb, b, wc, c):
+    """A weighted sum of three points."""
+    return (
+        wa * a[0] + wb * b[0] + wc * c[0],
+        wa * a[1] + wb * b[1] + wc * c[1],
+        wa * a[2] + wb * b[2] + wc * c[2],
+    )
+
+
 @njit()
 def _without(d, ex, ey, ez):
     """Remove the part of d along e, twice: the second pass removes the rounding of the first."""

@@ -17,6 +17,7 @@ from loewner._kernels.narrow import surface_boxes as boxes
 from loewner._kernels.narrow import surface_walk as walk
 from loewner._kernels.narrow.gjk_fast import begin, place_piece
 from loewner._kernels.narrow.gjk_robust import lengths, rounding_error, run, write_simplex
+from loewner._kernels.narrow.simplex import weigh_inside
 from loewner._kernels.narrow.surface_depth import surface_depth
 from loewner._kernels.narrow.surface_meets import surface_pair
 from loewner._kernels.narrow.surface_walk import BELIEVED
@@ -92,11 +93,12 @@ def _between_pieces(A, B, shift, n, memory, result):
     status, below, above, _ = walk.measured(A, B, shift, W, ends, n, error, -np.inf, np.inf, result)
     if status == NEAREST:
         return above, above - below
-    G, weights, d = np.empty((4, 9)), np.empty(4), np.empty(3)
-    _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
+    G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
+    _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, v, d)
     radii = radius(A) + radius(B)  # which `run` takes off
-    if k == 4:
+    if k == 4:  # the cores have a point in common, of which `run` does not write the weights
         above = -radii
+        weigh_inside(G, weights, v)
     below = max(below, -radii)  # cores that are in each other for sure do not come here
     write_simplex(G, k, weights, d, result)
     return above + radii, above - below
