@@ -58,10 +58,12 @@ def entries(cache: Path) -> list[Path]:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the package with two kernels in a subfolder, one calling the other from another file."""
+    """A copy of the package with two kernels in a subfolder, one calling the other from another file.
+
+    The byte code of the other files comes with them, so that processes need not make it again; those two have none.
+    """
     root = folder / "site"
-    source = Path(loewner.__file__).parent
-    shutil.copytree(source, root / "loewner", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(Path(loewner.__file__).parent, root / "loewner")
     folder = root / "loewner" / "_kernels" / "edited"
     folder.mkdir()
     (folder / "__init__.py").write_text("")

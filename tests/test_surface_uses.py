@@ -547,7 +547,7 @@ def test_options_of_other_models_are_refused(files, options, message, capsys):
     assert err.count("\n") == 1
 
 
-def test_fit_makes_surfaces(files, capsys):
+def test_fit_makes_surfaces(files, fits_here, capsys):
     """`loewner fit --model surface` writes them, says what they are, and `check` takes them."""
     status, out, _ = run(capsys, "fit", "cup.stl", "sheet.stl", "-o", "made", "--model", "surface")
     assert status == 0
