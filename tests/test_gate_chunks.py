@@ -114,7 +114,8 @@ def test_chunks_meet_nothing_before_standstill(tmp_path, make):
 
 
 @pytest.mark.parametrize(
-    "event", [pytest.param(k, marks=[pytest.mark.verify] * (k not in ("moved", "cone", "pushed", "kicked"))) for k in WRONG]
+    "event",
+    [pytest.param(k, marks=[pytest.mark.verify] * (k not in ("moved", "cone", "pushed", "kicked"))) for k in WRONG],
 )
 def test_gates_that_use_what_does_not_hold_are_found_out(tmp_path, event):
     """After an event, the use of earlier proofs leads to contact; the gate as it is does not use them."""

@@ -89,7 +89,10 @@ def known(urdf, srdf):
 
 @pytest.mark.parametrize(
     ("urdf", "srdf"),
-    [pytest.param(*pair, marks=() if Path(pair[0]).stem in QUICK else pytest.mark.verify, id=pair[0]) for pair in PAIRS],
+    [
+        pytest.param(*pair, marks=() if Path(pair[0]).stem in QUICK else pytest.mark.verify, id=pair[0])
+        for pair in PAIRS
+    ],
 )
 def test_known_robots_are_read_back(urdf, srdf, tmp_path):
     """With their meshes, mimics, groups and states; values of joints outside a state's group warn again."""
