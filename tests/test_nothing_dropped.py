@@ -594,8 +594,8 @@ ALSO_HARMLESS = {
     "Collada": ("library_(effects|images|lights|cameras|animations)", "asset/(modified|revision|title|keywords)",
                 r".*/bind_material", r".*/extra"),
 }  # fmt: skip
-LARGE = ("z1_description/urdf/z1", "laikago_description/urdf/laikago", "romeo_description/meshes/V1/collision/LWristYaw",
-         "hyq_description/meshes/leg/lowerleg")  # fmt: skip
+LARGE = ("z1_description/urdf/z1", "laikago_description/urdf/laikago",
+         "romeo_description/meshes/V1/collision/LWristYaw", "hyq_description/meshes/leg/lowerleg")  # fmt: skip
 
 
 @pytest.mark.slow("hundreds of mutants")
