@@ -24,7 +24,8 @@ from loewner import (
     load_scene,
     read_motion_bench_maker,
 )
-from loewner.robots import checked_pairs, srdf, tree
+from loewner.robots import checked_pairs, tree
+from loewner.robots import srdf as rules
 from loewner.robots.watch import Watch
 
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
@@ -179,7 +180,7 @@ def chain_in_groups(count):
 def test_rules_that_make_millions_are_refused(make, words, count, tmp_path, monkeypatch):
     """A file of some hundred kilobytes must not fill the memory."""
     if count < 3000:
-        for module, name in ((tree, "MOST_PAIRS"), (srdf, "MOST_PAIRS"), (srdf, "MOST_MEMBERS")):
+        for module, name in ((tree, "MOST_PAIRS"), (rules, "MOST_PAIRS"), (rules, "MOST_MEMBERS")):
             monkeypatch.setattr(module, name, 2**16)
     with pytest.raises(InputError, match=words):
         read(tmp_path, *make(count))

@@ -23,7 +23,7 @@ def several():
 
 
 def with_a_hole():
-    mesh = trimesh.creation.annulus(0.5, 1.0, 0.4, sections=12)
+    mesh = trimesh.creation.annulus(0.5, 1.0, 0.4)
     return trimesh.Trimesh(mesh.vertices, mesh.faces[2:])
 
 
