@@ -106,6 +106,7 @@ def test_the_wait_is_announced_once(package: Path, once):
     assert (float(again.stdout), again.stderr) == (2.0, "")
 
 
+@pytest.mark.verify  # a disk that is full leads the same way
 def test_no_place_for_a_cache_is_no_error(package: Path, tmp_path: Path):
     """Where nothing can be written, kernels are compiled in memory and answer the same."""
     blocked = tmp_path / "a file"
@@ -369,6 +370,7 @@ def test_an_unknown_part_is_told():
         compilation.compile_kernels(["verdict"])
 
 
+@pytest.mark.verify  # without its byte code, the whole package is compiled
 def test_nothing_is_kept_where_the_sources_cannot_be_told(tmp_path: Path):
     """From a zip, where two versions could not be told apart, nothing is written and nothing read."""
     archive, home = tmp_path / "app.zip", Path(loewner.__file__).parent

@@ -23,7 +23,7 @@ def several():
 
 
 def with_a_hole():
-    mesh = trimesh.creation.annulus(0.5, 1.0, 0.4)
+    mesh = trimesh.creation.box((2.0, 2.0, 2.0))
     return trimesh.Trimesh(mesh.vertices, mesh.faces[2:])
 
 
