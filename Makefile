@@ -32,6 +32,10 @@ PACKAGES ?= numpy scipy numba
 TESTS ?= tests
 PART ?= 1/1
 
+# Byte code is kept, also where a container's environment forbids it: without it, each of the many processes that tests
+# start compiles all that it imports, which doubles the time of `import loewner`, and pytest rewrites all assertions.
+export PYTHONDONTWRITEBYTECODE :=
+
 # The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
 # now; beside a library that does nothing.
 NOT_BUILT := echo "native library: not built; Numba compiles the kernels instead, which takes minutes" >&2

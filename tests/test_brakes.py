@@ -191,40 +191,51 @@ def test_brakes_through_targets(robot, path, moment, strongest, jerk):
         assert len(moved.times) <= len(path) + 4
 
 
-@given(path=paths, moment=moments, strongest=strengths)
-@settings(max_examples=50)
-def test_brakes_through_targets_beside_small_steps(robot, path, moment, strongest):
+@pytest.mark.parametrize("count", [12, pytest.param(50, marks=pytest.mark.verify)])
+def test_brakes_through_targets_beside_small_steps(robot, count):
     """Without limits of jerk, the brake is the one of an integration in small steps of the path's time."""
-    chunk = Trajectory.of_targets(robot, path, 2.0)
-    at = moment / 2 * chunk.duration
-    s, v, step, t = at, 1.0, 1e-3, 0.0
-    while v > 0 and s < chunk.duration - 1e-3:
-        rate = np.abs(chunk.velocities(s))
-        gain = min((strongest[rate > 0] / rate[rate > 0]).tolist(), default=np.inf)
-        s, v, t = s + v * step, v - gain * step, t + step
-    if v > 0:
-        return
-    moved = chunk.stop_at(at, acceleration=strongest)
-    assert moved.knots[-1] == pytest.approx(chunk.positions(s), abs=2e-3 * np.abs(chunk.rates).max() + 1e-9)
+
+    @settings(max_examples=count)
+    @given(path=paths, moment=moments, strongest=strengths)
+    def holds(path, moment, strongest):
+        chunk = Trajectory.of_targets(robot, path, 2.0)
+        at = moment / 2 * chunk.duration
+        s, v, step, t = at, 1.0, 1e-3, 0.0
+        while v > 0 and s < chunk.duration - 1e-3:
+            rate = np.abs(chunk.velocities(s))
+            gain = min((strongest[rate > 0] / rate[rate > 0]).tolist(), default=np.inf)
+            s, v, t = s + v * step, v - gain * step, t + step
+        if v > 0:
+            return
+        moved = chunk.stop_at(at, acceleration=strongest)
+        assert moved.knots[-1] == pytest.approx(chunk.positions(s), abs=2e-3 * np.abs(chunk.rates).max() + 1e-9)
+
+    holds()
 
 
-@given(path=paths, moment=moments, factor=st.floats(1.0, 4.0), jerk=st.none() | st.floats(5.0, 500.0))
-def test_brakes_on_trajectories(robot, alone, path, moment, factor, jerk):
+@pytest.mark.parametrize("count", [10, pytest.param(40, marks=pytest.mark.verify)])
+def test_brakes_on_trajectories(robot, alone, count):
     """With limits no lower than the trajectory's, the brake is on its path, also on blends."""
-    limits = {"acceleration": 2.0, "jerk": jerk}
-    moved = trajectory(robot, path, velocity=1.0, checker=alone, **limits)
-    at = moment * moved.duration
-    found = moved.stop_at(at, **{name: limit and factor * limit for name, limit in limits.items()})
-    if found.duration == 0:
-        return
-    assert_lawful(
-        found, moved.positions(at), moved.velocities(at), 2.0 * factor, None if jerk is None else jerk * factor
-    )
-    trail = moved.positions(np.linspace(at, moved.duration, 4000))
-    assert off_polyline(trail, found.positions(dense(found, 10))).max() <= 1e-6
-    smooth = np.diff(found.knots, axis=0) - np.diff(found.times)[:, None] * (found.rates[1:] + found.rates[:-1]) / 2
-    if jerk is None:
-        assert np.abs(smooth).max() <= 1e-9
+
+    @settings(max_examples=count)
+    @given(path=paths, moment=moments, factor=st.floats(1.0, 4.0), jerk=st.none() | st.floats(5.0, 500.0))
+    def holds(path, moment, factor, jerk):
+        limits = {"acceleration": 2.0, "jerk": jerk}
+        moved = trajectory(robot, path, velocity=1.0, checker=alone, **limits)
+        at = moment * moved.duration
+        found = moved.stop_at(at, **{name: limit and factor * limit for name, limit in limits.items()})
+        if found.duration == 0:
+            return
+        assert_lawful(
+            found, moved.positions(at), moved.velocities(at), 2.0 * factor, None if jerk is None else jerk * factor
+        )
+        trail = moved.positions(np.linspace(at, moved.duration, 4000))
+        assert off_polyline(trail, found.positions(dense(found, 10))).max() <= 1e-6
+        smooth = np.diff(found.knots, axis=0) - np.diff(found.times)[:, None] * (found.rates[1:] + found.rates[:-1]) / 2
+        if jerk is None:
+            assert np.abs(smooth).max() <= 1e-9
+
+    holds()
 
 
 @pytest.mark.parametrize("jerk", [None, 40.0])

@@ -73,11 +73,14 @@ def test_an_allowed_pair_of_an_attached_body_is_named_in_a_warning():
 
 @pytest.mark.parametrize("margin", [0.0, 0.004])
 @pytest.mark.parametrize("sunk", [0.0, 1e-17, 0.002, -0.003])
-def test_free_and_colliding_are_as_plane_geometry_says(margin, sunk):
+@pytest.mark.parametrize("count", [20, pytest.param(60, marks=pytest.mark.verify)])
+def test_free_and_colliding_are_as_plane_geometry_says(margin, sunk, count):
     """FREE: no deeper than at the start, or nearer within the margin, until apart; then apart. COLLIDING: nearer."""
     checker = can_on_table(margin, sunk, leave=["table"])
     rng = np.random.default_rng(7)
-    ends = rng.uniform([-0.4, -0.1, -0.2], [0.4, 0.1, 0.2], size=(60, 3)) * 10.0 ** rng.uniform(-3, 0, size=(60, 1))
+    ends = rng.uniform([-0.4, -0.1, -0.2], [0.4, 0.1, 0.2], size=(count, 3)) * 10.0 ** rng.uniform(
+        -3, 0, size=(count, 1)
+    )
     found = checker.certify_edges(START, ends, tolerance=TOLERANCE)
     for verdict, fraction, end in zip(found.verdict, found.fraction, ends, strict=True):
         distances = height(on_the_way(START, end), sunk)
@@ -93,9 +96,9 @@ def test_free_and_colliding_are_as_plane_geometry_says(margin, sunk):
         if verdict == Verdict.COLLIDING:
             assert height(fraction * end, sunk) <= least - TOLERANCE + 1e-12
     counts = np.bincount(found.verdict, minlength=3)
-    assert counts[Verdict.FREE] >= 10
-    assert counts[Verdict.COLLIDING] >= 10
-    assert counts[Verdict.AMBIGUOUS] <= 12
+    assert counts[Verdict.FREE] >= count // 6
+    assert counts[Verdict.COLLIDING] >= count // 6
+    assert counts[Verdict.AMBIGUOUS] <= count // 5
 
 
 def test_straight_up_is_free_and_down_is_not():

@@ -24,7 +24,8 @@ from loewner import (
     load_scene,
     read_motion_bench_maker,
 )
-from loewner.robots import checked_pairs
+from loewner.robots import checked_pairs, tree
+from loewner.robots import srdf as rules
 from loewner.robots.watch import Watch
 
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
@@ -150,27 +151,39 @@ def test_more_pairs_than_can_be_checked_are_refused(count, tmp_path, monkeypatch
         checker.collide(np.zeros(count - 1))
 
 
+def star(count):
+    """Links around one without a body."""
+    around = "".join(joint(f"j{k}", "hub", f"l{k}", kind="fixed") for k in range(count))
+    return links(["hub"]) + links((f"l{k}" for k in range(count)), BALL) + around, None
+
+
+def chain_apart(count):
+    """A chain, and a rule about each link and all others."""
+    return chain(count), "".join(f'<disable_default_collisions link="l{k}"/>' for k in range(count))
+
+
+def chain_in_groups(count):
+    """A chain, and many groups of all its joints."""
+    group = f'<chain base_link="l0" tip_link="l{count - 1}"/></group>'
+    return chain(count), "".join(f'<group name="g{k}">{group}' for k in range(count))
+
+
+@pytest.mark.parametrize("count", [500, pytest.param(3000, marks=pytest.mark.verify)])
 @pytest.mark.parametrize(
-    ("inside", "srdf", "words"),
+    ("make", "words"),
     [
-        (
-            links(["hub"]) + links((f"l{k}" for k in range(3000)), BALL)
-            + "".join(joint(f"j{k}", "hub", f"l{k}", kind="fixed") for k in range(3000)),
-            None,
-            "joined through links without bodies",
-        ),
-        (chain(2100), "".join(f'<disable_default_collisions link="l{k}"/>' for k in range(2100)), "at most .* pairs"),
-        (
-            chain(2100),
-            "".join(f'<group name="g{k}"><chain base_link="l0" tip_link="l2099"/></group>' for k in range(2100)),
-            "groups of at most .* joints",
-        ),
+        (star, "joined through links without bodies"),
+        (chain_apart, "at most .* pairs"),
+        (chain_in_groups, "groups of at most .* joints"),
     ],
-)  # fmt: skip
-def test_rules_that_make_millions_are_refused(inside, srdf, words, tmp_path):
+)
+def test_rules_that_make_millions_are_refused(make, words, count, tmp_path, monkeypatch):
     """A file of some hundred kilobytes must not fill the memory."""
+    if count < 3000:
+        for module, name in ((tree, "MOST_PAIRS"), (rules, "MOST_PAIRS"), (rules, "MOST_MEMBERS")):
+            monkeypatch.setattr(module, name, 2**16)
     with pytest.raises(InputError, match=words):
-        read(tmp_path, inside, srdf)
+        read(tmp_path, *make(count))
 
 
 # -- XML that is none ----------------------------------------------------------------------------

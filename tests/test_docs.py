@@ -1,10 +1,14 @@
 """The documents tell the truth: their code runs, their links lead somewhere, the examples work."""
 
+import contextlib
+import io
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -120,13 +124,26 @@ def test_rows_of_a_table_have_as_many_cells_as_its_head(document):
         assert odd == []
 
 
-def example(name: str, *arguments: str, cwd: Path, **variables: str) -> str:
-    """Run an example as a user would and return what it printed.
+def example(name: str, *arguments: str, cwd: Path) -> str:
+    """Run an example, in this process, which has loaded the library already, and return what it printed.
 
     Whether a robot's exempt pairs were proven before depends on what else ran on this machine.
     """
-    warnings = "error,ignore:pairs that are exempt from checking"
-    environment = os.environ | {"PYTHONWARNINGS": warnings, "LOEWNER_QUIET": "1"} | variables
+    out = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(), contextlib.redirect_stdout(out):
+        warnings.filterwarnings("ignore", "pairs that are exempt from checking")
+        patch.setattr(sys, "argv", [name, *arguments])
+        patch.syspath_prepend(str(ROOT / "examples"))
+        patch.setenv("LOEWNER_QUIET", "1")
+        patch.chdir(cwd)
+        runpy.run_path(str(ROOT / "examples" / name), run_name="__main__")
+    return out.getvalue()
+
+
+def example_apart(name: str, *arguments: str, cwd: Path, **variables: str) -> str:
+    """Run an example as a user would, in a process of its own."""
+    filters = "error,ignore:pairs that are exempt from checking"
+    environment = os.environ | {"PYTHONWARNINGS": filters, "LOEWNER_QUIET": "1"} | variables
     done = subprocess.run(
         [sys.executable, str(ROOT / "examples" / name), *arguments],
         capture_output=True,
@@ -141,7 +158,7 @@ def example(name: str, *arguments: str, cwd: Path, **variables: str) -> str:
 
 def test_example_two_meshes(folder_with_meshes):
     """A box of 0.1 x 0.2 x 0.3 m and itself: exact distances along x are x - 0.1."""
-    out = example("two_meshes.py", "part.stl", "link.stl", cwd=folder_with_meshes)
+    out = example_apart("two_meshes.py", "part.stl", "link.stl", cwd=folder_with_meshes)
     found = [float(x) for x in re.findall(r"exact distance ([-+0-9.]+)", out)]
     np.testing.assert_allclose(found, [-0.1, 0.0, 0.1, 0.2], atol=1e-4)
 
@@ -155,7 +172,7 @@ def test_example_any_robot(tmp_path):
         "URDF_PATH = PACKAGE_PATH + '/urdf/panda.urdf'\nSRDF_PATH = PACKAGE_PATH + '/srdf/panda.srdf'\n"
     )
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    out = example("any_robot.py", "panda_description", cwd=tmp_path, PYTHONPATH=path)
+    out = example_apart("any_robot.py", "panda_description", cwd=tmp_path, PYTHONPATH=path)
     assert "Robot('panda', 13 links, 11 with bodies, 8 joints, dof 8)" in out
     assert 10 < int(re.search(r"of 1000 random configurations, (\d+) collide", out)[1]) < 100
 

@@ -113,7 +113,10 @@ def test_chunks_meet_nothing_before_standstill(tmp_path, make):
     assert 0.2 < totals.counts["reused"] / totals.counts["checks that go on"] < 1.0  # others are proven again
 
 
-@pytest.mark.parametrize("event", WRONG)
+@pytest.mark.parametrize(
+    "event",
+    [pytest.param(k, marks=[pytest.mark.verify] * (k not in ("moved", "cone", "pushed", "kicked"))) for k in WRONG],
+)
 def test_gates_that_use_what_does_not_hold_are_found_out(tmp_path, event):
     """After an event, the use of earlier proofs leads to contact; the gate as it is does not use them."""
     name, wrong = WRONG[event]
@@ -127,6 +130,7 @@ def test_gates_that_use_what_does_not_hold_are_found_out(tmp_path, event):
     assert right == 0
 
 
+@pytest.mark.verify  # a shorter simulation finds most of these in test_gates.py
 @pytest.mark.parametrize(
     ("wrong", "given"),
     [
@@ -143,6 +147,7 @@ def test_gates_that_prove_less_are_found_out(tmp_path, wrong, given):
     assert right == 0
 
 
+@pytest.mark.verify
 def test_growth_that_is_dropped_is_found_out(tmp_path):
     """Likewise if bodies are taken to be where they were seen."""
     off = PackedPaths.off

@@ -57,9 +57,10 @@ def told(a, Ta, b, Tb) -> tuple[np.ndarray, np.ndarray]:
 # -- pairs -----------------------------------------------------------------------------------------
 
 
-def test_pairs_are_told_as_on_the_cpu(rng):
-    """Of 100,000 turned pairs no claim differs; few are left to the CPU, and with these all verdicts agree."""
-    n, kinds = 100_000, tuple(FAMILIES)
+@pytest.mark.parametrize("n", [10_000, pytest.param(100_000, marks=pytest.mark.verify)])
+def test_pairs_are_told_as_on_the_cpu(rng, n):
+    """Of turned pairs no claim differs; few are left to the CPU, and with these all verdicts agree."""
+    kinds = tuple(FAMILIES)
     bodies = Bodies.from_points([V for kind in kinds for V in pieces(kind, 30)])
     chosen = rng.integers(0, len(bodies), size=(n, 2))
     a, b = bodies[chosen[:, 0]], bodies[chosen[:, 1]]
@@ -185,11 +186,12 @@ def _joint(rng: np.random.Generator, length: float = 1.0) -> str:
 
 
 @pytest.mark.slow("each thread of a GPU runs in Python")
-def test_a_panda_collides_as_on_the_cpu():
-    """Of 100,000 configurations among ten obstacles every answer is the checker's, and most need no CPU."""
+@pytest.mark.parametrize("n", [10_000, pytest.param(100_000, marks=pytest.mark.verify)])
+def test_a_panda_collides_as_on_the_cpu(n):
+    """Of configurations among ten obstacles every answer is the checker's, and most need no CPU."""
     robot = robot_samples.panda().robot
     checker = CollisionChecker(robot, robot_samples.obstacles(3))
-    Q = robot.random_configurations(100_000, seed=1)
+    Q = robot.random_configurations(n, seed=1)
     expected = checker.collide(Q)
     assert 0.05 < expected.mean() < 0.95
     np.testing.assert_array_equal(gpu.Checker(checker).collide(Q), expected)

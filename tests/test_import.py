@@ -60,16 +60,6 @@ def test_modules_are_there_at_first_use():
     assert done.stdout.splitlines() == [f"module 'loewner' has no attribute '{name}s'" for name in names], done.stderr
 
 
-def test_import_needs_no_yaml():
-    """`import loewner` works without PyYAML. (Numba imports it by itself where it is there.)"""
-    assert "loewner" in modules_after("import sys; sys.modules['yaml'] = None; import loewner; del sys.modules['yaml']")
-
-
-def test_command_line_is_light_until_it_prints_tables():
-    """The command line imports no optional package to parse its arguments."""
-    assert modules_after("from loewner.cli.main import _parser; _parser()").isdisjoint(OPTIONAL)
-
-
 # What needs no hull: primitives, boxes among them, surfaces, clouds, files, queries, crowds and a robot of primitives.
 WITHOUT_HULLS = """
 import numpy as np, loewner
@@ -94,11 +84,14 @@ loewner.CollisionChecker(loewner.Robot.from_urdf(FOLDER + "/gantry.urdf"), scene
 
 
 def test_scipy_waits_for_a_hull(tmp_path):
-    """All of this works where SciPy cannot be imported, and loads nothing of it. (Numba imports it by itself.)"""
+    """All of this works where SciPy and PyYAML cannot be imported, and loads nothing of SciPy.
+
+    Numba imports both by itself where they are there.
+    """
     gantry(tmp_path)
     code = f"FOLDER = {str(tmp_path)!r}{WITHOUT_HULLS}"
-    blocked = f"import sys; sys.modules['scipy'] = None\n{code}"
-    assert "loewner" in modules_after(f"exec({blocked!r}); del sys.modules['scipy']")
+    blocked = f"import sys; sys.modules |= {{'scipy': None, 'yaml': None}}\n{code}"
+    assert "loewner" in modules_after(f"exec({blocked!r}); del sys.modules['scipy'], sys.modules['yaml']")
     loaded = modules_after(f"exec({code!r})")
     assert "numba" in loaded or "scipy" not in loaded
 
@@ -147,7 +140,7 @@ def test_import_leaves_modules_of_one_purpose():
 
 
 def test_checking_saved_bodies_needs_no_optional_package(tmp_path):
-    """`loewner check` on two saved bodies works without trimesh, CoACD, matplotlib and Rich."""
+    """`loewner check` on two saved bodies works without trimesh, CoACD, matplotlib and Rich, and so does its parser."""
     loewner.Body.box([1, 1, 1]).save(tmp_path / "a.npz")
     path = str(tmp_path / "a.npz")
     loaded = modules_after(f"import loewner.cli; assert loewner.cli.main(['check', {path!r}, {path!r}]) == 1")
@@ -173,11 +166,9 @@ def test_public_names_exist_and_are_listed_once():
     assert all(hasattr(loewner, name) for name in loewner.__all__)
 
 
-@pytest.mark.parametrize("program", ["build.py", "emit.py"])
-def test_the_build_begins_before_other_packages_are_there(program):
+def test_the_build_begins_before_other_packages_are_there():
     """In a fresh clone it runs while pip still installs SciPy; with an import of it, users would have no library."""
-    path = Path(__file__).resolve().parents[1] / "native" / program
-    blocked = ["scipy", "yaml", "rich", "matplotlib"]
-    run = f"runpy.run_path({str(path)!r}, run_name='imported')"
+    native, blocked = Path(__file__).resolve().parents[1] / "native", ["scipy", "yaml", "rich", "matplotlib"]
+    run = "; ".join(f"runpy.run_path({str(native / name)!r}, run_name='imported')" for name in ("build.py", "emit.py"))
     code = f"import runpy, sys; sys.modules.update(dict.fromkeys({blocked})); {run}"
     subprocess.run([sys.executable, "-c", code], check=True)

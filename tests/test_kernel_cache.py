@@ -58,10 +58,12 @@ def entries(cache: Path) -> list[Path]:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the package with two kernels in a subfolder, one calling the other from another file."""
+    """A copy of the package with two kernels in a subfolder, one calling the other from another file.
+
+    The byte code of the other files comes with them, so that processes need not make it again; those two have none.
+    """
     root = folder / "site"
-    source = Path(loewner.__file__).parent
-    shutil.copytree(source, root / "loewner", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(Path(loewner.__file__).parent, root / "loewner")
     folder = root / "loewner" / "_kernels" / "edited"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
@@ -104,6 +106,7 @@ def test_the_wait_is_announced_once(package: Path, once):
     assert (float(again.stdout), again.stderr) == (2.0, "")
 
 
+@pytest.mark.verify  # a disk that is full leads the same way
 def test_no_place_for_a_cache_is_no_error(package: Path, tmp_path: Path):
     """Where nothing can be written, kernels are compiled in memory and answer the same."""
     blocked = tmp_path / "a file"
@@ -367,6 +370,7 @@ def test_an_unknown_part_is_told():
         compilation.compile_kernels(["verdict"])
 
 
+@pytest.mark.verify  # without its byte code, the whole package is compiled
 def test_nothing_is_kept_where_the_sources_cannot_be_told(tmp_path: Path):
     """From a zip, where two versions could not be told apart, nothing is written and nothing read."""
     archive, home = tmp_path / "app.zip", Path(loewner.__file__).parent

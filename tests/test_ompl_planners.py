@@ -60,7 +60,7 @@ def in_time(*asked, **options):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("simplify", [False, True])
+@pytest.mark.parametrize("simplify", [False, pytest.param(True, marks=pytest.mark.verify)])
 def test_every_planner_goes_around_the_wall(checker, name, simplify):
     """Paths start and end where they should, stay within the limits, and never touch the wall."""
     path = in_time(checker, LEFT, RIGHT, joints="slide", planner=name, resolution=RESOLUTION, simplify=simplify)

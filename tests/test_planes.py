@@ -469,7 +469,7 @@ def deviations(rng, dof):
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 5])
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 34))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 34))])
 @far_outside
 def test_strays(tmp_path, seed, degree):
     """Where joints deviate within an interval, no gap is less than what a proof counts on."""
@@ -536,7 +536,7 @@ def excess_between(case, view, times, strays, x):
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 5])
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 34))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 34))])
 @far_outside
 def test_remainders(tmp_path, seed, degree):
     """The same for random robots, in wide intervals too."""

@@ -27,6 +27,7 @@ from test_moving_bodies import moving_scene, turned
 
 RADIUS = 0.1  # of the ball that slides along x and y
 SAMPLES = 20
+SEEDS = pytest.mark.parametrize("seed", [*range(8), *(pytest.param(k, marks=pytest.mark.verify) for k in range(8, 40))])
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +204,7 @@ def test_bounds_of_zero_change_nothing(slider, seed):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
 
 
-@given(st.integers(0, 2**31))
+@SEEDS
 def test_wider_bounds_free_less_and_collide_alike(slider, seed):
     """FREE is monotone in every bound, and COLLIDING does not depend on bounds."""
     rng = np.random.default_rng(seed)
@@ -224,7 +225,7 @@ def test_wider_bounds_free_less_and_collide_alike(slider, seed):
         before = found
 
 
-@given(st.integers(0, 2**31))
+@SEEDS
 def test_free_holds_for_bodies_as_badly_placed_as_allowed(slider, seed):
     """At dense samples, with bodies as near to the robot as their bounds allow, and at random within them."""
     rng = np.random.default_rng(seed)
@@ -269,7 +270,7 @@ def test_a_free_motion_is_free_of_a_thousand_places(slider):
     assert hits == 0
 
 
-@given(st.integers(0, 2**31))
+@SEEDS
 def test_a_curve_is_free_until_first_contact_within_bounds(slider, seed):
     """Curves likewise, up to the time until which they are proven free."""
     rng = np.random.default_rng(seed)
@@ -342,7 +343,8 @@ def test_a_plane_that_turns_with_a_link_keeps_the_growth(lead):
     assert found.verdict == (Verdict.FREE if lead > 0 else Verdict.AMBIGUOUS)
 
 
-@given(st.integers(0, 2**31), st.booleans())
+@SEEDS
+@pytest.mark.parametrize("solid", [False, True])
 def test_surfaces_grow_like_hulls(slider, seed, solid):
     """The triangles of a box, of itself or around its inside, have the verdicts of the box, and so do many boxes."""
     rng = np.random.default_rng(seed)

@@ -381,14 +381,15 @@ def test_panda_of_surfaces(panda):
 
 
 @pytest.mark.parametrize("within", [True, False])
-def test_motions_of_surfaces_are_true(checker, within):
+@pytest.mark.parametrize("count", [20, pytest.param(60, marks=pytest.mark.verify)])
+def test_motions_of_surfaces_are_true(checker, within, count):
     """Nothing called FREE collides at a sample, what is called COLLIDING does, and little else is left."""
     if not within:
         checker.scene.remove("shell")
         checker.scene.remove("ring")
     rng = np.random.default_rng(3)
     Q = checker.robot.random_configurations(400, 4)
-    Q = Q[~checker.collide(Q)][:60]
+    Q = Q[~checker.collide(Q)][:count]
     end = Q + rng.normal(size=Q.shape) * 0.1
     verdicts = assert_true(checker, Q, end, samples=500)
     assert (verdicts == FREE).sum() > 3
@@ -547,7 +548,7 @@ def test_options_of_other_models_are_refused(files, options, message, capsys):
     assert err.count("\n") == 1
 
 
-def test_fit_makes_surfaces(files, capsys):
+def test_fit_makes_surfaces(files, fits_here, capsys):
     """`loewner fit --model surface` writes them, says what they are, and `check` takes them."""
     status, out, _ = run(capsys, "fit", "cup.stl", "sheet.stl", "-o", "made", "--model", "surface")
     assert status == 0

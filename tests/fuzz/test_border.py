@@ -170,11 +170,11 @@ def test_every_public_callable_is_called():
 
 
 def test_some_bad_arguments():
-    """A sample of the calls below: of each parameter the right argument and two bad values."""
+    """A sample of the calls below: of each callable the right arguments, and of each parameter one bad value."""
     chosen = []
     for _, group in itertools.groupby(cases(), key=lambda case: case[:2]):
         values = list(group)
-        chosen += random.Random(str(values[0][:2])).sample(values, min(2, len(values)))
+        chosen.append(random.Random(str(values[0][:2])).choice(values))
     quick = [case for case in chosen if case.call not in SLOW]
     assert not driver.faults(outcomes(quick))
 
