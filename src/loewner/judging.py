@@ -222,7 +222,7 @@ def judge_answers(
     -----
     Depths and normals of bodies that overlap have one meaning for two convex pieces only. For other bodies, a depth is
     called too small only if it is less than the depth of two of their pieces, and too large only if a shorter
-    translation separates them; their normals are not called wrong.
+    translation separates them; their normals, and how far their witnesses are apart, are not called wrong.
 
     Examples
     --------
@@ -385,7 +385,7 @@ def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement
         if name in said:
             _judge_witness(court, name, body, T, said[name])
     if "witness_a" in said and "witness_b" in said:
-        _judge_witnesses(court, said, upper)
+        _judge_witnesses(court, said, pairs.kinds()[0] | (lower > 0.0), upper)
     if "normal" in said:
         _judge_normal(court, pairs, said["normal"], lower, upper)
     return Judgement(kinds, excess, lower, upper)
@@ -439,8 +439,8 @@ def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, poi
     court.judge(name, given, lower, upper + POINT, Finding.WITNESS_OFF_BODY)
 
 
-def _judge_witnesses(court: _Court, said: dict[str, Floats], upper: Floats) -> None:
-    """Judge whether two witnesses are as far from each other as the answer says.
+def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
+    """Judge whether two witnesses are as far from each other as the answer says, where a depth has one meaning.
 
     A distance of 0 of bodies that overlap has no witnesses.
     """
@@ -451,10 +451,9 @@ def _judge_witnesses(court: _Court, said: dict[str, Floats], upper: Floats) -> N
     step = lengths(b - a)
     rounding = FEW_ROUNDINGS * (lengths(a) + lengths(b) + length)
     error = np.abs(step - length)
-    court.judge(
-        "witnesses", ~(np.isnan(error) | ((length == 0.0) & (upper < 0.0))), error - rounding, error + rounding,
-        Finding.WITNESSES_DO_NOT_MATCH,
-    )  # fmt: skip
+    given = ~(np.isnan(error) | ((length == 0.0) & (upper < 0.0)))
+    least = np.where(known, error - rounding, 0.0)
+    court.judge("witnesses", given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH)
 
 
 def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, upper: Floats) -> None:
@@ -466,13 +465,13 @@ def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, u
     overlapping = upper < 0.0
     # From bodies that are apart, the right move leaves no more than the width of the interval.
     way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
-    moved = pairs.moved(way[..., None] * unit)
+    single, _ = pairs.kinds()
+    known = np.isfinite(way) & (single | ~overlapping)
+    moved = pairs.moved(np.where(known, way, 0.0)[..., None] * unit)
     _, left_lower, left_upper, _ = moved.measured()
     width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
     # `left_lower` of bodies that still overlap is unknown, which is no matter: only depths beyond a bound accuse.
     least = np.where(overlapping, -left_upper, left_lower) - width
-    single, _ = pairs.kinds()
-    known = np.isfinite(way) & (single | ~overlapping)
     most = np.where(overlapping, -left_lower, left_upper)
     most = np.where(overlapping & moved.verdicts()[0], 0.0, most)
     court.judge(
