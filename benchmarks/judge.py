@@ -41,7 +41,9 @@ PAIRS, QUICK, HULLS = 100_000, 300, 200
 # Pairs for libraries that take a millisecond or more for each.
 SLOW = {"trimesh": 100, "pinocchio": 10}
 TOLERANCE = 1e-4  # metres; the hulls are about a metre large
-PROGRAMS = 100  # of each library and kind
+PROGRAMS = 1000  # of each library and kind
+# Libraries that are asked about ever smaller bodies, for a short program.
+REDUCED = ("coal",)
 SEED = 11
 
 
@@ -119,16 +121,20 @@ class Coal(CoalPython):
 
 
 class Fcl(FclPython):
-    """python-fcl, pair by pair, with its default solver."""
+    """python-fcl, pair by pair, with its default solver; distances without depths.
+
+    With depths (`enable_signed_distance`), version 0.7.0.11 ends the process at one of these pairs.
+    """
 
     def said(self) -> dict[str, Array]:
-        """Booleans, and signed distances with nearest points."""
+        """Booleans, and distances with nearest points of hulls that it takes to be apart."""
         fcl, rows = self._fcl, []
-        request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
+        request = fcl.DistanceRequest(enable_nearest_points=True)
         for a, b in self._calls:
             result = fcl.DistanceResult()
             distance = fcl.distance(a, b, request, result)
-            rows.append([distance, *result.nearest_points[0], *result.nearest_points[1]])
+            points = [*result.nearest_points[0], *result.nearest_points[1]]
+            rows.append([distance, *points] if distance > 0.0 else [0.0, *[np.nan] * 6])
         return {"colliding": np.array(self.collide()), **columns(rows)}
 
 
@@ -139,7 +145,7 @@ def columns(rows: list[list[float]]) -> dict[str, Array]:
     return found | ({"normal": x[:, 7:]} if x.shape[1] > 7 else {})
 
 
-def mujoco(p: Pairs) -> Said:
+def mujoco(p: Pairs, *, libccd: bool = False) -> Said:
     """Signed distances and nearest points of `mj_geomDistance`, about the corners that the compiled model keeps."""
     if find_spec("mujoco") is None:
         raise Missing("package mujoco is not installed")
@@ -153,6 +159,7 @@ def mujoco(p: Pairs) -> Said:
         )  # fmt: skip
         spec.worldbody.add_geom(name=f"{k}", type=mj.mjtGeom.mjGEOM_MESH, meshname=f"{k}")
     model = spec.compile()
+    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_NATIVECCD * libccd
     data, fromto, rows = mj.MjData(model), np.zeros(6), []
     for i, A, j, B in zip(p.a, p.Ta, p.b, p.Tb, strict=True):
         i, j = int(i), int(j)
@@ -212,6 +219,7 @@ LIBRARIES = {
     "coal": lambda p: Said(p.first, p.second, Coal(p).said()),
     "python-fcl": lambda p: Said(p.first, p.second, Fcl(p).said()),
     "mujoco": mujoco,
+    "mujoco libccd": lambda p: mujoco(p, libccd=True),
     "trimesh": trimesh,
     "pinocchio": pinocchio,
 }
@@ -251,12 +259,20 @@ def judged(name: str, families: dict[str, Pairs], tolerance: float, results: Pat
 
 def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, tolerance: float, results: Path) -> bool:
     """Prove one wrong answer by a program in fractions; keep the program if it is the first of its kind."""
+
+    def ask(A: Array, B: Array) -> dict[str, Array]:
+        one, two = np.zeros(1, dtype=int), np.ones(1, dtype=int)
+        small = Pairs("", Bodies.from_points([A, B]), one, two, p.Ta[[k]], p.Tb[[k]])
+        return {part: values[0] for part, values in LIBRARIES[name](small).answers.items()}
+
     answers = {part: values[k] for part, values in said.answers.items()}
-    code = loewner.reproduction(said.a[k], p.Ta[k], said.b[k], p.Tb[k], **answers, tolerance=tolerance)
-    path, out = results / "judge" / f"{name}-{kind.name.lower()}.py", io.StringIO()
+    pair = said.a[k], p.Ta[k], said.b[k], p.Tb[k]
+    code = loewner.reproduction(*pair, **answers, tolerance=tolerance)
+    path, out = results / "judge" / f"{name.replace(' ', '-')}-{kind.name.lower()}.py", io.StringIO()
     path.parent.mkdir(exist_ok=True)
     if not path.exists():
-        path.write_text(code, encoding="utf-8")
+        short = loewner.reproduction(*pair, ask=ask, tolerance=tolerance) if name in REDUCED else code
+        path.write_text(short, encoding="utf-8")
     with contextlib.redirect_stdout(out):
         exec(compile(code, str(path), "exec"), {})
     return kind.name in out.getvalue()
@@ -265,7 +281,7 @@ def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, toleran
 def version(name: str) -> str:
     from importlib.metadata import version as installed
 
-    return installed({"pinocchio": "pin"}.get(name, name))
+    return installed({"pinocchio": "pin"}.get(name, name.split()[0]))
 
 
 def show(rows: list[Row]) -> None:

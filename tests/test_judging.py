@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import re
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, near_contact, pieces, random_poses, stretch, translation
-from loewner import Bodies, Body, Finding, InputError, PoseError, judge_answers, reproduction
+from loewner import Bodies, Body, Finding, InputError, PoseError, cli, judge_answers, reproduction
 from loewner.judging import PARTS
 from oracles import exact_squared_distance, hull, pack, signed_distance
 
@@ -343,3 +344,96 @@ def test_bad_bodies_are_refused():
         reproduction(box, None, box, None, colliding=[True, False])
     with pytest.raises(InputError, match="ask: expected no answers beside it, found depth"):
         reproduction(box, None, box, None, depth=1.0, ask=lambda a, b: {})
+
+
+# -- loewner judge --answers --------------------------------------------------------------------
+
+
+@pytest.fixture
+def table(tmp_path, monkeypatch):
+    """A folder with two cubes and a ball, and a writer of tables."""
+    monkeypatch.chdir(tmp_path)
+    for name, body in (("a", Body.box([1, 1, 1])), ("b", Body.box([1, 1, 1])), ("ball", Body.sphere(0.5))):
+        body.save(f"{name}.npz")
+    return lambda text, name="said.csv": (tmp_path / name).write_text(text)
+
+
+def judge(capsys, *words: str) -> tuple[int, str, str]:
+    """Exit status, output and error of the command."""
+    status = cli.main(["judge", "--answers", *words])
+    return status, *capsys.readouterr()
+
+
+def test_a_table_is_judged(table, capsys):
+    """Rows are numbered, errors are told by kind, and the worst one is written as a program that proves it."""
+    table("pose_b,colliding,distance\n3 0 0,false,2\n0.5 0 0,no,0\n2 0 0 0.5 0.5 0.5 0.5,,0.25\n")
+    status, out, _ = judge(capsys, "said.csv", "a.npz", "b.npz", "--program", "wrong.py")
+    assert status == 1
+    assert out.startswith("2 of 3 answers proven wrong\n")
+    assert "row 2, A and B: colliding WRONG_FREE by 0.5 m; proven signed distance from -0.5" in out
+    assert "row 3, A and B: distance DISTANCE_TOO_SMALL by 0.75 m" in out
+    assert "wrong.py proves row 3 wrong in fractions" in out
+    with open("wrong.py") as file:
+        assert run(file.read()) == {Finding.DISTANCE_TOO_SMALL: pytest.approx(0.75)}
+
+
+def test_bodies_are_named_in_json(table, capsys):
+    """Several bodies are told apart by names; matrices, numbers and null are read; nothing wrong is status 0."""
+    T = translation(2.0).ravel().tolist()
+    rows = [
+        {"body_a": "a", "body_b": "ball", "pose_b": T, "distance": 1.0, "normal": [1, 0, 0], "depth": None},
+        {"body_a": "ball", "body_b": "b", "pose_a": [0, 2, 0], "colliding": False, "witness_a": [0, 1.5, 0]},
+    ]
+    table(json.dumps(rows), "said.json")
+    status, out, _ = judge(capsys, "said.json", "a.npz", "b.npz", "ball.npz", "--json")
+    found = json.loads(out)
+    assert (status, found["pairs"], found["counts"], found["wrong"]) == (0, 2, {"OK": 4}, [])
+    rows[1]["witness_a"] = [0, 1.25, 0]
+    table(json.dumps(rows), "said.json")
+    assert judge(capsys, "said.json", "a.npz", "b.npz", "ball.npz")[0] == 0  # inside is in the body
+    rows[1]["colliding"] = True
+    table(json.dumps(rows), "said.json")
+    status, out, _ = judge(capsys, "said.json", "a.npz", "b.npz", "ball.npz", "--json", "--tolerance", "0.1")
+    (wrong,) = json.loads(out)["wrong"]
+    assert (status, wrong["row"], wrong["bodies"]) == (1, 2, ["ball", "b"])
+    assert wrong["wrong"]["colliding"]["finding"] == "WRONG_COLLIDING"
+    assert wrong["wrong"]["colliding"]["at_least"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "said.csv: expected answers, found none"),
+        ("distance\n", "said.csv: expected answers, found none"),
+        ("pose_b\n1 2 3\n", "said.csv: expected a column of answers, one of colliding, distance"),
+        ("distence\n1\n", "said.csv: expected columns from body_a, .*; found 'distence'"),
+        ("distance,distance\n1,2\n", "said.csv: expected each column once, found distance, distance"),
+        ("distance\n1,2\n", "said.csv, row 1: expected 1 cells as in the header, found 2"),
+        ("distance\nfar\n", "said.csv, row 1, distance: expected a number, found 'far'"),
+        ("normal\n1 0\n", "said.csv, row 1, normal: expected 3 numbers, found 2"),
+        ("distance,pose_b\n1,1 2\n", "said.csv, row 1, pose_b: expected 3, 7 or 16 numbers, found 2"),
+        ("distance,pose_b\n1,0 0 0 1 1 0 0\n", "said.csv, row 1, pose_b: expected a unit quaternion"),
+        ("distance,body_a\n1,c\n", "said.csv, row 1: body_a: expected one of A, B, a, b, found 'c'"),
+    ],
+)
+def test_bad_tables_are_refused(text: str, message: str, table, capsys):
+    """Each message says where, what was expected and what was found; the exit status is 2."""
+    table(text)
+    status, out, err = judge(capsys, "said.csv", "a.npz", "b.npz")
+    assert (status, out) == (2, "")
+    assert re.search(message, err), err
+
+
+def test_other_bad_files_are_refused(table, capsys):
+    """Endings, JSON of another form, keys twice, and text that is none."""
+    for name, text, message in (
+        ("said.txt", "1", "expected a .csv or .json file, found .txt"),
+        ("said.json", '{"distance": 1}', "expected a list of objects, one for each pair"),
+        ("said.json", '[{"distance": 1, "distance": 2}]', "distance"),
+        ("said.json", '[{"distance": {"m": 1}}]', "expected numbers, found"),
+        ("said.json", "[", "expected"),
+    ):
+        table(text, name)
+        status, _, err = judge(capsys, name, "a.npz", "b.npz")
+        assert status == 2
+        assert message in err

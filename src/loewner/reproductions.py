@@ -221,7 +221,8 @@ def _written(
     bodies: list[Body], corners: list[Floats], poses: list[Floats], answers: dict[str, Any], said: Judgement
 ) -> str:
     """Write the program: what was asked and answered, the checks, and a proof of each part that is wrong."""
-    plain = {name: np.asarray(value).tolist() for name, value in answers.items()}
+    numbers = {name: np.asarray(value, dtype=float).tolist() for name, value in answers.items()}
+    plain = {name: bool(x) if name == "colliding" else x for name, x in numbers.items() if not np.isnan(x).any()}
     measured = queries.distance(bodies[0], poses[0], bodies[1], poses[1], exact=True)
     plane = repr(np.asarray(measured.normal).tolist())
     lines = []
