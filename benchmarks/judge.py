@@ -145,7 +145,7 @@ def columns(rows: list[list[float]]) -> dict[str, Array]:
     return found | ({"normal": x[:, 7:]} if x.shape[1] > 7 else {})
 
 
-def mujoco(p: Pairs, *, libccd: bool = False) -> Said:
+def mujoco(p: Pairs) -> Said:
     """Signed distances and nearest points of `mj_geomDistance`, about the corners that the compiled model keeps."""
     if find_spec("mujoco") is None:
         raise Missing("package mujoco is not installed")
@@ -159,7 +159,6 @@ def mujoco(p: Pairs, *, libccd: bool = False) -> Said:
         )  # fmt: skip
         spec.worldbody.add_geom(name=f"{k}", type=mj.mjtGeom.mjGEOM_MESH, meshname=f"{k}")
     model = spec.compile()
-    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_NATIVECCD * libccd
     data, fromto, rows = mj.MjData(model), np.zeros(6), []
     for i, A, j, B in zip(p.a, p.Ta, p.b, p.Tb, strict=True):
         i, j = int(i), int(j)
@@ -219,7 +218,6 @@ LIBRARIES = {
     "coal": lambda p: Said(p.first, p.second, Coal(p).said()),
     "python-fcl": lambda p: Said(p.first, p.second, Fcl(p).said()),
     "mujoco": mujoco,
-    "mujoco libccd": lambda p: mujoco(p, libccd=True),
     "trimesh": trimesh,
     "pinocchio": pinocchio,
 }
@@ -250,17 +248,17 @@ def judged(name: str, families: dict[str, Pairs], tolerance: float, results: Pat
         proven = sum(
             in_fractions(name, kind, *parts[family], k, tolerance, results) for _, family, k in cases[:PROGRAMS]
         )
-        hit = {family for _, family, _ in cases}
+        hit = [family for family in families if any(family == where for _, where, _ in cases)]
         yield Row(
             name, version(name), pairs, kind.name, len(cases), cases[0][0] if cases else 0.0,
-            f"{len(hit)} of {len(families)}", f"{proven} of {min(len(cases), PROGRAMS)}",
+            "; ".join(hit), f"{proven} of {min(len(cases), PROGRAMS)}",
         )  # fmt: skip
 
 
 def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, tolerance: float, results: Path) -> bool:
     """Prove one wrong answer by a program in fractions; keep the program if it is the first of its kind."""
 
-    def ask(A: Array, B: Array) -> dict[str, Array]:
+    def engine(A: Array, B: Array) -> dict[str, Array]:
         one, two = np.zeros(1, dtype=int), np.ones(1, dtype=int)
         small = Pairs("", Bodies.from_points([A, B]), one, two, p.Ta[[k]], p.Tb[[k]])
         return {part: values[0] for part, values in LIBRARIES[name](small).answers.items()}
@@ -268,10 +266,10 @@ def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, toleran
     answers = {part: values[k] for part, values in said.answers.items()}
     pair = said.a[k], p.Ta[k], said.b[k], p.Tb[k]
     code = loewner.reproduction(*pair, **answers, tolerance=tolerance)
-    path, out = results / "judge" / f"{name.replace(' ', '-')}-{kind.name.lower()}.py", io.StringIO()
+    path, out = results / "judge" / f"{name}-{kind.name.lower()}.py", io.StringIO()
     path.parent.mkdir(exist_ok=True)
     if not path.exists():
-        short = loewner.reproduction(*pair, ask=ask, tolerance=tolerance) if name in REDUCED else code
+        short = loewner.reproduction(*pair, engine=engine, tolerance=tolerance) if name in REDUCED else code
         path.write_text(short, encoding="utf-8")
     with contextlib.redirect_stdout(out):
         exec(compile(code, str(path), "exec"), {})
@@ -281,7 +279,7 @@ def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, toleran
 def version(name: str) -> str:
     from importlib.metadata import version as installed
 
-    return installed({"pinocchio": "pin"}.get(name, name.split()[0]))
+    return installed({"pinocchio": "pin"}.get(name, name))
 
 
 def show(rows: list[Row]) -> None:
@@ -289,7 +287,7 @@ def show(rows: list[Row]) -> None:
     for row in rows:
         if row.wrong:
             library = f"{row.library} {row.version}"
-            numbers = f"{row.wrong:,}", f"{row.largest:.4g}", row.families, row.in_fractions
+            numbers = f"{row.wrong:,}", f"{row.largest:.4g}", f"{len(row.families.split('; '))}", row.in_fractions
             table.add_row(library, f"{row.pairs:,}", row.finding, *numbers)
     for name in dict.fromkeys(row.library for row in rows):
         if not any(row.wrong for row in rows if row.library == name):

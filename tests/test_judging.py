@@ -266,11 +266,11 @@ def test_the_smallest_bodies():
     a, b = map(Body.from_points, points)
     asked = []
 
-    def ask(A, B):
+    def engine(A, B):
         asked.append(len(A) + len(B))
         return {"distance": 0.0}
 
-    code = reproduction(a, None, b, translation(5.0), ask=ask)
+    code = reproduction(a, None, b, translation(5.0), engine=engine)
     error = run(code)[Finding.DISTANCE_TOO_SMALL]
     assert error > 0.5
     assert asked[0] == len(a.pieces[0].vertices) + len(b.pieces[0].vertices)
@@ -285,7 +285,7 @@ def test_an_engine_that_errs_with_many_corners_only():
     points = pieces("ball 20", 2, seed=6)
     a, b = map(Body.from_points, points)
     code = reproduction(
-        a, None, b, translation(5.0), ask=lambda A, B: {"colliding": True} if len(A) > 6 else {"colliding": False}
+        a, None, b, translation(5.0), engine=lambda A, B: {"colliding": True} if len(A) > 6 else {"colliding": False}
     )
     assert len(eval(re.search(r"^A = (\[.*?\]\])$", code, flags=re.M | re.S)[1])) == 7
     assert set(run(code)) == {Finding.WRONG_COLLIDING}
@@ -342,8 +342,8 @@ def test_bad_bodies_are_refused():
         reproduction(box, None, box, None, colliding=True)
     with pytest.raises(InputError, match=r"expected one answer about one pair, found shape \(2,\)"):
         reproduction(box, None, box, None, colliding=[True, False])
-    with pytest.raises(InputError, match="ask: expected no answers beside it, found depth"):
-        reproduction(box, None, box, None, depth=1.0, ask=lambda a, b: {})
+    with pytest.raises(InputError, match="engine: expected no answers beside it, found depth"):
+        reproduction(box, None, box, None, depth=1.0, engine=lambda a, b: {})
 
 
 # -- loewner judge --answers --------------------------------------------------------------------
@@ -388,7 +388,7 @@ def test_bodies_are_named_in_json(table, capsys):
     status, out, _ = judge(capsys, "said.json", "a.npz", "b.npz", "ball.npz", "--json")
     found = json.loads(out)
     assert (status, found["pairs"], found["counts"], found["wrong"]) == (0, 2, {"OK": 4}, [])
-    rows[1]["witness_a"] = [0, 1.25, 0]
+    rows[1]["witness_a"] = [0, 1.75, 0]
     table(json.dumps(rows), "said.json")
     assert judge(capsys, "said.json", "a.npz", "b.npz", "ball.npz")[0] == 0  # inside is in the body
     rows[1]["colliding"] = True

@@ -89,7 +89,7 @@ class Finding(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What is proven about the answers of another program.
+    """Proven findings about the answers of another program.
 
     Attributes
     ----------
@@ -125,7 +125,12 @@ class Judgement:
         return np.asarray((self.kinds > Finding.UNDECIDED).any(axis=-1))
 
     def counts(self) -> dict[Finding, int]:
-        """Count the parts of answers by finding, without those that are not given.
+        """Count the parts of answers by finding; parts that are not given do not count.
+
+        Returns
+        -------
+        dict
+            Numbers of parts, by `Finding`.
 
         Examples
         --------
@@ -185,7 +190,7 @@ def judge_answers(
 ) -> Judgement:
     """Judge another program's answers about pairs of bodies.
 
-    Each part of an answer is judged by itself. Whatever is called wrong is proven wrong, including all rounding. An
+    Each part of an answer is judged by itself. A part that is called wrong is proven wrong, including all rounding. An
     answer of NaN is not judged, nor is a normal of zeros.
 
     Parameters
@@ -341,7 +346,7 @@ class _Pairs:
         single, tight = self.kinds()
         loose = (value < 0.0) & ~tight
         upper = np.fmin(upper, value + np.where(loose, OF_CURVED / ACCURACY, 1.0) * slack)
-        if loose.any():  # the exact test knows at least that they meet, and that they still do after short moves
+        if loose.any():  # the exact test proves at least that they meet, and that they still do after moves
             upper = np.where(loose & self.verdicts()[1], np.minimum(upper, slack), upper)
             reach = np.where(loose & single, (1.0 - 1e-6) * -value, 0.0)
             still = loose & single
@@ -441,7 +446,7 @@ def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, poi
 
 
 def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
-    """Judge whether two witnesses are as far from each other as the answer says, where a depth has one meaning.
+    """Judge whether two witnesses are as far apart as the distance or depth, where a depth has one meaning.
 
     A distance of 0 of bodies that overlap has no witnesses.
     """
@@ -458,7 +463,7 @@ def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper
 
 
 def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, upper: Floats) -> None:
-    """Judge normals by moving b along them, to contact or out of it, and measuring what is left."""
+    """Judge normals by moving b along them, to contact or out of it, and measuring the rest."""
     scale = np.abs(normal).max(axis=-1, keepdims=True)
     unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)
     unit = unit / lengths(unit)[..., None]

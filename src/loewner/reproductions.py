@@ -99,7 +99,7 @@ def reproduction(
     witness_b: ArrayLike | None = None,
     normal: ArrayLike | None = None,
     tolerance: float = 1e-6,
-    ask: Callable[[Floats, Floats], Answers] | None = None,
+    engine: Callable[[Floats, Floats], Answers] | None = None,
 ) -> str:
     """Write a program of a page that proves an answer to be wrong, by `fractions` of Python's standard library alone.
 
@@ -115,8 +115,8 @@ def reproduction(
         Poses; translation in metres. None is the identity.
     colliding, distance, depth, witness_a, witness_b, normal, tolerance
         One answer, as for `judge_answers`.
-    ask : callable, optional
-        Called as ask(corners_a, corners_b) with arrays of shapes (n, 3); returns the other program's answers about
+    engine : callable, optional
+        Called as engine(corners_a, corners_b) with arrays of shapes (n, 3); returns the other program's answers about
         these hulls at the same poses, in a dict with names of parts as keys. As long as the worst part remains wrong in
         the same way, the coordinates are rounded, and corners are removed one by one. Answers are then not given.
 
@@ -139,9 +139,9 @@ def reproduction(
     >>> exec(code)
     DISTANCE_TOO_SMALL: wrong by at least 0.5 m
 
-    Ask another program, here one that always says 0, about ever smaller bodies:
+    With a function in place of the other program, here one that always returns 0, the bodies become small:
 
-    >>> code = reproduction(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), T, ask=lambda a, b: {"distance": 0.0})
+    >>> code = reproduction(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), T, engine=lambda a, b: {"distance": 0.0})
     >>> code.count("0.5]")  # of two tetrahedra
     8
     """
@@ -152,10 +152,10 @@ def reproduction(
         "normal": normal,
     }  # fmt: skip
     answers = {name: value for name, value in given.items() if value is not None}
-    if _validate.callback(ask, "ask") is not None:
+    if _validate.callback(engine, "engine") is not None:
         if answers:
-            raise InputError(f"ask: expected no answers beside it, found {', '.join(answers)}")
-        corners, answers = _reduced(corners, poses, ask, tolerance)
+            raise InputError(f"engine: expected no answers beside it, found {', '.join(answers)}")
+        corners, answers = _reduced(corners, poses, engine, tolerance)
     bodies = [Body.from_points(points) for points in corners]
     said = judge_answers(bodies[0], poses[0], bodies[1], poses[1], **answers, tolerance=tolerance)
     if said.kinds.ndim > 1:
@@ -179,13 +179,13 @@ def _names(said: Judgement) -> str:
 
 
 def _reduced(
-    corners: list[Floats], poses: list[Floats], ask: Any, tolerance: float
+    corners: list[Floats], poses: list[Floats], engine: Any, tolerance: float
 ) -> tuple[list[Floats], dict[str, Any]]:
     """Round and remove corners as long as the other program's answer stays wrong in the same way."""
 
     def asked(trial: list[Floats]) -> tuple[dict[str, Any], Judgement]:
         bodies = [Body.from_points(points) for points in trial]
-        answers = dict(ask(trial[0], trial[1]))
+        answers = dict(engine(trial[0], trial[1]))
         return answers, judge_answers(bodies[0], poses[0], bodies[1], poses[1], **answers, tolerance=tolerance)
 
     answers, said = asked(corners)
@@ -203,7 +203,7 @@ def _reduced(
 
 
 def _smaller(corners: list[Floats]) -> Iterator[list[Floats]]:
-    """Propose smaller bodies; the caller changes `corners` to those that it accepts."""
+    """Propose smaller bodies; the caller changes `corners` to the ones that it accepts."""
     for decimals in DECIMALS:
         rounded = [np.round(points, decimals) + 0.0 for points in corners]
         yield rounded
@@ -220,7 +220,7 @@ def _smaller(corners: list[Floats]) -> Iterator[list[Floats]]:
 def _written(
     bodies: list[Body], corners: list[Floats], poses: list[Floats], answers: dict[str, Any], said: Judgement
 ) -> str:
-    """Write the program: what was asked and answered, the checks, and a proof of each part that is wrong."""
+    """Write the program: the bodies, the answer, the checks, and a proof of each part that is wrong."""
     numbers = {name: np.asarray(value, dtype=float).tolist() for name, value in answers.items()}
     plain = {name: bool(x) if name == "colliding" else x for name, x in numbers.items() if not np.isnan(x).any()}
     measured = queries.distance(bodies[0], poses[0], bodies[1], poses[1], exact=True)

@@ -894,7 +894,7 @@ CALLS: dict[str, Call] = {
             "witness_b": array([0.5, 0.0, 0.0], NONE, FINITE, "one NaN"),
             "normal": array([1.0, 0.0, 0.0], NONE, FINITE, "one NaN"),
             "tolerance": margin(),
-            "ask": callback(),
+            "engine": callback(),
         },
     ),
     "first_contact": Call(

@@ -71,7 +71,7 @@ def add_options(judge: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge a table of answers, and print what is wrong."""
+    """Judge a table of answers, and print the wrong ones."""
     bodies = _bodies(options)
     rows, poses, answers = table(options.answers)
     named = [_pair(row, bodies, f"{options.answers}, row {k}") for k, row in enumerate(rows, 1)]
@@ -229,7 +229,7 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
 def _program(
     options: argparse.Namespace, said: loewner.Judgement, named: Any, bodies: Any, poses: Any, answers: Any
 ) -> str:
-    """Write the worst answer about two hulls as a program; return what was done."""
+    """Write the worst answer about two hulls as a program; return a line about it."""
     for k in said.worst().tolist():
         given = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
         a, b = (bodies[name] for name in named[k])
