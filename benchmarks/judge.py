@@ -91,7 +91,8 @@ def pairs_of(family: str, count: int) -> Pairs:
     """Hulls of a family, each in many pairs, at poses near contact."""
     hulls = min(HULLS, 2 * count)
     points, rng = pieces(family, hulls, SEED), np.random.default_rng([SEED, sum(family.encode())])
-    pool, (a, b) = pack(map(hull, points)), rng.integers(hulls, size=(2, count))
+    pool, a = pack(map(hull, points)), rng.integers(hulls, size=count)
+    b = (a + rng.integers(1, hulls, size=count)) % hulls
     Ta, Tb = near_contact(rng, pool, a, pool, b, stretch=stretch(family))
     return Pairs(family, Bodies.from_points(points), a, b, Ta, Tb)
 
@@ -163,9 +164,6 @@ def mujoco(p: Pairs) -> Said:
     for i, A, j, B in zip(p.a, p.Ta, p.b, p.Tb, strict=True):
         i, j = int(i), int(j)
         data.geom_xpos[i], data.geom_xmat[i] = A[:3, 3], A[:3, :3].ravel()
-        if i == j:
-            rows.append([np.nan] * 7)
-            continue
         data.geom_xpos[j], data.geom_xmat[j] = B[:3, 3], B[:3, :3].ravel()
         rows.append([mj.mj_geomDistance(model, data, i, j, 1e3, fromto), *fromto])
     starts = np.append(model.mesh_vertadr, len(model.mesh_vert))
