@@ -43,7 +43,7 @@ SLOW = {"trimesh": 100, "pinocchio": 10}
 TOLERANCE = 1e-4  # metres; the hulls are about a metre large
 PROGRAMS = 1000  # of each library and kind
 # Libraries that are asked about ever smaller bodies, for a short program.
-REDUCED = ("coal",)
+REDUCED = ("coal", "coal, fastest")
 SEED = 11
 
 
@@ -108,7 +108,14 @@ def ours(p: Pairs) -> Said:
 
 
 class Coal(CoalPython):
-    """Coal, pair by pair from Python, with its default settings."""
+    """Coal, pair by pair from Python: with its default settings or, for booleans, with its fastest ones."""
+
+    def __init__(self, p: Pairs, *, fastest: bool = False) -> None:
+        super().__init__(p)
+        if not fastest:
+            import coal
+
+            self._request = coal.CollisionRequest()
 
     def said(self) -> dict[str, Array]:
         """Booleans, and signed distances with nearest points and normals."""
@@ -214,6 +221,7 @@ def pinocchio(p: Pairs) -> Said:
 LIBRARIES = {
     "loewner": ours,
     "coal": lambda p: Said(p.first, p.second, Coal(p).said()),
+    "coal, fastest": lambda p: Said(p.first, p.second, Coal(p, fastest=True).said()),
     "python-fcl": lambda p: Said(p.first, p.second, Fcl(p).said()),
     "mujoco": mujoco,
     "trimesh": trimesh,
@@ -264,7 +272,7 @@ def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, toleran
     answers = {part: values[k] for part, values in said.answers.items()}
     pair = said.a[k], p.Ta[k], said.b[k], p.Tb[k]
     code = loewner.reproduction(*pair, **answers, tolerance=tolerance)
-    path, out = results / "judge" / f"{name}-{kind.name.lower()}.py", io.StringIO()
+    path, out = results / "judge" / f"{name.replace(', ', '-')}-{kind.name.lower()}.py", io.StringIO()
     path.parent.mkdir(exist_ok=True)
     if not path.exists():
         short = loewner.reproduction(*pair, engine=engine, tolerance=tolerance) if name in REDUCED else code
@@ -277,14 +285,19 @@ def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, toleran
 def version(name: str) -> str:
     from importlib.metadata import version as installed
 
-    return installed({"pinocchio": "pin"}.get(name, name))
+    return installed({"pinocchio": "pin"}.get(name, name.split(",")[0]))
+
+
+def titled(row: Row) -> str:
+    name, *settings = row.library.split(", ")
+    return ", ".join([f"{name} {row.version}", *settings])
 
 
 def show(rows: list[Row]) -> None:
     table = Table("library", "pairs", "proven wrong", "answers", "largest error, m", "families", "in fractions")
     for row in rows:
         if row.wrong:
-            library = f"{row.library} {row.version}"
+            library = titled(row)
             numbers = f"{row.wrong:,}", f"{row.largest:.4g}", f"{len(row.families.split('; '))}", row.in_fractions
             table.add_row(library, f"{row.pairs:,}", row.finding, *numbers)
     for name in dict.fromkeys(row.library for row in rows):
@@ -300,7 +313,7 @@ def write(results: Path, rows: list[Row], facts: dict[str, Any], tolerance: floa
         writer.writerows([*row, tolerance, facts["commit"], facts["date"]] for row in rows)
     lines = ["| library | pairs | proven wrong | answers | largest error, m |", "|---|---|---|---|---|"]
     lines += [
-        f"| {row.library} {row.version} | {row.pairs:,} | {row.finding} | {row.wrong:,} | {row.largest:.4g} |"
+        f"| {titled(row)} | {row.pairs:,} | {row.finding} | {row.wrong:,} | {row.largest:.4g} |"
         for row in rows
         if row.wrong
     ]
