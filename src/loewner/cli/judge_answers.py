@@ -31,6 +31,10 @@ ANSWERS = {"colliding": 1, "distance": 1, "depth": 1, "witness_a": 3, "witness_b
 COLUMNS = (*NAMES, *POSES, *ANSWERS)
 WORDS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
+# Error in metres that is allowed by default.
+TOLERANCE = 1e-6
+
+# Wrong answers that are printed.
 SHOWN = 10
 
 EXAMPLES = """examples:
@@ -55,23 +59,24 @@ exit status: 0 nothing is proven wrong, 1 an answer is, 2 error
 def add(commands: Any) -> None:
     """Add the command."""
     judge = inputs.command(commands, "judge", "which answers of another program are proven wrong", EXAMPLES)
+    judge.add_argument("files", metavar="BODY", type=Path, nargs="+", help="saved bodies (.npz) or meshes")
+    judge.add_argument("--answers", type=Path, metavar="TABLE", required=True, help="answers (.csv or .json)")
+    judge.add_argument("--meshes", choices=inputs.MODELS, help="how meshes are taken (surface)")
+    judge.add_argument("--tolerance", type=float, metavar="M", help="error that is allowed [m] (1e-6)")
+    judge.add_argument("--json", action="store_true", help="print JSON")
     add_options(judge)
     judge.set_defaults(run=run)
 
 
-def add_options(judge: argparse.ArgumentParser) -> None:
-    """Add the options of answers."""
-    judge.add_argument("bodies", metavar="BODY", type=Path, nargs="+", help="saved bodies (.npz) or meshes")
-    judge.add_argument("--answers", type=Path, metavar="TABLE", required=True, help="answers (.csv or .json)")
-    judge.add_argument("--meshes", choices=inputs.MODELS, default="surface", help="how meshes are taken (%(default)s)")
+def add_options(judge: Any) -> None:
+    """Add the options that only tables of answers have."""
     judge.add_argument("--scale", type=float, default=1.0, help="factor for all lengths of meshes (1)")
-    judge.add_argument("--tolerance", type=float, default=1e-6, metavar="M", help="error that is allowed [m] (1e-6)")
     judge.add_argument("--program", type=Path, metavar="FILE", help="write the worst answer about hulls as a program")
-    judge.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     """Judge a table of answers, and print the wrong ones."""
+    tolerance = TOLERANCE if options.tolerance is None else options.tolerance
     bodies = _bodies(options)
     rows, poses, answers = table(options.answers)
     named = [_pair(row, bodies, f"{options.answers}, row {k}") for k, row in enumerate(rows, 1)]
@@ -82,13 +87,17 @@ def run(options: argparse.Namespace) -> int:
         Ta, Tb = (T[chosen] for T in poses)
         a, b = (bodies[name] for name in pair)
         said = loewner.judge_answers(
-            a, Ta, b, Tb, **{name: x[chosen] for name, x in answers.items()}, tolerance=options.tolerance
+            a, Ta, b, Tb, **{name: x[chosen] for name, x in answers.items()}, tolerance=tolerance
         )
         kinds[chosen], excess[chosen] = said.kinds, said.excess
         bounds[chosen] = np.stack([said.lower, said.upper], axis=-1)
     said = loewner.Judgement(kinds, excess, bounds[:, 0], bounds[:, 1])
     worst = said.worst()
-    written = _program(options, said, named, bodies, poses, answers) if options.program and len(worst) else None
+    written = (
+        _program(options.program, said, named, bodies, poses, answers, tolerance)
+        if options.program and len(worst)
+        else None
+    )
     if options.json:
         print(json.dumps(_for_json(said, named), indent=2))
     else:
@@ -98,15 +107,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
     """Load the bodies by the names of their files without endings."""
-    names = [path.stem for path in options.bodies]
+    names = [path.stem for path in options.files]
     for name in names:
         if names.count(name) > 1 and len(names) > 2:
             raise InputError(f"expected files with different names, found two of {name}")
-    of_meshes = {"model": options.meshes, "usual_model": "surface", "hull": False, "scale": options.scale}
+    of_meshes = {"model": options.meshes or "surface", "usual_model": "surface", "hull": False, "scale": options.scale}
     taken = argparse.Namespace(**of_meshes, **dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
     made = [
         loewner.Body.load(path) if path.suffix.lower() == ".npz" else inputs.from_mesh(path, taken)
-        for path in options.bodies
+        for path in options.files
     ]
     if len(made) == 1:
         made, names = made * 2, names * 2
@@ -227,20 +236,20 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
 
 
 def _program(
-    options: argparse.Namespace, said: loewner.Judgement, named: Any, bodies: Any, poses: Any, answers: Any
+    path: Path, said: loewner.Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float
 ) -> str:
     """Write the worst answer about two hulls as a program; return a line about it."""
     for k in said.worst().tolist():
         given = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
         a, b = (bodies[name] for name in named[k])
         try:
-            code = loewner.reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=options.tolerance)
+            code = loewner.reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=tolerance)
         except LoewnerError:
             continue
-        with replacing(options.program) as file:
+        with replacing(path) as file:
             file.write_text(code, encoding="utf-8")
-        return f"{shown(options.program)} proves row {k + 1} wrong in fractions"
-    return f"{shown(options.program)} is not written: no wrong answer is about two convex hulls"
+        return f"{shown(path)} proves row {k + 1} wrong in fractions"
+    return f"{shown(path)} is not written: no wrong answer is about two convex hulls"
 
 
 def _for_json(said: loewner.Judgement, named: Sequence[tuple[str, str]]) -> dict[str, Any]:
