@@ -67,11 +67,28 @@ def setup(app):
     app.add_post_transform(no_break.NoBreak)
     app.connect("builder-inited", _write_pages)
     app.connect("missing-reference", _public_name)
+    app.connect("build-finished", _write_for_models)
 
 
 def _write_pages(app):
     measured.write(Path(app.srcdir) / "measured.md")
     command.write(Path(app.srcdir) / "reference" / "command.md")
+
+
+def _write_for_models(app, error):
+    """Put each page's Markdown beside its HTML, and a list of the pages, llms.txt, as language models look for it."""
+    if error is not None or app.builder.format != "html":
+        return
+    lines = [f"# {project}", "", "> Certified collision detection for robots, meshes and convex bodies.", ""]
+    for name in sorted(app.env.found_docs):
+        source = Path(app.env.doc2path(name))
+        if source.suffix != ".md" or name in ("architecture", "changelog"):  # which include files
+            continue
+        twin = Path(app.outdir, name).with_suffix(".md")
+        twin.parent.mkdir(parents=True, exist_ok=True)
+        twin.write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
+        lines.append(f"- [{app.env.titles[name].astext()}]({name}.md)")
+    Path(app.outdir, "llms.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _public_name(app, env, node, content):

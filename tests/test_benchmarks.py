@@ -13,6 +13,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 import accuracy
+import camera
 import clearance
 import clock
 import crowd
@@ -186,6 +187,14 @@ def test_what_could_not_run_is_in_the_table(few: samples.Pairs, tmp_path: Path):
 
 
 @pytest.mark.slow("several programs, one after another")
+def test_a_camera_leaves_no_point_of_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    """Simulated frames: no point of the robot stays, none of a box is lost, and plans stay in seen cells."""
+    assert camera.main(["--frames", "4", "--points", "6000"]) == 0
+    out = capsys.readouterr().out
+    assert "points of the robot that stay: 0; points of boxes lost beyond 0.03 m: 0" in out
+    assert "in a cell that no ray has passed: 0" in out
+
+
 def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """`run.py --quick`, on still smaller sizes: tables, CSV, figures."""
     for module, names in (

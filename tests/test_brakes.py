@@ -376,6 +376,41 @@ def test_courses_are_the_trajectories(robot, jerk):
             chunk.stop_at(at[n], **limits)
 
 
+@pytest.mark.parametrize("jerk", [np.inf, 400.0, 4000.0])
+def test_brakes_need_the_rows_by_which_they_end(jerk):
+    """A brake is on the motions up to the row that it needs, later rows do not change it, and no row before would do.
+
+    Without limits of jerk, the same holds of each piece but the last one, with a motion for each.
+    """
+    rng = np.random.default_rng(6)
+    at = 0.02 * np.arange(40)
+    short = 0
+    for _ in range(40):
+        steps = rng.uniform(-1, 1, (39, 3)) * rng.choice([1e-9, 1e-3, 0.02], (39, 1))
+        steps[:, 0] = np.abs(steps[:, 0]) + 1e-12
+        rows = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+        strongest, steep = rng.uniform(0.5, 20, 3), np.full(3, jerk)
+        whole = Brakes.on_path(rows, at, at[:-1], strongest, steep, beyond=True)
+        known = int(rng.integers(5, 39))
+        part = Brakes.on_path(rows[: known + 1], at[: known + 1], at[:known], strongest, steep, beyond=True)
+        for n in range(39):
+            pieces, needed = whole.counts[n] - 1, whole.needed[n]
+            first = whole.states[n, : pieces + 1, 0, 0]
+            if needed < 40:
+                assert rows[needed - 1, 0] - 1e-12 <= first[-1] <= rows[needed, 0]
+            else:
+                assert first[-1] > rows[-1, 0]
+            if np.isinf(jerk):
+                assert (first[1:-1] <= rows[n + np.arange(1, pieces), 0] + 1e-12).all()
+            if n < known:
+                assert (part.needed[n] <= known) == (needed <= known)
+                same = pieces if needed <= known else min(known - n, part.counts[n] - 2) if np.isinf(jerk) else 0
+                assert (part.times[n, : same + 1] == whole.times[n, : same + 1]).all()
+                assert (part.states[n, :same] == whole.states[n, :same]).all()
+                short += 0 < same < pieces
+    assert short > 0 or np.isfinite(jerk)
+
+
 # -- bad input, files ---------------------------------------------------------------------------
 
 

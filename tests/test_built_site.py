@@ -168,3 +168,10 @@ def test_pages_can_be_read_by_all(browser, width, scheme):
     page.close()
     assert faults == [], "\n".join(map(str, faults))
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+def test_each_page_has_a_twin_in_markdown():
+    """llms.txt lists the pages, and each link in it leads to a file."""
+    links = re.findall(r"\]\((.+?)\)", (SITE / "llms.txt").read_text())
+    assert len(links) > 80
+    assert [link for link in links if not (SITE / link).is_file()] == []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from loewner import Body, CollisionChecker, Scene
+from loewner import Body, CollisionChecker, Robot, Scene
 from loewner._native import library
 from loewner.planners import Gate, GateState
 from test_gates import DT, JERK, LATER, Q0, SEEN, V0, along_the_rail, arm, at, person_behind, wall
@@ -399,6 +399,26 @@ def raw_check(gate, q, dq, targets, count, dt, time, answer):
 
 
 LOUD = [np.nan, np.inf, -np.inf, -1e300]
+
+
+def test_targets_may_be_between_soft_and_hard_limits(tmp_path):
+    """In both languages, a gate refuses targets beyond the limits of the file, and soft limits are for plans."""
+    text = """<robot name="slide"><link name="base"/>
+      <link name="cart"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+      <joint name="rail" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+      <limit lower="0" upper="1" velocity="1" effort="1"/>
+      <safety_controller soft_lower_limit="0.2" soft_upper_limit="0.8" k_velocity="1"/></joint></robot>"""
+    robot = Robot.from_urdf(text=text)
+    assert robot.upper[0] == 0.8
+    scene = Scene()
+    scene.add("post", Body.box([0.1, 0.1, 0.1]), at(0.0, 3.0))
+    both = Both(scene, tmp_path, robot, acceleration=[9.0])
+    targets = 0.7 + 0.02 * np.arange(1.0, 21.0)[:, None]
+    both.check([0.7], [0.0], targets, 0.05)
+    assert both.states == [GateState.PREFIX]
+    assert both.python.check([0.7], [0.0], targets[:15], 0.05, time=1.0).state == GateState.GO  # as far as 1 m
+
+
 FORGED = {  # what is refused, and what is legal and lets no target through
     True: {
         "gate": [None], "q": [None, *LOUD], "dq": [None, *LOUD], "targets": [None, *LOUD], "answer": [None],

@@ -17,6 +17,7 @@ import pytest
 import loewner
 import loewner.cli
 import loewner.cluster
+import loewner.depth
 import loewner.gpu
 import loewner.jax
 import loewner.paper
@@ -99,6 +100,7 @@ def test_reference_names_everything_public():
 MODULES = {
     "cli": ("main",),
     "cluster": tuple(loewner.cluster.__all__),
+    "depth": tuple(loewner.depth.__all__),
     "gpu": tuple(loewner.gpu.__all__),
     "jax": tuple(loewner.jax.__all__),
     "meshes": ("load", "convex_pieces"),

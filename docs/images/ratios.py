@@ -1,6 +1,6 @@
-"""Draws ratios.svg: how many times as fast as other libraries, from the table of README.md.
+"""Draws ratios.svg: how many times as fast as other libraries, from the table of docs/benchmarks.md.
 
-python docs/images/ratios.py [README.md]
+python docs/images/ratios.py [benchmarks.md]
 
 The page includes the picture as a part of itself, so that text and lines have the page's colours in the dark, too.
 """
@@ -20,9 +20,9 @@ LETTERS = 57  # that fit in a line
 
 def main() -> None:
     """Write the picture beside this file."""
-    readme = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[2] / "README.md"
+    page = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "benchmarks.md"
     parts, y = [], float(TOP)
-    for question, rows in ratios(readme.read_text(encoding="utf-8")):
+    for question, rows in ratios(page.read_text(encoding="utf-8")):
         for line in textwrap.wrap(question, LETTERS):
             y += LINE
             parts.append(f'<text x="0" y="{y - 5:.0f}" font-weight="bold">{escape(line)}</text>')
@@ -42,7 +42,7 @@ def main() -> None:
         marks.append(f'<text x="{place(mark):.0f}" y="14" text-anchor="{anchor}" stroke="none">{mark}</text>')
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="ratios" viewBox="0 0 {WIDTH} {y:.0f}" role="img" '
-        'aria-label="Ratios to other libraries, as in the table of the README" font-family="sans-serif" font-size="16" '
+        'aria-label="Ratios to other libraries, as in the table of this page" font-family="sans-serif" font-size="16" '
         'fill="currentColor"><g stroke="currentColor" stroke-opacity="0.2">'
     )
     text = "\n".join([head, *marks, "</g>", *parts, "</svg>", ""])

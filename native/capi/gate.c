@@ -49,7 +49,7 @@ struct loewner_gate {
     double latency, horizon, tolerance, now;
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *resting, *q, *at; /* the first are VECTORS */
     double *times, *states, *courses, *seconds, *out[3];
-    int64_t pieces_made; /* of the brake in these */
+    int64_t pieces_made, rows_needed; /* of the brake in these; the row before the first one counts */
     Chunk last, made, slower;
     uint64_t structure; /* of the last chunk */
     Known *seen, *allowed; /* now, and when the last chunk was new */
@@ -401,11 +401,11 @@ static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t
         int64_t beyond;
         Array2 times;
         Array4 states;
-        Array1 counts;
+        Array1 counts, needed;
     } arguments = {
         {chunk->rows - dof, rows, dof}, {gate->at, rows}, {gate->at + tick + 1, 1}, {gate->strongest, dof},
         {gate->jerk, dof}, 1, {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof},
-        {&gate->pieces_made, 1},
+        {&gate->pieces_made, 1}, {&gate->rows_needed, 1},
     };
     return call(kernels()->brakes_on_path, &arguments, &nothing);
 }
@@ -443,6 +443,14 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
             gate->widened[c] += (fast * stopping_time(gate, c, fast) - v * stopping_time(gate, c, v)) / 2;
         stands = fmax(stands, rate != NULL ? stopping_time(gate, c, fast) : 0);
         is_off |= rate != NULL && gate->rate_error[c] > 0;
+    }
+    if (rate == NULL) {
+        /* Where a long brake fails, it mostly fails at its end, where no interval has to be halved. */
+        double *still = gate->courses + pieces * points * dof;
+        for (int k = 0; k < 2; k++)
+            memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
+        TRY(prove_course(gate, still, 2, gate->widened, begin + gate->times[pieces], begin + gate->times[pieces], dt,
+                         proof));
     }
     for (int64_t k = 0; k < pieces && !proof->reason; k++)
         TRY(prove_course(gate, gate->courses + k * points * dof, points, gate->widened, begin + gate->times[k],
@@ -490,10 +498,8 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         }
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
-        double end = (double)tick, periods = gate->times[gate->pieces_made - 1] / chunk->dt;
-        if (gate->on_path)
-            end += ceil(periods * (1 + SAME_TICK));
-        int is_covered = gate->on_path && growing == 0 && end <= (double)chunk->motions; /* proven, at all times */
+        int64_t end = gate->on_path ? gate->rows_needed - 1 : tick;
+        int is_covered = gate->on_path && growing == 0 && end <= chunk->motions; /* proven, at all times */
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
                             gate->on_path ? NULL : chunk->rates + tick * dof, proof));
@@ -502,8 +508,8 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
                 proof->reason = LOEWNER_REASON_BRAKE;
             /* Behind the last target, a brake would go another way with more targets. */
             chunk->brake_stop.tick = -1;
-            if (end <= (double)chunk->count)
-                chunk->brake_stop = stop_at(tick, (int64_t)end, proof);
+            if (end <= chunk->count)
+                chunk->brake_stop = stop_at(tick, end, proof);
             break;
         }
         chunk->braked = tick;
@@ -552,7 +558,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
 static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
                              int32_t *joint)
 {
-    const double *lower = gate->checker->file->limits, *upper = lower + gate->dof;
+    const double *lower = gate->checker->file->limits + 2 * gate->dof, *upper = lower + gate->dof;
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];

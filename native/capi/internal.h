@@ -56,7 +56,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(link_poses, "I1 I1 I1 F1 F1 F2 F2 i i F4", "")                                                                   \
     X(elementary, "i F1 F1 F1", "")                                                                                  \
     X(brakes_by_joint, "F2 F2 F2 F1 F1 F2 F4 I1", "")                                                                  \
-    X(brakes_on_path, "F2 F1 F1 F1 F1 b F2 F4 I1", "")                                                                 \
+    X(brakes_on_path, "F2 F1 F1 F1 F1 b F2 F4 I1 I1", "")                                                              \
     X(courses_of_brakes, "F2 F4 I1 F3 F1", "i")                                                                        \
     X(measure_moving, "i i i", "")                                                                                     \
     X(place_static, "i i F1 F2", "i")
@@ -140,7 +140,7 @@ typedef struct {
     int has_cut;
     const char **names; /* of bodies, links and values */
     Tree tree;
-    const double *limits;
+    const double *limits; /* lower, upper; the same without soft limits */
     const int64_t *joints; /* bits: JOINT_... */
     const int64_t *quaternions;
     int64_t quaternion_count;

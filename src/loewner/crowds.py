@@ -134,7 +134,7 @@ def overlapping_pairs(
     PoseError
         If the numbers of poses and bodies differ, or a pose is not a rigid motion.
     InputError
-        If `bodies` has entries that are not bodies, the margin is negative or not finite, or `depth` is neither True
+        If `bodies` has entries that are not bodies, the margin is negative or not finite, or ``depth`` is neither True
         nor False.
     UnknownNameError
         If `method` is not one of the names above.

@@ -16,7 +16,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate, crowds, queries
+from loewner import _maps, _validate, crowds, queries
 from loewner._guard import guarded
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bodies, pictured
@@ -319,6 +319,51 @@ class Scene:
         return other
 
     # -- changes ------------------------------------------------------------------------------
+
+    @classmethod
+    def from_map(
+        cls, path: str | os.PathLike[str], *, height: float, unknown: bool = True, margin: float = 0.0
+    ) -> Scene:
+        """Make a scene of a map of ROS's map server: its occupied cells, as boxes on the plane z = 0.
+
+        Parameters
+        ----------
+        path : path
+            The YAML file, which names the image. PGM is read as it is; PNG and BMP need Pillow (the extra ``plots``).
+            Modes are trinary and scale; in the latter, all cells that are not free are occupied.
+        height : float
+            Height of the boxes, in metres.
+        unknown : bool
+            Count unknown cells as occupied. Everything outside the map is free.
+        margin : float
+            As for `Scene`.
+
+        Returns
+        -------
+        Scene
+            With the body "map", if any cell is occupied. Cells that form a rectangle become one box. The pose of the
+            body is the origin of the map.
+
+        Raises
+        ------
+        FileError
+            If a file is missing, damaged or not grey, a key is missing or not known, or a threshold is no share.
+        InputError
+            If the height is not positive.
+        MissingExtraError
+            If PyYAML (the extra ``robots``) or Pillow is missing.
+        """
+        top = _validate.positive_scalar(height, "height")
+        counted = _validate.flag(unknown, "unknown")
+        grid = _maps.read_map(path)
+        scene = cls(margin=margin)
+        rectangles = _maps.rectangles(grid.occupied | grid.unknown if counted else grid.occupied)
+        if len(rectangles):
+            low, high = (grid.resolution * rectangles[:, ends] for ends in (slice(0, 2), slice(2, 4)))
+            centers = np.column_stack([(low + high) / 2.0, np.full(len(low), top / 2.0)])
+            edges = np.column_stack([high - low, np.full(len(low), top)])
+            scene.add("map", Body.boxes(centers, edges), _maps.corner(grid))
+        return scene
 
     def add(
         self,

@@ -51,6 +51,7 @@ from loewner import (
 )  # fmt: skip
 from loewner import cluster as clustering
 from loewner import compilation as compiling
+from loewner import depth as depths
 from loewner import gpu as on_gpus
 from loewner import jax as for_jax
 from loewner import plots as drawing
@@ -367,6 +368,13 @@ def judgement() -> loewner.Judgement:
     return loewner.judge_answers(cube(), None, ball(), None, colliding=[True, False])
 
 
+def seen_space() -> depths.SeenSpace:
+    """Cells around the robot, some of them seen."""
+    space = depths.SeenSpace([-0.5, -0.5, 0.5], (4, 4, 4), 0.25)
+    space.see(np.full((24, 32), 2.0), [[20.0, 0.0, 15.5], [0.0, 20.0, 11.5], [0.0, 0.0, 1.0]])
+    return space
+
+
 def pose_path() -> PosePath:
     return path_of([0.0, 1.0], np.stack([translation(), translation(1.0)]), False)
 
@@ -488,6 +496,10 @@ def write_files() -> None:
     pair_of_cubes().save("parts.npz")
     roadmap().save("roadmap.npz")
     loewner.save_scene(scene(), "scene.yaml")
+    Path("floor.pgm").write_bytes(b"P5 2 2 255\n\x00\xff\xcd\xff")
+    Path("floor.yaml").write_text(
+        "{image: floor.pgm, resolution: 0.5, origin: [0, 0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.196}"
+    )
     problem = {
         "index": 1,
         "sphere": [{"name": "a", "position": [9, 0, 0], "orientation_euler_xyz": [0, 0, 0], "radius": 0.5}],
@@ -608,6 +620,12 @@ NO_ANSWER = ("NaN", "float32 NaN", "5 axes", "without the last column", "a numbe
 Q = [[0.5, 0.25, 0.125], [-0.5, 0.25, 0.0]]
 CONFIGURATIONS = array(Q, FINITE, BATCHES, "empty (0, 3)", "turned over")
 ONE = array(Q[0], FINITE)
+IMAGE = {
+    "image": array(np.full((3, 4), 2.0), FINITE, "one NaN", "one inf", "without the last column",
+                   "without the first row", "a column more", "turned over", "100,000 zeros"),
+    "K": array([[20.0, 0.0, 1.5], [0.0, 20.0, 1.0], [0.0, 0.0, 1.0]]),
+    "T_world_camera": pose(0.0, NONE),
+}  # fmt: skip
 AT = array([0.25, 0.5], FINITE, NONE, NUMBERS, ZERO, NEGATIVE, BATCHES, "a number alone", "5 axes",
            "without the last column", "without the first row", "two axes more")  # fmt: skip
 
@@ -934,6 +952,9 @@ CALLS: dict[str, Call] = {
     ),
     # -- scenes
     "Scene": Call(Scene, {"margin": margin()}),
+    "Scene.from_map": Call(
+        Scene.from_map, {"path": arg("floor.yaml"), "height": positive(), "unknown": flag(), "margin": margin()}
+    ),
     "Scene.pose": Call(on(scene, "pose"), {"name": arg("post")}),
     "Scene.snapshot": Call(on(scene, "snapshot"), {}),
     "Scene.copy": Call(on(scene, "copy"), {}),
@@ -1254,6 +1275,26 @@ CALLS: dict[str, Call] = {
     "CollisionChecker.closest": Call(
         on(checker_in_time, "closest"),
         {"curve": arg(moved, "empty list", "empty tuple"), "t0": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE)},
+    ),
+    "CollisionChecker.off_the_robot": Call(
+        on(checker_in_time, "off_the_robot"),
+        {
+            "points": array(np.eye(3), FINITE, BATCHES, "one NaN", "one inf", "turned over", "empty (0, 3)"),
+            "q": ONE,
+            "clear": positive(0.125),
+            "time": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE),
+            "mask": flag(False),
+        },
+    ),
+    "depth.points_of": Call(depths.points_of, IMAGE),
+    "depth.SeenSpace": Call(
+        depths.SeenSpace,
+        {"low": array([0.0, 0.0, 0.0], FINITE), "shape": arg((4, 3, 2)), "size": positive(0.25)},
+    ),
+    "depth.SeenSpace.see": Call(on(seen_space, "see"), IMAGE),
+    "depth.SeenSpace.forget": Call(on(seen_space, "forget"), {"older_than": count(1, "0")}),
+    "depth.SeenSpace.body": Call(
+        on(seen_space, "body"), {"checker": arg(checker_in_time), "q": ONE, "clear": positive(0.125, ZERO)}
     ),
     "CollisionChecker.joint_error": Call(
         on(checker, "joint_error"),
@@ -1976,6 +2017,7 @@ def _public_callables() -> Iterator[tuple[str, list[str]]]:
         **{f"{name}.": _own(module) for name, module in FRAMEWORKS.items()},
         "gpu.": {name: getattr(on_gpus, name) for name in on_gpus.__all__},
         "paper.": {name: getattr(paper, name) for name in paper.__all__},
+        "depth.": {name: getattr(depths, name) for name in depths.__all__},
         "cli.": {"main": cli.main},
         "": {name: getattr(loewner, name) for name in loewner.__all__} | {"compile_kernels": compiling.compile_kernels},
     }

@@ -107,7 +107,7 @@ LOEWNER_API const char *loewner_checker_body_name(const loewner_checker *checker
 LOEWNER_API int32_t loewner_checker_find_link(const loewner_checker *checker, const char *name);
 LOEWNER_API int32_t loewner_checker_find_body(const loewner_checker *checker, const char *name);
 
-/* Limits of the values, shape (dof,) each; infinite where there are none. */
+/* Limits of the values, shape (dof,) each, narrowed by soft limits; infinite where there are none. */
 LOEWNER_API loewner_status loewner_checker_limits(const loewner_checker *checker, double *lower, double *upper);
 
 /* The bodies of the checked pair number `pair`. */

@@ -45,17 +45,20 @@ class Brakes(NamedTuple):
         Positions, and velocities and accelerations from these times on.
     counts : ndarray of int64, shape (n,)
         Number of times of each brake; 0 for a brake that does not end on the path.
+    needed : ndarray of int64, shape (n,)
+        Index of the row of the path by which each brake ends, or the number of rows if it ends by none; 0 off the path.
     """
 
     times: Floats
     states: Floats
     counts: Ints
+    needed: Ints
 
     @classmethod
     def by_joint(cls, Q: Floats, V: Floats, A: Floats, strongest: Floats, jerk: Floats) -> Brakes:
         """Stop each joint as soon as its limits allow, from states of shape (n, dof); `jerk` is infinite for none."""
         made = cls._empty(len(Q), 3 * Q.shape[1] + 1, Q.shape[1])
-        entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, jerk)), *made)
+        entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, jerk)), *made[:3])
         return made
 
     @classmethod
@@ -70,7 +73,7 @@ class Brakes(NamedTuple):
     @classmethod
     def _empty(cls, n: int, most: int, dof: int) -> Brakes:
         _validate.fits_memory(8 * n * most * (3 * dof + 1), f"{n} brakes")
-        return cls(np.empty((n, most)), np.empty((n, most, 3, dof)), np.empty(n, dtype=np.int64))
+        return cls(np.empty((n, most)), np.empty((n, most, 3, dof)), *np.zeros((2, n), dtype=np.int64))
 
     @property
     def durations(self) -> Floats:
@@ -79,7 +82,7 @@ class Brakes(NamedTuple):
 
     def only(self, chosen: Ints) -> Brakes:
         """Some of the brakes."""
-        return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen])
+        return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen], self.needed[chosen])
 
     def courses(self, cubic: bool) -> tuple[Floats, Floats, Ints]:
         """Return the pieces as the proof of motions takes them, and where each brake begins among them.
@@ -93,7 +96,7 @@ class Brakes(NamedTuple):
         """
         first = np.append(0, np.cumsum(np.maximum(self.counts - 1, 0)))
         courses, seconds = np.empty((first[-1], 4 if cubic else 3, self.states.shape[3])), np.empty(first[-1])
-        entries.courses_of_brakes(*self, courses, seconds)
+        entries.courses_of_brakes(*self[:3], courses, seconds)
         return courses, seconds, first
 
     def one(self, n: int = 0) -> tuple[Floats, Floats, Floats, Floats]:

@@ -574,23 +574,31 @@ class Gate:
         brakes = self._brakes(chunk, ticks, n)
         if self._on_path and ready.paths is None:
             # In a world at rest, motions that are proven are free at all times, and so are brakes on them.
-            last = ticks + np.ceil(brakes.durations / chunk.dt * (1 + SAME_TICK))
-            open_ones = np.flatnonzero(last > chunk.motions)
+            open_ones = np.flatnonzero(brakes.needed - 1 > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
-        courses, seconds, first = self._pieces(ready, brakes, None if self._on_path else chunk.rates[ticks])
-        owner = np.repeat(np.arange(len(ticks)), np.diff(first))
         error = np.tile(self._error, (len(ticks), 1))
-        if not self._on_path:
+        standing, at_end = len(ticks), None
+        if self._on_path:
+            # Where a long brake fails, it mostly fails at its end, where no interval has to be halved.
+            still = np.repeat(brakes.states[np.arange(standing), brakes.counts - 1, :1], 2, axis=1)
+            end = chunk.t0 + chunk.dt * ticks + brakes.durations
+            standing, at_end, more = self._first_block(ready, still, error, end, end, most - work)
+            work += more
+        else:
             error += self._farther(chunk.rates[ticks])
+        tried = brakes.only(np.arange(standing))
+        courses, seconds, first = self._pieces(ready, tried, None if self._on_path else chunk.rates[ticks])
+        owner = np.repeat(np.arange(standing), np.diff(first))
         end = np.cumsum(seconds)
-        end += (chunk.t0 + chunk.dt * ticks - np.append(0.0, end)[first[:-1]])[owner]
+        end += (chunk.t0 + chunk.dt * ticks[:standing] - np.append(0.0, end)[first[:-1]])[owner]
         free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
         work += more
+        k = standing if other is None else int(owner[free])
+        other = at_end if other is None else other
         if other is None:
             return chunk._replace(braked=chunk.motions), block, work
-        block, k = other._replace(reason="brake") if other.reason == "contact" else other, int(owner[free])
-        tick = int(ticks[k])
-        needed = tick + math.ceil(brakes.durations[k] / chunk.dt * (1 + SAME_TICK)) if self._on_path else tick
+        block, tick = other._replace(reason="brake") if other.reason == "contact" else other, int(ticks[k])
+        needed = int(brakes.needed[k]) - 1 if self._on_path else tick
         # Behind the last target, a brake would go another way with more targets.
         stop = _stop(tick, needed, block) if needed <= n else None
         return chunk._replace(braked=tick - 1, brake_stop=stop), block, work

@@ -44,7 +44,7 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     starts = [quaternion.start for quaternion in robot._quaternions.values()]
     arrays = {
         **tree._asdict(),
-        "limits": np.stack([robot.lower, robot.upper]),
+        "limits": np.stack([robot.lower, robot.upper, robot.hard_lower, robot.hard_upper]),
         "joints": joints + 2 * below + 4 * above + 8 * turning,
         "quaternions": np.array(starts, dtype=np.int64),
         "link": ready.link,

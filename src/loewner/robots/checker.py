@@ -33,6 +33,7 @@ from loewner.robots import (
     in_time,
     pair_cache,
     proofs,
+    self_filter,
     tracking,
     verdicts,
 )
@@ -587,6 +588,7 @@ class CollisionChecker:
     joint_error = tracking.joint_error
     first_contact = contact_times.first_contact
     closest = approaches.closest
+    off_the_robot = self_filter.off_the_robot
 
     def pairs(self, q: ArrayLike, t: float | None = None) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.

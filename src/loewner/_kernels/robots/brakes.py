@@ -171,7 +171,14 @@ def _write_state(state, rows, at, k, s, v, a):
 
 @njit()
 def _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times, states):
-    """Write a brake without limits of jerk: on each motion, the rate falls as fast as the limits allow."""
+    """Write a brake without limits of jerk: on each motion, the rate falls as fast as the limits allow.
+
+    Returns
+    -------
+    count : int
+    needed : int
+        As `brakes_on_path` writes them.
+    """
     count, begun, s, v = 0, 0.0, begin, 1.0
     for k in range(first, len(at) - 1):
         gain, _ = _limits_on(rows, at, k, strongest, strongest)
@@ -184,18 +191,25 @@ def _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times, sta
                 count, begun = count + 1, begun + v / gain
             times[count] = begun
             _write_state(states[count], rows, at, k, min(s + whole, at[k + 1]) if ends else s + whole, 0.0, 0.0)
-            return count + 1
+            return count + 1, k + 1 if ends else len(at)
         after = np.sqrt(v * v - 2.0 * gain * left)
         T = 2.0 * left / (v + after)
         if begun + T > begun:
             count += 1
         begun, s, v = begun + T, at[k + 1], after
-    return 0
+    return 0, len(at)
 
 
 @njit()
 def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, states):
-    """Write a brake with limits of jerk: the limits of all motions that it enters hold on all of them."""
+    """Write a brake with limits of jerk: the limits of all motions that it enters hold on all of them.
+
+    Returns
+    -------
+    count : int
+    needed : int
+        As `brakes_on_path` writes them.
+    """
     motions = len(at) - 1
     gain, steep = _limits_on(rows, at, first, strongest, jerk)
     last = first
@@ -209,7 +223,7 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
         total = ramp + flat + back
     ends = total / 2.0 <= (at[last + 1] - begin) * (1.0 + NEAR)
     if not (ends or beyond):
-        return 0
+        return 0, len(at)
     count, begun, k, s, v, a = 0, 0.0, first, begin, 1.0, 0.0
     near = NEAR * total
     for phase in range(3):
@@ -236,11 +250,11 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
         s, v, begun = end[0], end[1], begun + T
     times[count] = begun
     _write_state(states[count], rows, at, k, min(begin + total / 2.0, at[k + 1]) if ends else s, 0.0, 0.0)
-    return count + 1
+    return count + 1, last + 1 if ends else len(at)
 
 
 @njit()
-def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, counts):
+def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, counts, needed):
     """Write brakes on a path of straight motions, from each of some times on: the path's time runs slower, and stops.
 
     The time s of the path begins at the rate 1. Its second and third derivatives are limited by the joint that allows
@@ -260,6 +274,8 @@ def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, cou
         Whether brakes may go on along the last motion after the last row.
     times, states, counts : ndarray, shape (n, k + 4), (n, k + 4, 3, dof) and (n,)
         Written as by `brakes_by_joint`. The count is 0 if a brake does not end by the last row.
+    needed : ndarray of int64, shape (n,)
+        Index of the row by which each brake ends, k if there is none. Later rows change nothing.
     """
     limited = False
     for c in range(len(jerk)):
@@ -267,9 +283,13 @@ def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, cou
     for n in range(len(counts)):
         begin, first = begins[n], min(max(np.searchsorted(at, begins[n], side="right") - 1, 0), len(at) - 2)
         if limited:
-            counts[n] = _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times[n], states[n])
+            counts[n], needed[n] = _stop_at_one_rate(
+                rows, at, begin, first, strongest, jerk, beyond, times[n], states[n]
+            )
         else:
-            counts[n] = _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times[n], states[n])
+            counts[n], needed[n] = _stop_motion_by_motion(
+                rows, at, begin, first, strongest, beyond, times[n], states[n]
+            )
 
 
 @njit()

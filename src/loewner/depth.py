@@ -1,0 +1,279 @@
+"""Depth images: their points, and the space that their rays have passed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._validate import Bools, Floats, Ints
+from loewner.bodies import Body
+from loewner.errors import InputError
+from loewner.robots import CollisionChecker
+
+__all__ = ["SeenSpace", "points_of"]
+
+# Seen cells are nearer than the depths behind them by this share, far above the rounding of a projection.
+ROUNDING = 1e-9
+
+# Focal lengths in pixels, and offsets: beyond them, the matrix is none of a camera.
+SMALLEST, LARGEST = 1e-3, 1e9
+
+# Bytes per corner of a cell in a call of `see`.
+BYTES = 200
+
+
+@guarded
+def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> Floats:
+    """Convert a depth image to points.
+
+    Parameters
+    ----------
+    image : array_like of float, shape (H, W)
+        Depths along the optical axis, in metres. Entries that are not finite, or not positive, have no echo.
+    K : array_like, shape (3, 3)
+        Intrinsic matrix ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``, in pixels; (0, 0) is the middle of the first pixel.
+    T_world_camera : array_like, shape (4, 4), optional
+        Pose of the camera, which looks along its z axis; x is to the right in the image, and y down.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 3)
+        Points in world coordinates, NaN where there is no echo.
+
+    Raises
+    ------
+    InputError
+        If the image is not an array of floating-point numbers with two axes (depths in millimetres are integers:
+        divide them by 1000), or the matrix is not an intrinsic matrix.
+    PoseError
+        If the pose is not a rigid motion.
+
+    Examples
+    --------
+    >>> points = points_of(np.full((3, 3), 2.0), [[100.0, 0, 1], [0, 100.0, 1], [0, 0, 1]])
+    >>> points[1, 2]
+    array([0.02, 0.  , 2.  ])
+    """
+    depths, intrinsics = _depths(image), _intrinsics(K)
+    T = _pose(T_world_camera)
+    v, u = np.indices(depths.shape)
+    (fx, skew, cx), (_, fy, cy), _ = intrinsics
+    y = (v - cy) / fy
+    x = (u - cx - skew * y) / fx
+    rays = np.stack([x, y, np.ones(depths.shape)], axis=-1)
+    seen = np.where(np.isfinite(depths) & (depths > 0.0), depths, np.nan)[..., None] * rays
+    return np.asarray(seen @ T[:3, :3].T + T[:3, 3])
+
+
+@guarded
+class SeenSpace:
+    """A grid of cells, each of them seen to be empty by a depth camera or unknown.
+
+    A cell is seen if all of it is in front of the depths of all pixels onto which it projects. All other cells are
+    unknown: behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen cells stay
+    seen until `forget`.
+
+    Parameters
+    ----------
+    low : array_like, shape (3,)
+        The lowest corner of the grid in world coordinates, in metres.
+    shape : sequence of int
+        Numbers of cells along the axes.
+    size : float
+        Edge of a cell, in metres.
+
+    Attributes
+    ----------
+    centers : ndarray, shape (p, q, r, 3)
+    age : ndarray of int64, shape (p, q, r)
+        How many images ago each cell was seen; -1 for cells that are unknown.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or not positive.
+    MemoryLimitError
+        If the grid would not fit into memory.
+
+    Examples
+    --------
+    >>> space = SeenSpace([-1, -1, 0.5], (20, 20, 20), 0.1)
+    >>> space.see(np.full((240, 320), 1.5), [[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
+    >>> space
+    SeenSpace(20 x 20 x 20 cells of 0.1 m, 522 seen)
+    >>> len(space.body().pieces)
+    456
+    """
+
+    def __init__(self, low: ArrayLike, shape: Any, size: float) -> None:
+        self._low = _validate.finite_array(low, "low", (3,))
+        counts = tuple(_validate.whole_number(n, "shape", 1) for n in _validate.listed(shape, "shape"))
+        if len(counts) != 3:
+            raise InputError(f"shape: expected three numbers, found {len(counts)}")
+        self._size = _validate.positive_scalar(size, "size")
+        _validate.fits_memory(BYTES * int(np.prod([n + 1.0 for n in counts])), f"{counts} cells")
+        self.age: Ints = np.full(counts, -1, dtype=np.int64)
+
+    def __repr__(self) -> str:
+        p, q, r = self.age.shape
+        return f"SeenSpace({p} x {q} x {r} cells of {self._size:g} m, {int((self.age >= 0).sum())} seen)"
+
+    @property
+    def unknown(self) -> Bools:
+        """Whether each cell is unknown, shape (p, q, r)."""
+        return self.age < 0
+
+    @property
+    def centers(self) -> Floats:
+        """Centers of the cells, shape (p, q, r, 3)."""
+        return np.asarray(self._low + self._size * (np.moveaxis(np.indices(self.age.shape), 0, -1) + 0.5))
+
+    def see(self, image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> None:
+        """Add the cells in front of a depth image.
+
+        Parameters
+        ----------
+        image, K, T_world_camera
+            As for `points_of`. Reduce the depths by the noise of the sensor beforehand.
+
+        Raises
+        ------
+        InputError, PoseError
+            As for `points_of`.
+        """
+        depths, intrinsics = _depths(image), _intrinsics(K)
+        T = _pose(T_world_camera)
+        depths = np.where(np.isfinite(depths) & (depths > 0.0), depths, 0.0)
+        corners = self._low + self._size * np.moveaxis(np.indices([n + 1 for n in self.age.shape]), 0, -1)
+        local = (corners - T[:3, 3]) @ T[:3, :3]
+        pixels = local @ intrinsics.T
+        z = local[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = pixels[..., 0] / z, pixels[..., 1] / z
+        (least_u, most_u), (least_v, most_v) = _over_cells(u), _over_cells(v)
+        nearest, farthest = _over_cells(z)
+        height, width = depths.shape
+        # A pixel sees half a pixel about its middle; the cells have to be inside the image as a whole.
+        inside = (nearest > 0.0) & (least_u >= 0.0) & (most_u <= width - 1) & (least_v >= 0.0) & (most_v <= height - 1)
+        some = np.nonzero(inside)
+        ends = [np.floor(x[some]).astype(np.int64) for x in (least_v, least_u)]
+        tops = [np.ceil(x[some]).astype(np.int64) for x in (most_v, most_u)]
+        clear = _least_in(depths, *ends, *tops) > farthest[some] * (1.0 + ROUNDING)
+        self.age[self.age >= 0] += 1
+        self.age[tuple(axis[clear] for axis in some)] = 0
+
+    def forget(self, older_than: int) -> None:
+        """Make cells unknown again that were last seen long ago.
+
+        Parameters
+        ----------
+        older_than : int
+            Cells that were seen in one of this number of latest images, or in the one before them, stay seen.
+
+        Raises
+        ------
+        InputError
+            If the number is not an integer, or negative.
+        """
+        self.age[self.age > _validate.whole_number(older_than, "older_than", 0)] = -1
+
+    def body(self, checker: CollisionChecker | None = None, q: ArrayLike | None = None, *, clear: float = 0.03) -> Body:
+        """Make a body of the unknown cells.
+
+        Parameters
+        ----------
+        checker : CollisionChecker, optional
+            Leave out the cells in which the robot is, or a body that it carries: it could not leave them otherwise.
+        q : array_like, shape (dof,), optional
+            The robot's configuration.
+        clear : float
+            Cells that come within this distance of the robot are left out, and some up to a cell's diagonal farther.
+
+        Returns
+        -------
+        Body
+            As from `Body.from_voxels`.
+
+        Raises
+        ------
+        GeometryError
+            If no cell is left.
+        InputError
+            If only one of `checker` and `q` is given, or as for `off_the_robot`.
+        """
+        cells = self.unknown
+        if (checker is None) != (q is None):
+            raise InputError("checker, q: expected both or none, found one")
+        if checker is not None and q is not None:
+            if not isinstance(checker, CollisionChecker):
+                raise InputError(f"checker: expected a CollisionChecker, found {_validate.short(checker)}")
+            reach = _validate.positive_scalar(clear, "clear", zero=True) + np.sqrt(0.75) * self._size
+            where = np.nonzero(cells)
+            cells[where] = checker.off_the_robot(self.centers[where], q, clear=reach, mask=True)
+        return Body.from_voxels(cells, self._size, origin=self._low)
+
+
+def _depths(image: ArrayLike) -> Floats:
+    """Check a depth image."""
+    kind, depths = _validate.plain_array(image, "image").dtype, _validate.float_array(image, "image")
+    if depths.ndim != 2 or 0 in depths.shape or kind.kind in "iu":
+        raise InputError(
+            "image: expected floating-point depths in metres with two axes, found "
+            f"{kind} of shape {_validate.shape_text(depths.shape)}"
+        )
+    return depths
+
+
+def _intrinsics(K: ArrayLike) -> Floats:
+    """Check an intrinsic matrix."""
+    matrix = _validate.finite_array(K, "K", (3, 3))
+    shaped = matrix[1, 0] == 0.0 and (matrix[2] == [0.0, 0.0, 1.0]).all() and (np.abs(matrix) <= LARGEST).all()
+    if not (shaped and min(matrix[0, 0], matrix[1, 1]) >= SMALLEST):
+        raise InputError(
+            "K: expected an intrinsic matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels, with positive fx and "
+            f"fy, found {matrix.tolist()}"
+        )
+    return matrix
+
+
+def _pose(T_world_camera: ArrayLike | None) -> Floats:
+    """Check the pose of a camera."""
+    T = _validate.poses(T_world_camera, "T_world_camera")
+    if T.shape != (4, 4):
+        raise InputError(f"T_world_camera: expected one pose, found shape {_validate.shape_text(T.shape)}")
+    return T
+
+
+def _over_cells(x: Floats) -> tuple[Floats, Floats]:
+    """Compute the least and the largest value at the eight corners of each cell."""
+    least, most = x, x
+    for axis in range(3):
+        low = tuple(slice(None, -1) if k == axis else slice(None) for k in range(3))
+        high = tuple(slice(1, None) if k == axis else slice(None) for k in range(3))
+        least, most = np.minimum(least[low], least[high]), np.maximum(most[low], most[high])
+    return least, most
+
+
+def _least_in(depths: Floats, v0: Ints, u0: Ints, v1: Ints, u1: Ints) -> Floats:
+    """Find the least depth in rectangles of pixels, ends included, by windows of powers of two."""
+    least = np.empty(len(v0))
+    rows, cols = (np.frexp(ends - starts + 1)[1] - 1 for starts, ends in ((v0, v1), (u0, u1)))
+    by_rows = depths
+    for k in range(int(rows.max(initial=0)) + 1):
+        if k > 0:
+            by_rows = np.minimum(by_rows[: len(by_rows) - 2 ** (k - 1)], by_rows[2 ** (k - 1) :])
+        window = by_rows
+        for m in range(int(cols.max(initial=0)) + 1):
+            if m > 0:
+                half = 2 ** (m - 1)
+                window = np.minimum(window[:, : window.shape[1] - half], window[:, half:])
+            mine = np.flatnonzero((rows == k) & (cols == m))
+            if len(mine):
+                top, left = v1[mine] - 2**k + 1, u1[mine] - 2**m + 1
+                pairs = [(v, u) for v in (v0[mine], top) for u in (u0[mine], left)]
+                least[mine] = np.minimum.reduce([window[v, u] for v, u in pairs])
+    return least
