@@ -22,6 +22,7 @@ import frameworks
 import gate
 import gpu
 import growth
+import judge
 import loewner
 import memory
 import motion_bench_maker
@@ -257,6 +258,28 @@ def test_frameworks_are_benchmarked(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     lines = capsys.readouterr().out.splitlines()
     for who in ("checker", "JAX"):
         assert sum(who in line for line in lines) == 4
+
+
+def test_other_libraries_are_judged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture):
+    """Our answers are right, an answer that is always 0 is wrong, and programs in fractions prove it; files appear."""
+    zeros = {"colliding": np.zeros(4), "distance": np.zeros(4)}
+    monkeypatch.setitem(
+        judge.LIBRARIES, "coal", lambda p: judge.Said(p.first, p.second, {k: v[: len(p)] for k, v in zeros.items()})
+    )
+    monkeypatch.setattr(judge, "FAMILIES", dict.fromkeys(("ball 8", "cones")))
+    arguments = ["--only", "loewner", "mujoco", "coal", "--pairs", "8", "--tolerance", "1e-3", "--out", str(tmp_path)]
+    assert judge.main(arguments) == 0
+    with open(tmp_path / "judge.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * 9
+    for row in rows:
+        wrong = int(row["wrong"])
+        assert row["in_fractions"] == f"{wrong} of {wrong}"
+        assert wrong == 0 or row["library"] != "loewner"
+    assert sum(int(row["wrong"]) for row in rows if row["library"] == "coal") > 0
+    assert "| coal" in (tmp_path / "judge.md").read_text()
+    assert list((tmp_path / "judge").glob("coal-*.py"))
+    assert "loewner" in capsys.readouterr().out
 
 
 def test_accuracy_counts_add_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

@@ -254,6 +254,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " fit",
         " check",
         " clearance",
+        " judge",
         " robot",
         " robot info",
         " robot check",

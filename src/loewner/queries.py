@@ -509,13 +509,20 @@ def collide(
 @guarded
 def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
     """Decide whether bodies collide, exactly or by the estimate."""
+    found, unsettled = decided(exact, margin, a, T_world_a, b, T_world_b, chosen)
+    return _refused(unsettled, "collide", found) if unsettled.any() else found
+
+
+def decided(
+    exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any = None
+) -> tuple[BoolOrBools, Bools]:
+    """Decide whether bodies collide; unsettled pairs are marked in a flat array, and count as colliding."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
     # With the numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
     unsettled = out == codes.AMBIGUOUS
     colliding = (out == codes.COLLIDING) | unsettled
-    found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
-    return _refused(unsettled, "collide", found) if unsettled.any() else found
+    return bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape), unsettled
 
 
 # fmt: off
@@ -685,7 +692,12 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
 @guarded
 def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen: Any) -> Distance:
     """Compute bounds on distances, and the distances themselves."""
-    exact = _validate.flag(exact, "exact")
+    found, unsettled = measured(a, T_world_a, b, T_world_b, _validate.flag(exact, "exact"), chosen)
+    return _refused(unsettled, "distance", found) if unsettled.any() else found
+
+
+def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
+    """Compute bounds on distances and the distances; unsettled pairs are NaN, and marked in a flat array."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     shape = asked.shape
     *answers, unsettled = measure(exact, asked.total, asked.operands)
@@ -695,8 +707,7 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
             return float(x[0]) if x.ndim == 1 else x[0]
         return x.reshape(shape + x.shape[1:])
 
-    found = Distance(*map(shaped, answers if exact else answers[:3]))
-    return _refused(unsettled, "distance", found) if unsettled.any() else found
+    return Distance(*map(shaped, answers if exact else answers[:3])), unsettled
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:

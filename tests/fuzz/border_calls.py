@@ -364,6 +364,10 @@ def two_robots() -> CollisionChecker:
     return CollisionChecker(Robot.join({"a": robot(), "b": robot()}, {"b": translation(50.0)}))
 
 
+def judgement() -> loewner.Judgement:
+    return loewner.judge_answers(cube(), None, ball(), None, colliding=[True, False])
+
+
 def seen_space() -> depths.SeenSpace:
     """Cells around the robot, some of them seen."""
     space = depths.SeenSpace([-0.5, -0.5, 0.5], (4, 4, 4), 0.25)
@@ -611,6 +615,8 @@ OPERANDS = {
 ROWS = array(
     np.array([[0, 0], [1, 0]]), NONE, BATCHES, "empty (3, 0)", NOTHING - {"empty dict", "empty set", "empty generator"}
 )
+# Other values of the right shapes that stand for no answer, or for one answer about all pairs.
+NO_ANSWER = ("NaN", "float32 NaN", "5 axes", "without the last column", "a number alone")
 Q = [[0.5, 0.25, 0.125], [-0.5, 0.25, 0.0]]
 CONFIGURATIONS = array(Q, FINITE, BATCHES, "empty (0, 3)", "turned over")
 ONE = array(Q[0], FINITE)
@@ -871,6 +877,43 @@ CALLS: dict[str, Call] = {
     "distance": Call(
         loewner.distance,
         {**OPERANDS, "exact": flag(), "pairs": arg(None, ROWS.takes)},
+    ),
+    "judge_answers": Call(
+        loewner.judge_answers,
+        {
+            **OPERANDS,
+            **{
+                name: array(value, NONE, FINITE, BATCHES, "one NaN", *more)
+                for name, value, *more in (
+                    ("colliding", [0.0, 1.0], "all as booleans", FLAGS, ZERO, *NO_ANSWER),
+                    ("distance", [0.5, -0.25], NUMBERS, ZERO, NEGATIVE, *NO_ANSWER),
+                    ("depth", [0.0, 0.25], NUMBERS, ZERO, *NO_ANSWER),
+                    ("witness_a", [0.5, 0.0, 0.0]),
+                    ("witness_b", [0.5, 0.0, 0.0]),
+                    ("normal", [1.0, 0.0, 0.0]),
+                )
+            },
+            "tolerance": margin(),
+        },
+    ),
+    "Judgement.counts": Call(lambda: judgement().counts(), {}),
+    "Judgement.worst": Call(lambda kind: judgement().worst(kind), {"kind": arg(None, NONE)}),
+    "reproduction": Call(
+        loewner.reproduction,
+        {
+            "a": arg(cube, "Body"),
+            "T_world_a": pose(),
+            "b": arg(cube, "Body"),
+            "T_world_b": pose(3.0),
+            "colliding": arg(True, FLAGS, NONE, ZERO, "NaN", "float32 NaN"),
+            "distance": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE, "NaN", "float32 NaN"),
+            "depth": arg(0.5, NUMBERS, ZERO, NONE, "NaN", "float32 NaN"),
+            "witness_a": array([0.5, 0.0, 0.0], NONE, FINITE, "one NaN"),
+            "witness_b": array([0.5, 0.0, 0.0], NONE, FINITE, "one NaN"),
+            "normal": array([1.0, 0.0, 0.0], NONE, FINITE, "one NaN"),
+            "tolerance": margin(),
+            "engine": callback(),
+        },
     ),
     "first_contact": Call(
         loewner.first_contact,
@@ -1947,8 +1990,8 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope",
-    "Problem",
+    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "Judgement", "NearPoints",
+    "Part", "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact", "ClosestApproach",
     "Overlaps", "PairDistances",

@@ -16,7 +16,7 @@ import numpy as np
 import mesh_examples
 import test_description_files as descriptions
 from loewner import Body, CollisionChecker, Robot, Scene, cli, load_scene, meshes, planners, read_motion_bench_maker
-from loewner.cli import configurations, report
+from loewner.cli import configurations, judge_answers, report
 
 SLIDER = """<robot name="slider"><link name="base"/>
 <link name="cart"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
@@ -163,6 +163,12 @@ READERS: dict[str, Reader] = {
     "csv-configurations": Reader(lambda: TABLES, ".csv", _configurations),
     "json-configurations": Reader(
         lambda: [b"[[0.5], [1]]", b'{"names": ["rail"], "configurations": [[0.5]]}'], ".json", _configurations
+    ),
+    "csv-answers": Reader(
+        lambda: [b"body_a,pose_b,distance,normal\nA,1 2 3,0.5,1 0 0\nB,,nan,\n"], ".csv", judge_answers.table
+    ),
+    "json-answers": Reader(
+        lambda: [b'[{"pose_b": [1, 2, 3], "colliding": true, "depth": null}]'], ".json", judge_answers.table
     ),
     "yaml": Reader(lambda: [SCENE], ".yaml", load_scene),
     "urdf": Reader(lambda: [URDF, SLIDER.encode()], ".urdf", Robot.from_urdf),

@@ -1,0 +1,302 @@
+"""``loewner judge --answers``: name the answers of another program that are proven wrong."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import Finding, _json, _tables
+from loewner._files import read_regular, replacing, shown
+from loewner._rotations import from_quaternion
+from loewner._validate import Floats, short
+from loewner.cli import inputs
+from loewner.cli.output import COLLIDING, FREE, new_table, print_table
+from loewner.errors import FileError, InputError, LoewnerError
+from loewner.judging import PARTS
+
+# The largest table that is read [bytes].
+MOST_BYTES = 2**30
+
+# Columns of a table: names of bodies, poses, and parts of answers with how many numbers each has.
+NAMES, POSES = ("body_a", "body_b"), ("pose_a", "pose_b")
+ANSWERS = {"colliding": 1, "distance": 1, "depth": 1, "witness_a": 3, "witness_b": 3, "normal": 3}
+COLUMNS = (*NAMES, *POSES, *ANSWERS)
+WORDS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
+
+# Error in metres that is allowed by default.
+TOLERANCE = 1e-6
+
+# Wrong answers that are printed.
+SHOWN = 10
+
+EXAMPLES = """examples:
+  loewner judge --answers said.csv cup.stl spoon.stl                      what another program said of two meshes
+  loewner judge --answers said.csv parts/*.npz --tolerance 1e-4           many bodies, named in the table
+  loewner judge --answers said.json a.npz b.npz --program wrong.py         also write the worst one as a program
+
+table: a .csv file with a header, or a .json file with a list of objects.
+  body_a, body_b         names of the files without their endings; not needed for two bodies, A and B
+  pose_a, pose_b         "x y z", "x y z qw qx qy qz", or the 16 numbers of a matrix, row by row; default: the origin
+  colliding              true or false, 1 or 0
+  distance, depth        in metres; a negative distance is a depth
+  witness_a, witness_b   "x y z" in the world
+  normal                 "x y z", from A to B
+  At least one of the last six; an empty cell, null or NaN is no answer. In a .csv file, commas separate columns, and
+  spaces the numbers in a cell.
+
+exit status: 0 nothing is proven wrong, 1 an answer is, 2 error
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    judge = inputs.command(commands, "judge", "which answers of another program are proven wrong", EXAMPLES)
+    judge.add_argument("files", metavar="BODY", type=Path, nargs="+", help="saved bodies (.npz) or meshes")
+    judge.add_argument("--answers", type=Path, metavar="TABLE", required=True, help="answers (.csv or .json)")
+    judge.add_argument("--meshes", choices=inputs.MODELS, help="how meshes are taken (surface)")
+    judge.add_argument("--tolerance", type=float, metavar="M", help="error that is allowed [m] (1e-6)")
+    judge.add_argument("--json", action="store_true", help="print JSON")
+    add_options(judge)
+    judge.set_defaults(run=run)
+
+
+def add_options(judge: Any) -> None:
+    """Add the options that only tables of answers have."""
+    judge.add_argument("--scale", type=float, default=1.0, help="factor for all lengths of meshes (1)")
+    judge.add_argument("--program", type=Path, metavar="FILE", help="write the worst answer about hulls as a program")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge a table of answers, and print the wrong ones."""
+    tolerance = TOLERANCE if options.tolerance is None else options.tolerance
+    bodies = _bodies(options)
+    rows, poses, answers = table(options.answers)
+    named = [_pair(row, bodies, f"{options.answers}, row {k}") for k, row in enumerate(rows, 1)]
+    kinds, excess = np.zeros((len(rows), len(PARTS)), dtype=np.int8), np.zeros((len(rows), len(PARTS)))
+    bounds = np.zeros((len(rows), 2))
+    for pair in dict.fromkeys(named):
+        chosen = [k for k, other in enumerate(named) if other == pair]
+        Ta, Tb = (T[chosen] for T in poses)
+        a, b = (bodies[name] for name in pair)
+        said = loewner.judge_answers(
+            a, Ta, b, Tb, **{name: x[chosen] for name, x in answers.items()}, tolerance=tolerance
+        )
+        kinds[chosen], excess[chosen] = said.kinds, said.excess
+        bounds[chosen] = np.stack([said.lower, said.upper], axis=-1)
+    said = loewner.Judgement(kinds, excess, bounds[:, 0], bounds[:, 1])
+    worst = said.worst()
+    written = (
+        _program(options.program, said, named, bodies, poses, answers, tolerance)
+        if options.program and len(worst)
+        else None
+    )
+    if options.json:
+        print(json.dumps(_for_json(said, named), indent=2))
+    else:
+        _print(said, named, written)
+    return COLLIDING if len(worst) else FREE
+
+
+def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
+    """Load the bodies by the names of their files without endings."""
+    names = [path.stem for path in options.files]
+    for name in names:
+        if names.count(name) > 1 and len(names) > 2:
+            raise InputError(f"expected files with different names, found two of {name}")
+    of_meshes = {"model": options.meshes or "surface", "usual_model": "surface", "hull": False, "scale": options.scale}
+    taken = argparse.Namespace(**of_meshes, **dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
+    made = [
+        loewner.Body.load(path) if path.suffix.lower() == ".npz" else inputs.from_mesh(path, taken)
+        for path in options.files
+    ]
+    if len(made) == 1:
+        made, names = made * 2, names * 2
+    if len(made) == 2:
+        return {"A": made[0], "B": made[1], **dict(zip(names, made, strict=True))}
+    return dict(zip(names, made, strict=True))
+
+
+def table(path: Path) -> tuple[list[dict[str, Any]], list[Floats], dict[str, Floats]]:
+    """Read a table: its rows, both poses of each, and the answers."""
+    rows = _rows(path)
+    poses = [np.array([_pose(row, name, f"{path}, row {k}") for k, row in enumerate(rows, 1)]) for name in POSES]
+    return rows, poses, _answers(rows, path)
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """Read a table as rows, whose columns are known."""
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".json"):
+        raise FileError(f"{path}: expected a .csv or .json file, found {path.suffix or 'no suffix'}")
+    try:
+        text = read_regular(path, "answers", MOST_BYTES).decode("utf-8-sig")
+        rows = _of_csv(text, path) if suffix == ".csv" else _of_json(text, path)
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, LoewnerError):
+            raise
+        raise FileError(f"{path}: expected a table of answers, found something else ({str(error)[:200]})") from None
+    for row in rows:
+        unknown = [name for name in row if name not in COLUMNS]
+        if unknown:
+            raise FileError(f"{path}: expected columns from {', '.join(COLUMNS)}; found {short(unknown[0])}")
+    if not rows:
+        raise FileError(f"{path}: expected answers, found none")
+    return rows
+
+
+def _of_csv(text: str, path: Path) -> list[dict[str, Any]]:
+    try:
+        header, *lines = [line for line in csv.reader(io.StringIO(text), strict=True) if line] or [[]]
+    except csv.Error as error:
+        raise FileError(f"{path}: expected a table with commas, found something else ({error})") from None
+    names = [name.strip() for name in header]
+    if len(set(names)) < len(names):
+        raise FileError(f"{path}: expected each column once, found {', '.join(names)}")
+    for number, line in enumerate(lines, 1):
+        if len(line) != len(names):
+            raise FileError(f"{path}, row {number}: expected {len(names)} cells as in the header, found {len(line)}")
+    return [dict(zip(names, map(str.strip, line), strict=True)) for line in lines]
+
+
+def _of_json(text: str, path: Path) -> list[dict[str, Any]]:
+    found = _json.parsed(text, str(path))
+    if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
+        raise FileError(f"{path}: expected a list of objects, one for each pair, found {short(found)}")
+    return found
+
+
+def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> tuple[str, str]:
+    """The names of both bodies of a row."""
+    found = []
+    for column, usual in zip(NAMES, "AB", strict=True):
+        name = row.get(column, usual if usual in bodies else None)
+        if name not in bodies:
+            raise InputError(f"{where}: {column}: expected one of {', '.join(bodies)}, found {short(name)}")
+        found.append(str(name))
+    return found[0], found[1]
+
+
+def _numbers(value: Any, where: str) -> list[float]:
+    """The numbers of a cell; an empty one has none."""
+    if isinstance(value, str):
+        words = value.split()
+        try:
+            return [WORDS[word.lower()] if word.lower() in WORDS else _tables.number(word) for word in words]
+        except ValueError as error:
+            raise FileError(f"{where}: {error}") from None
+    cells = value if isinstance(value, list) else [] if value is None else [value]
+    flat = [x for cell in cells for x in (cell if isinstance(cell, list) else [cell])]
+    if any(not isinstance(x, (int, float)) for x in flat):
+        raise FileError(f"{where}: expected numbers, found {short(value)}")
+    try:
+        return [float(x) for x in flat]
+    except OverflowError:
+        raise FileError(f"{where}: expected numbers in the range of floats, found {short(value)}") from None
+
+
+def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
+    """The pose of a row: a translation, one with a quaternion, or a matrix."""
+    numbers, T = _numbers(row.get(column), f"{where}, {column}"), np.eye(4)
+    if len(numbers) == 16:
+        return np.array(numbers).reshape(4, 4)
+    if len(numbers) not in (0, 3, 7):
+        raise FileError(f"{where}, {column}: expected 3, 7 or 16 numbers, found {len(numbers)}")
+    if numbers:
+        T[:3, 3] = numbers[:3]
+    if len(numbers) == 7:
+        T[:3, :3] = from_quaternion(numbers[3:], f"{where}, {column}")
+    return T
+
+
+def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
+    """The columns with answers, with NaN where there is none."""
+    found = {}
+    for name, count in ANSWERS.items():
+        if not any(name in row for row in rows):
+            continue
+        column = np.full((len(rows), count), np.nan)
+        for k, row in enumerate(rows):
+            numbers = _numbers(row.get(name), f"{path}, row {k + 1}, {name}")
+            if len(numbers) not in (0, count):
+                raise FileError(f"{path}, row {k + 1}, {name}: expected {count} numbers, found {len(numbers)}")
+            if numbers:
+                column[k] = numbers
+        found[name] = column if count > 1 else column[:, 0]
+    if not found:
+        raise FileError(f"{path}: expected a column of answers, one of {', '.join(ANSWERS)}, found none")
+    return found
+
+
+def _program(
+    path: Path, said: loewner.Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float
+) -> str:
+    """Write the worst answer about two hulls as a program; return a line about it."""
+    for k in said.worst().tolist():
+        given = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
+        a, b = (bodies[name] for name in named[k])
+        try:
+            code = loewner.reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=tolerance)
+        except LoewnerError:
+            continue
+        with replacing(path) as file:
+            file.write_text(code, encoding="utf-8")
+        return f"{shown(path)} proves row {k + 1} wrong in fractions"
+    return f"{shown(path)} is not written: no wrong answer is about two convex hulls"
+
+
+def _for_json(said: loewner.Judgement, named: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    rows = [
+        {
+            "row": k + 1,
+            "bodies": list(named[k]),
+            "wrong": {
+                part: {"finding": Finding(kind).name, "at_least": error}
+                for part, kind, error in zip(PARTS, said.kinds[k].tolist(), said.excess[k].tolist(), strict=True)
+                if kind > Finding.UNDECIDED
+            },
+            "lower": None if np.isinf(said.lower[k]) else float(said.lower[k]),
+            "upper": float(said.upper[k]),
+        }
+        for k in said.worst().tolist()
+    ]
+    return {"pairs": len(named), "counts": {str(kind): n for kind, n in said.counts().items()}, "wrong": rows}
+
+
+def _print(said: loewner.Judgement, named: Sequence[tuple[str, str]], written: str | None) -> None:
+    worst = said.worst().tolist()
+    count = f"{len(worst)} of {len(named)} answers" if worst else f"{len(named)} answers"
+    print(f"{count} proven wrong" if worst else f"none of {count} is proven wrong")
+    table = new_table("finding", "parts of answers", "largest error, m", "row")
+    for kind, number in said.counts().items():
+        first = said.worst(kind)
+        error = float(said.excess[first[0]][said.kinds[first[0]] == kind].max())
+        wrong = kind > Finding.UNDECIDED
+        table.add_row(str(kind), f"{number}", f"at least {error:.6g}" if wrong else "", f"{first[0] + 1}" * wrong)
+    print_table(table)
+    for k in worst[:SHOWN]:
+        parts = [
+            f"{part} {Finding(kind)} by {error:.6g} m"
+            for part, kind, error in zip(PARTS, said.kinds[k].tolist(), said.excess[k].tolist(), strict=True)
+            if kind > Finding.UNDECIDED
+        ]
+        print(f"row {k + 1}, {' and '.join(named[k])}: {', '.join(parts)}; proven {_interval(said, k)}")
+    if len(worst) > SHOWN:
+        print(f"and {len(worst) - SHOWN} more (--json)")
+    if written:
+        print(f"program   {written}")
+
+
+def _interval(said: loewner.Judgement, k: int) -> str:
+    """The signed distance of a row, as it is proven."""
+    lower, upper = float(said.lower[k]), float(said.upper[k])
+    if np.isinf(lower):
+        return f"depth at least {max(-upper, 0.0):.9g} m"
+    return f"signed distance from {lower:.9g} to {upper:.9g} m"

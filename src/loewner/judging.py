@@ -1,0 +1,485 @@
+"""Judge the answers of another program about pairs of bodies: which are proven wrong, in what way, and by how much."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate, queries
+from loewner._guard import guarded
+from loewner._kernels import columns
+from loewner._matrices import lengths
+from loewner._validate import Bools, Floats
+from loewner.bodies import Bodies, Body, packed_of
+from loewner.errors import InputError
+from loewner.queries import Distance, expect_bodies, plan_of
+
+# Exact distances are accurate to this share of the lengths involved (docs/certified.md, "Other programs' answers"), and
+# depths of curved pieces to the second one. The first has a hundredth more than `SETTLED` of the kernels, for rounding.
+ACCURACY, OF_CURVED = 1.01e-9, 1.01e-3
+
+GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
+
+# Families of the kinds of pieces, from SOLID on: depths between two pieces of one of them are as accurate as distances.
+# Nothing is like cylinders, cones and capsules.
+UNLIKE = -1
+FAMILIES = np.array([0, 0, 0, 0, 1, UNLIKE, UNLIKE, UNLIKE, 1])
+
+# Corners of a regular icosahedron on the unit sphere, and a bit less than the radius of the ball in it.
+ICOSAHEDRON = np.array([np.roll([0.0, y, z], k) for y in (-1, 1) for z in (-GOLDEN, GOLDEN) for k in range(3)])
+ICOSAHEDRON /= math.sqrt(1.0 + GOLDEN**2)
+IN_ICOSAHEDRON = 0.7946
+
+# Roundings of numbers of any size: of a few operations on given coordinates.
+FEW_ROUNDINGS = 16 * 2.0**-53
+
+# Radius of the ball that stands for a point, in metres.
+POINT = 1e-9
+
+# Bytes per pair: about forty arrays of numbers and a dozen poses.
+BYTES = 2000
+
+# Parts of an answer, in the order of the last axis of `Judgement.kinds`.
+PARTS = ("colliding", "distance", "depth", "witness_a", "witness_b", "witnesses", "normal")
+
+
+class Finding(IntEnum):
+    """The judgement of one part of an answer.
+
+    Examples
+    --------
+    >>> Finding(4), str(Finding.WRONG_FREE)
+    (<Finding.WRONG_COLLIDING: 4>, 'WRONG_FREE')
+    """
+
+    NOT_GIVEN = 0
+    """There is no answer to judge."""
+    OK = 1
+    """Proven right within the tolerance."""
+    UNDECIDED = 2
+    """Neither proven right nor proven wrong by more than the tolerance."""
+    WRONG_FREE = 3
+    """Called free, but the bodies are proven to collide; the excess is a depth."""
+    WRONG_COLLIDING = 4
+    """Called colliding, but the bodies are proven to be apart; the excess is a distance."""
+    DISTANCE_TOO_LARGE = 5
+    """The bodies are proven to be nearer."""
+    DISTANCE_TOO_SMALL = 6
+    """The bodies are proven to be farther apart."""
+    DEPTH_TOO_LARGE = 7
+    """A shorter translation is proven to separate the bodies."""
+    DEPTH_TOO_SMALL = 8
+    """No translation of this length separates the bodies."""
+    WITNESS_OFF_BODY = 9
+    """The witness is proven to be outside its body; the excess is its distance from the body."""
+    WITNESSES_DO_NOT_MATCH = 10
+    """The witnesses are not as far from each other as the answer's own distance or depth."""
+    NORMAL_WRONG = 11
+    """After b moves along the normal by their true distance, the bodies are proven to be apart, or, after a move by
+    their true depth, to collide; the excess is what is left of the distance or depth."""
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Proven findings about the answers of another program.
+
+    Attributes
+    ----------
+    kinds : ndarray of int8, shape (..., 7)
+        A `Finding` for each part of each answer. The parts are colliding, distance, depth, witness_a, witness_b,
+        witnesses (their distance from each other) and normal.
+    excess : ndarray, shape (..., 7)
+        For parts that are proven wrong: a lower bound on the error, in metres. Otherwise 0.
+    lower, upper : ndarray, shape (...)
+        Proven bounds on the signed distance, in metres. A negative value is a depth: the length of the shortest
+        translation that separates the bodies. The lower bound is minus infinity if no such translation is known.
+
+    Examples
+    --------
+    >>> from loewner import Body
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 3.0
+    >>> said = judge_answers(Body.sphere(1.0), None, Body.sphere(0.5), T, colliding=False, distance=0.0)
+    >>> said.counts()
+    {<Finding.OK: 1>: 1, <Finding.DISTANCE_TOO_SMALL: 6>: 1}
+    >>> round(float(said.excess.max()), 6)
+    1.5
+    """
+
+    kinds: Any
+    excess: Floats
+    lower: Floats
+    upper: Floats
+
+    @property
+    def wrong(self) -> Bools:
+        """Whether any part of each answer is proven wrong, shape (...)."""
+        return np.asarray((self.kinds > Finding.UNDECIDED).any(axis=-1))
+
+    def counts(self) -> dict[Finding, int]:
+        """Count the parts of answers by finding; parts that are not given do not count.
+
+        Returns
+        -------
+        dict
+            Numbers of parts, by `Finding`.
+
+        Examples
+        --------
+        >>> from loewner import Body
+        >>> judge_answers(Body.sphere(1.0), None, Body.sphere(1.0), None, colliding=[True, False]).counts()
+        {<Finding.OK: 1>: 1, <Finding.WRONG_FREE: 3>: 1}
+        """
+        found = np.bincount(self.kinds.ravel(), minlength=len(Finding))
+        return {kind: int(found[kind]) for kind in Finding if found[kind] and kind != Finding.NOT_GIVEN}
+
+    def worst(self, kind: Finding | None = None) -> Any:
+        """List the answers with a finding, the largest error first.
+
+        Parameters
+        ----------
+        kind : Finding, optional
+            Default: all answers that are proven wrong.
+
+        Returns
+        -------
+        ndarray of int64
+            Flat indices of answers.
+
+        Examples
+        --------
+        >>> from loewner import Body
+        >>> said = judge_answers(Body.sphere(1.0), None, Body.sphere(1.0), None, distance=[0.1, 0.0, 0.3])
+        >>> said.worst().tolist(), said.worst(Finding.OK).tolist()
+        ([2, 0], [1])
+        """
+        if kind is not None and not isinstance(kind, Finding):
+            raise InputError(f"kind: expected a Finding or None, found {_validate.short(kind)}")
+        chosen = self.kinds > Finding.UNDECIDED if kind is None else self.kinds == kind
+        chosen, excess = chosen.reshape(-1, len(PARTS)), self.excess.reshape(-1, len(PARTS))
+        most = np.where(chosen, excess, -1.0).max(axis=1)
+        order = np.argsort(-most, kind="stable")
+        return order[most[order] >= 0.0]
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+@guarded
+def judge_answers(
+    a: Body | Bodies,
+    T_world_a: ArrayLike | None,
+    b: Body | Bodies,
+    T_world_b: ArrayLike | None,
+    *,
+    colliding: ArrayLike | None = None,
+    distance: ArrayLike | None = None,
+    depth: ArrayLike | None = None,
+    witness_a: ArrayLike | None = None,
+    witness_b: ArrayLike | None = None,
+    normal: ArrayLike | None = None,
+    tolerance: float = 1e-6,
+) -> Judgement:
+    """Judge another program's answers about pairs of bodies.
+
+    Each part of an answer is judged by itself. A part that is called wrong is proven wrong, including all rounding. An
+    answer of NaN is not judged, nor is a normal of zeros.
+
+    Parameters
+    ----------
+    a, b : Body or Bodies
+        The bodies as the other program has them. A `Bodies` of n broadcasts with the last batch axis of the poses.
+    T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
+        Poses, broadcast together and with the answers; translation in metres. None is the identity.
+    colliding : array_like, shape (...), optional
+        Whether the bodies collide: True or 1, False or 0, NaN for no answer.
+    distance : array_like, shape (...), optional
+        Distances in metres. A negative value is a depth. 0 is right for all bodies that collide, since many programs
+        have no depths.
+    depth : array_like, shape (...), optional
+        Lengths of the shortest translations that separate the bodies, in metres; 0 for bodies that are apart.
+    witness_a, witness_b : array_like, shape (..., 3), optional
+        The points of a and of b, in world coordinates, that belong to the distance or depth.
+    normal : array_like, shape (..., 3), optional
+        Direction from a to b, of any length: along it, b moves away from a.
+    tolerance : float
+        Error in metres that is allowed.
+
+    Returns
+    -------
+    Judgement
+
+    Raises
+    ------
+    PoseError, InputError
+        As for `distance`; if the shapes of answers do not broadcast with the poses; if an answer is infinite, or a
+        depth is negative; or if no answer is given.
+
+    Notes
+    -----
+    Depths and normals of bodies that overlap have one meaning for two convex pieces only. For other bodies, a depth is
+    called too small only if it is less than the depth of two of their pieces, and too large only if a shorter
+    translation separates them; their normals, and how far their witnesses are apart, are not called wrong.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loewner import Body
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 0.9
+    >>> said = judge_answers(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), T, depth=0.2, normal=[0, 1, 0])
+    >>> said.counts()
+    {<Finding.DEPTH_TOO_LARGE: 7>: 1, <Finding.NORMAL_WRONG: 11>: 1}
+    >>> round(float(said.excess[2]), 6)
+    0.1
+    """
+    allowed = _validate.positive_scalar(tolerance, "tolerance", zero=True)
+    expect_bodies(a, b)
+    poses = [_validate.poses(T, name) for T, name in ((T_world_a, "T_world_a"), (T_world_b, "T_world_b"))]
+    given = {
+        "colliding": _flags(colliding),
+        "distance": _answers(distance, "distance"),
+        "depth": _answers(depth, "depth", least=0.0),
+        "witness_a": _answers(witness_a, "witness_a", (3,)),
+        "witness_b": _answers(witness_b, "witness_b", (3,)),
+        "normal": _answers(normal, "normal", (3,)),
+    }
+    said = {name: array for name, array in given.items() if array is not None}
+    if not said:
+        raise InputError(f"expected an answer to judge, one of {', '.join(given)}, found none")
+    plan = plan_of(a, poses[0].shape, b, poses[1].shape)
+    batches = {name: x.shape[:-1] if name in VECTORS else x.shape for name, x in said.items()}
+    shape = _validate.broadcast({"pairs": plan.shape, **batches})
+    _validate.fits_memory(BYTES * int(np.prod(shape)), f"{_validate.shape_text(shape)} pairs")
+    Ta, Tb = (np.broadcast_to(T, (*shape, 4, 4)) for T in poses)
+    pairs = _Pairs(a, Ta, b, Tb)
+    parts = {name: np.broadcast_to(x, shape + (x.shape[-1:] if name in VECTORS else ())) for name, x in said.items()}
+    with np.errstate(over="ignore", invalid="ignore"):  # an overflow proves nothing
+        return _judged(pairs, parts, allowed)
+
+
+# Parts of answers that are vectors.
+VECTORS = ("witness_a", "witness_b", "normal")
+
+
+def _answers(x: Any, name: str, tail: tuple[int, ...] = (), *, least: float = -np.inf) -> Floats | None:
+    """Check numbers of an answer, in which NaN stands for none."""
+    if x is None:
+        return None
+    array = _validate.float_array(x, name)
+    if tail and array.shape[-1:] != tail:
+        raise InputError(f"{name}: expected shape (..., 3), found {_validate.shape_text(array.shape)}")
+    if np.isinf(array).any() or (array < least).any():
+        wanted = "finite numbers" if np.isinf(least) else f"finite numbers of {least:g} or more"
+        found = array[np.isinf(array) | (array < least)].flat[0]
+        raise InputError(f"{name}: expected {wanted}, or NaN for no answer, found {found}")
+    return array
+
+
+def _flags(x: Any) -> Floats | None:
+    """Check answers of yes and no."""
+    if x is None:
+        return None
+    plain = _validate.plain_array(x, "colliding")
+    array = plain.astype(float) if plain.dtype == bool else _validate.float_array(x, "colliding")
+    wrong = ~(np.isnan(array) | (array == 0) | (array == 1))
+    if wrong.any():
+        raise InputError(f"colliding: expected True or False, or NaN for no answer, found {array[wrong].flat[0]}")
+    return array
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Bodies at poses of the full batch shape."""
+
+    a: Body | Bodies
+    Ta: Floats
+    b: Body | Bodies
+    Tb: Floats
+
+    def moved(self, step: Floats) -> _Pairs:
+        """Move b; rows that are not finite stay where they are."""
+        T = np.array(self.Tb)
+        T[..., :3, 3] += np.where(np.isfinite(step).all(axis=-1, keepdims=True), step, 0.0)
+        return _Pairs(self.a, self.Ta, self.b, T)
+
+    def kinds(self) -> tuple[Bools, Bools]:
+        """Return where both bodies are single convex pieces, and where depths are as accurate as distances."""
+        single, families = np.ones(self.Ta.shape[:-2], dtype=bool), []
+        for body in (self.a, self.b):
+            kind = packed_of(body).layout[:, columns.KIND]
+            several = np.diff(packed_of(body).piece_start) > 1
+            convex = _of_each(body, np.minimum, kind) >= columns.MAPPED
+            single = single & convex & ~(several[0] if isinstance(body, Body) else several)
+            first, last = (_of_each(body, which, FAMILIES[kind - columns.SOLID]) for which in (np.minimum, np.maximum))
+            families.append(np.where(first == last, first, UNLIKE))
+        return single, (families[0] == families[1]) & (families[0] != UNLIKE)
+
+    def size(self) -> Floats:
+        """Bound the lengths involved, in metres: the distance of the origins and the reaches of both bodies."""
+        size = np.abs(self.Tb[..., :3, 3] - self.Ta[..., :3, 3]).sum(axis=-1)
+        for body in (self.a, self.b):
+            size = size + _of_each(body, np.maximum, packed_of(body).kernel.table[:, columns.REACH])
+        return np.asarray(size)
+
+    def rounding(self) -> Floats:
+        """Bound the error of a translation of b by a step, in metres."""
+        return FEW_ROUNDINGS * np.asarray(np.abs(self.Tb[..., :3, 3]).sum(axis=-1) + self.size())
+
+    def measured(self) -> tuple[Distance, Floats, Floats, Floats]:
+        """Measure signed distances; return them, bounds on them, and their accuracy. Unsettled ones are NaN.
+
+        The lower bound of a negative distance is minus infinity here, unless ellipsoids prove that there is no depth.
+        """
+        found, _ = queries.measured(self.a, self.Ta, self.b, self.Tb, True)
+        value, slack = np.asarray(found.distance), ACCURACY * self.size()
+        lower, upper = np.asarray(found.lower), np.asarray(found.upper)
+        lower = np.where(value >= 0.0, np.fmax(lower, value - slack), np.where(lower > 0.0, lower, -np.inf))
+        single, tight = self.kinds()
+        loose = (value < 0.0) & ~tight
+        upper = np.fmin(upper, value + np.where(loose, OF_CURVED / ACCURACY, 1.0) * slack)
+        if loose.any():  # the exact test proves at least that they meet, and that they still do after moves
+            upper = np.where(loose & self.verdicts()[1], np.minimum(upper, slack), upper)
+            reach = np.where(loose & single, (1.0 - 1e-6) * -value, 0.0)
+            still = loose & single
+            for corner in ICOSAHEDRON:
+                still &= self.moved(reach[..., None] * corner).verdicts()[1]
+            upper = np.where(still, np.minimum(upper, slack + self.rounding() - IN_ICOSAHEDRON * reach), upper)
+        return found, lower, upper, slack
+
+    def verdicts(self) -> tuple[Bools, Bools]:
+        """Return where the bodies are proven to be apart, and where they meet, up to rounding."""
+        colliding, unsettled = queries.decided(True, 0.0, self.a, self.Ta, self.b, self.Tb)
+        free = ~np.asarray(colliding)
+        return free, ~free & ~unsettled.reshape(free.shape)
+
+
+def _of_each(body: Body | Bodies, reduced: np.ufunc, values: Any) -> Any:
+    """Reduce values of pieces to one of each body: an array for `Bodies`, and a number for a `Body`."""
+    found = reduced.reduceat(values, packed_of(body).piece_start[:-1])
+    return found[0] if isinstance(body, Body) else found
+
+
+def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement:
+    """Bound the signed distances, and compare each part of the answers with them."""
+    found, lower, upper, slack = pairs.measured()
+    value, normal = np.asarray(found.distance), np.asarray(found.normal)
+    # Where bodies overlap, a little more than the depth along the normal separates them, or no depth is known.
+    way = np.where(value < 0.0, 3.0 * slack - value, 0.0)
+    apart = (value < 0.0) & pairs.moved(way[..., None] * normal).verdicts()[0]
+    lower = np.where(apart, np.maximum(lower, -way - pairs.rounding()), lower)
+
+    kinds = np.zeros((*value.shape, len(PARTS)), dtype=np.int8)
+    excess = np.zeros(kinds.shape)
+    court = _Court(kinds, excess, allowed)
+    if "colliding" in said:
+        yes = said["colliding"] == 1.0
+        court.judge(
+            "colliding", ~np.isnan(said["colliding"]), np.where(yes, lower, -upper), np.where(yes, upper, -lower),
+            np.where(yes, Finding.WRONG_COLLIDING, Finding.WRONG_FREE),
+        )  # fmt: skip
+    _judge_lengths(court, said, lower, upper)
+    for name, body, T in (("witness_a", pairs.a, pairs.Ta), ("witness_b", pairs.b, pairs.Tb)):
+        if name in said:
+            _judge_witness(court, name, body, T, said[name])
+    if "witness_a" in said and "witness_b" in said:
+        _judge_witnesses(court, said, pairs.kinds()[0] | (lower > 0.0), upper)
+    if "normal" in said:
+        _judge_normal(court, pairs, said["normal"], lower, upper)
+    return Judgement(kinds, excess, lower, upper)
+
+
+@dataclass(frozen=True)
+class _Court:
+    """The table of findings, which is filled part by part."""
+
+    kinds: Any
+    excess: Floats
+    allowed: float
+
+    def judge(self, part: str, given: Bools, least: Floats, most: Floats, wrong: Any) -> None:
+        """Judge errors that are proven to be at least `least` and at most `most`."""
+        at = PARTS.index(part)
+        undecided = np.where(most <= self.allowed, Finding.OK, Finding.UNDECIDED)
+        kind = np.where(least > self.allowed, wrong, undecided)
+        self.kinds[..., at] = np.where(given, kind, Finding.NOT_GIVEN)
+        self.excess[..., at] = np.where(self.kinds[..., at] > Finding.UNDECIDED, least, 0.0)
+
+
+def _judge_lengths(court: _Court, said: dict[str, Floats], lower: Floats, upper: Floats) -> None:
+    """Judge distances and depths by the interval of the signed distance."""
+    near, far = np.maximum(lower, 0.0), np.maximum(upper, 0.0)
+    shallow, deep = np.maximum(-upper, 0.0), np.maximum(-lower, 0.0)
+    claims = []
+    if "distance" in said:
+        claims.append(("distance", said["distance"]))
+    if "depth" in said:
+        claims.append(("depth", -said["depth"]))
+    for part, claim in claims:
+        as_depth = (part == "depth") | ((claim < 0.0) & (lower <= 0.0))
+        length = np.where(as_depth, -claim, claim)
+        low, high = np.where(as_depth, shallow, near), np.where(as_depth, deep, far)
+        rounding = FEW_ROUNDINGS * np.abs(length)
+        above, below = length - high - rounding, low - length - rounding
+        large = np.where(as_depth, Finding.DEPTH_TOO_LARGE, Finding.DISTANCE_TOO_LARGE)
+        small = np.where(as_depth, Finding.DEPTH_TOO_SMALL, Finding.DISTANCE_TOO_SMALL)
+        most = np.maximum(length - low, high - length) + rounding
+        court.judge(part, ~np.isnan(claim), np.maximum(above, below), most, np.where(above > below, large, small))
+
+
+def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, point: Floats) -> None:
+    """Judge whether a point is in its body; a point within the body is right."""
+    given = np.asarray(~np.isnan(point).any(axis=-1))
+    place = np.zeros(T.shape)
+    place[...] = np.eye(4)
+    place[..., :3, 3] = np.where(given[..., None], point, T[..., :3, 3])
+    _, lower, upper, _ = _Pairs(body, T, Body.sphere(POINT), place).measured()
+    court.judge(name, given, lower, upper + POINT, Finding.WITNESS_OFF_BODY)
+
+
+def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
+    """Judge whether two witnesses are as far apart as the distance or depth, where a depth has one meaning.
+
+    A distance of 0 of bodies that overlap has no witnesses.
+    """
+    missing = np.full(said["witness_a"].shape[:-1], np.nan)
+    claim, depth = np.abs(said.get("distance", missing)), said.get("depth", missing)
+    length = np.where(np.isnan(claim) | ((claim == 0.0) & ~np.isnan(depth)), depth, claim)
+    a, b = said["witness_a"], said["witness_b"]
+    step = lengths(b - a)
+    rounding = FEW_ROUNDINGS * (lengths(a) + lengths(b) + length)
+    error = np.abs(step - length)
+    given = ~(np.isnan(error) | ((length == 0.0) & (upper < 0.0)))
+    least = np.where(known, error - rounding, 0.0)
+    court.judge("witnesses", given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH)
+
+
+def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, upper: Floats) -> None:
+    """Judge normals by moving b along them, to contact or out of it, and measuring the rest."""
+    scale = np.abs(normal).max(axis=-1, keepdims=True)
+    unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)
+    unit = unit / lengths(unit)[..., None]
+    given = np.asarray(~np.isnan(unit).any(axis=-1))
+    overlapping = upper < 0.0
+    # From bodies that are apart, the right move leaves no more than the width of the interval.
+    way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
+    single, _ = pairs.kinds()
+    known = np.isfinite(way) & (single | ~overlapping)
+    moved = pairs.moved(np.where(known, way, 0.0)[..., None] * unit)
+    _, left_lower, left_upper, _ = moved.measured()
+    width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
+    # `left_lower` of bodies that still overlap is unknown, which is no matter: only depths beyond a bound accuse.
+    least = np.where(overlapping, -left_upper, left_lower) - width
+    most = np.where(overlapping, -left_lower, left_upper)
+    most = np.where(overlapping & moved.verdicts()[0], 0.0, most)
+    court.judge(
+        "normal", given, np.where(known, least, 0.0), np.where(known, most, np.inf), Finding.NORMAL_WRONG
+    )  # fmt: skip
