@@ -3,9 +3,9 @@
     python benchmarks/judge.py [--pairs N] [--only NAME ...] [--tolerance M] [--quick] [--out FOLDER]
 
 Every library gets the same hulls (tests/families.py) at the same poses, or what it makes of them: MuJoCo keeps corners
-as float32, so it is judged on the corners that it keeps. `loewner.judge_answers` judges verdicts, distances, witnesses
+as float32, so it is judged on the corners that it keeps. `judging.judge_answers` judges verdicts, distances, witnesses
 and normals. Of each kind of error, the largest ones are proven once more by programs in fractions
-(`loewner.reproduction`); a program that did not agree would end the run. The table goes to the terminal, judge.csv and
+(`loewner.reproductions`); a program that did not agree would end the run. The table goes to the terminal, judge.csv and
 judge.md to benchmarks/results/<machine>/, or to FOLDER, with the program of the largest error of each kind.
 """
 
@@ -27,7 +27,9 @@ from rich.table import Table
 
 import loewner
 import report
-from loewner import Bodies, Finding
+from loewner import Bodies
+from loewner.judging import Finding, judge_answers
+from loewner.reproductions import reproduction
 from rivals import CoalPython, FclPython, Missing
 from samples import Array, Pairs
 
@@ -243,7 +245,7 @@ def judged(name: str, families: dict[str, Pairs], tolerance: float, results: Pat
         except Missing as missing:
             print(f"{name}: {missing}")
             return
-        judgement = loewner.judge_answers(said.a, p.Ta, said.b, p.Tb, **said.answers, tolerance=tolerance)
+        judgement = judge_answers(said.a, p.Ta, said.b, p.Tb, **said.answers, tolerance=tolerance)
         parts[family], pairs = (p, said), pairs + len(p)
         for kind in Finding:
             if kind > Finding.UNDECIDED:
@@ -271,11 +273,11 @@ def in_fractions(name: str, kind: Finding, p: Pairs, said: Said, k: int, toleran
 
     answers = {part: values[k] for part, values in said.answers.items()}
     pair = said.a[k], p.Ta[k], said.b[k], p.Tb[k]
-    code = loewner.reproduction(*pair, **answers, tolerance=tolerance)
+    code = reproduction(*pair, **answers, tolerance=tolerance)
     path, out = results / "judge" / f"{name.replace(', ', '-')}-{kind.name.lower()}.py", io.StringIO()
     path.parent.mkdir(exist_ok=True)
     if not path.exists():
-        short = loewner.reproduction(*pair, engine=engine, tolerance=tolerance) if name in REDUCED else code
+        short = reproduction(*pair, engine=engine, tolerance=tolerance) if name in REDUCED else code
         path.write_text(short, encoding="utf-8")
     with contextlib.redirect_stdout(out):
         exec(compile(code, str(path), "exec"), {})

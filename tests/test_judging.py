@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, near_contact, pieces, random_poses, stretch, translation
-from loewner import Bodies, Body, Finding, InputError, PoseError, cli, judge_answers, reproduction
-from loewner.judging import PARTS
+from loewner import Bodies, Body, ConvergenceError, InputError, PoseError, cli
+from loewner.judging import PARTS, Finding, judge_answers
+from loewner.reproductions import reproduction
 from oracles import exact_squared_distance, hull, pack, signed_distance
 
 TOLERANCE = 1e-6
@@ -23,9 +24,17 @@ TOLERANCE = 1e-6
 ACCURACY, SIZE = 1e-9, 20.0
 
 
+def distances(a, Ta, b, Tb):
+    """Exact distances; NaN, which is no answer, for the few that rounding leaves open at contact."""
+    try:
+        return loewner.distance(a, Ta, b, Tb, exact=True)
+    except ConvergenceError as error:
+        return error.partial
+
+
 def answers(a, Ta, b, Tb) -> dict:
     """The right answers of all kinds."""
-    found = loewner.distance(a, Ta, b, Tb, exact=True)
+    found = distances(a, Ta, b, Tb)
     return {
         "colliding": loewner.collide(a, Ta, b, Tb), "distance": found.distance,
         "depth": np.maximum(-found.distance, 0.0), "witness_a": found.witness_a, "witness_b": found.witness_b,
@@ -88,7 +97,7 @@ def test_right_answers_of_all_bodies_are_never_accused(one: str, other: str, see
     far = rng.choice([0.0, 0.0, 1e3]) * np.ones(3)
     Ta[:, :3, 3] += far
     Tb[:, :3, 3] += far
-    near = loewner.distance(a, Ta, b, Tb, exact=True)
+    near = distances(a, Ta, b, Tb)
     gap = rng.choice([-1, 1], size=40) * 10 ** rng.uniform(-13, -3, size=40)
     Tb[::2, :3, 3] += ((gap - near.distance)[:, None] * near.normal)[::2]  # to contact, or nearly
     right = answers(a, Ta, b, Tb)
@@ -97,9 +106,6 @@ def test_right_answers_of_all_bodies_are_never_accused(one: str, other: str, see
     right["depth"] = np.maximum(right["depth"], 0.0)
     for name in ("witness_a", "witness_b", "normal"):
         right[name] = right[name] + rng.uniform(-0.2, 0.2, size=(40, 3)) * TOLERANCE
-    if {one, other} & {"solid", "surface"}:  # a depth of a surface is a bound, and its witnesses need not be points
-        right["witness_a"][right["distance"] <= TOLERANCE] = np.nan
-        right["witness_b"][right["distance"] <= TOLERANCE] = np.nan
     said = judge_answers(a, Ta, b, Tb, **right, tolerance=TOLERANCE)
     assert not said.wrong.any(), said.counts()
     assert (said.lower <= said.upper).all()

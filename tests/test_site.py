@@ -20,9 +20,11 @@ import loewner.cluster
 import loewner.depth
 import loewner.gpu
 import loewner.jax
+import loewner.judging
 import loewner.paper
 import loewner.planners
 import loewner.plots
+import loewner.reproductions
 import loewner.torch
 import loewner.viewer
 from site_pages import MADE_BY_THE_BUILD
@@ -103,10 +105,12 @@ MODULES = {
     "depth": tuple(loewner.depth.__all__),
     "gpu": tuple(loewner.gpu.__all__),
     "jax": tuple(loewner.jax.__all__),
+    "judging": tuple(loewner.judging.__all__),
     "meshes": ("load", "convex_pieces"),
     "paper": tuple(name for name in loewner.paper.__all__ if name != "tables"),
     "planners": tuple(loewner.planners.__all__),
     "plots": ("body", "pair", "configuration", "trajectory", "tiers", "costs", "accuracy", "save"),
+    "reproductions": ("reproduction",),
     "torch": tuple(loewner.torch.__all__),
     "viewer": tuple(loewner.viewer.__all__),
 }

@@ -25,11 +25,9 @@ from loewner.errors import (
 )
 from loewner.first_contacts import FirstContact, first_contact
 from loewner.fits import Fit, mvce, mvie
-from loewner.judging import Finding, Judgement, judge_answers
 from loewner.polytopes import Polytope
 from loewner.pose_paths import PosePath
 from loewner.queries import Distance, Verdict, classify, collide, distance, push
-from loewner.reproductions import reproduction
 from loewner.robots import (
     CertifiedMotions,
     CertifiedTrajectory,
@@ -70,14 +68,12 @@ __all__ = [
     "Distance",
     "Ellipsoids",
     "FileError",
-    "Finding",
     "FirstContact",
     "Fit",
     "GeometryError",
     "GpuError",
     "InputError",
     "Joint",
-    "Judgement",
     "LoewnerError",
     "MemoryLimitError",
     "MissingExtraError",
@@ -106,7 +102,6 @@ __all__ = [
     "distance",
     "first_contact",
     "get_num_threads",
-    "judge_answers",
     "load_scene",
     "mvce",
     "mvie",
@@ -117,7 +112,6 @@ __all__ = [
     "prove",
     "push",
     "read_motion_bench_maker",
-    "reproduction",
     "save_scene",
     "set_num_threads",
 ]

@@ -19,6 +19,8 @@ from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
 from loewner.queries import Distance, expect_bodies, plan_of
 
+__all__ = ["Finding", "Judgement", "judge_answers"]
+
 # Exact distances are accurate to this share of the lengths involved (docs/certified.md, "Other programs' answers"), and
 # depths of curved pieces to the second one. The first has a hundredth more than `SETTLED` of the kernels, for rounding.
 ACCURACY, OF_CURVED = 1.01e-9, 1.01e-3

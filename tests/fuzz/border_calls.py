@@ -45,9 +45,11 @@ from loewner import (
     Robot,
     Scene,
     cli,
+    judging,
     meshes,
     paper,
     planners,
+    reproductions,
 )  # fmt: skip
 from loewner import cluster as clustering
 from loewner import compilation as compiling
@@ -364,8 +366,8 @@ def two_robots() -> CollisionChecker:
     return CollisionChecker(Robot.join({"a": robot(), "b": robot()}, {"b": translation(50.0)}))
 
 
-def judgement() -> loewner.Judgement:
-    return loewner.judge_answers(cube(), None, ball(), None, colliding=[True, False])
+def judgement() -> judging.Judgement:
+    return judging.judge_answers(cube(), None, ball(), None, colliding=[True, False])
 
 
 def seen_space() -> depths.SeenSpace:
@@ -878,8 +880,8 @@ CALLS: dict[str, Call] = {
         loewner.distance,
         {**OPERANDS, "exact": flag(), "pairs": arg(None, ROWS.takes)},
     ),
-    "judge_answers": Call(
-        loewner.judge_answers,
+    "judging.judge_answers": Call(
+        judging.judge_answers,
         {
             **OPERANDS,
             **{
@@ -896,10 +898,10 @@ CALLS: dict[str, Call] = {
             "tolerance": margin(),
         },
     ),
-    "Judgement.counts": Call(lambda: judgement().counts(), {}),
-    "Judgement.worst": Call(lambda kind: judgement().worst(kind), {"kind": arg(None, NONE)}),
-    "reproduction": Call(
-        loewner.reproduction,
+    "judging.Judgement.counts": Call(lambda: judgement().counts(), {}),
+    "judging.Judgement.worst": Call(lambda kind: judgement().worst(kind), {"kind": arg(None, NONE)}),
+    "reproductions.reproduction": Call(
+        reproductions.reproduction,
         {
             "a": arg(cube, "Body"),
             "T_world_a": pose(),
@@ -1990,7 +1992,7 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "Judgement", "NearPoints",
+    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "judging.Judgement", "NearPoints",
     "Part", "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact", "ClosestApproach",
@@ -2025,6 +2027,8 @@ def _public_callables() -> Iterator[tuple[str, list[str]]]:
         **{f"{name}.": _own(module) for name, module in FRAMEWORKS.items()},
         "gpu.": {name: getattr(on_gpus, name) for name in on_gpus.__all__},
         "paper.": {name: getattr(paper, name) for name in paper.__all__},
+        "reproductions.": {"reproduction": reproductions.reproduction},
+        "judging.": {name: getattr(judging, name) for name in judging.__all__},
         "depth.": {name: getattr(depths, name) for name in depths.__all__},
         "cli.": {"main": cli.main},
         "": {name: getattr(loewner, name) for name in loewner.__all__} | {"compile_kernels": compiling.compile_kernels},

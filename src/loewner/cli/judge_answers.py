@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Finding, _json, _tables
+from loewner import _json, _tables, judging
 from loewner._files import read_regular, replacing, shown
 from loewner._rotations import from_quaternion
 from loewner._validate import Floats, short
 from loewner.cli import inputs
 from loewner.cli.output import COLLIDING, FREE, new_table, print_table
 from loewner.errors import FileError, InputError, LoewnerError
-from loewner.judging import PARTS
+from loewner.judging import PARTS, Finding, Judgement
+from loewner.reproductions import reproduction
 
 # The largest table that is read [bytes].
 MOST_BYTES = 2**30
@@ -86,12 +87,12 @@ def run(options: argparse.Namespace) -> int:
         chosen = [k for k, other in enumerate(named) if other == pair]
         Ta, Tb = (T[chosen] for T in poses)
         a, b = (bodies[name] for name in pair)
-        said = loewner.judge_answers(
+        said = judging.judge_answers(
             a, Ta, b, Tb, **{name: x[chosen] for name, x in answers.items()}, tolerance=tolerance
         )
         kinds[chosen], excess[chosen] = said.kinds, said.excess
         bounds[chosen] = np.stack([said.lower, said.upper], axis=-1)
-    said = loewner.Judgement(kinds, excess, bounds[:, 0], bounds[:, 1])
+    said = Judgement(kinds, excess, bounds[:, 0], bounds[:, 1])
     worst = said.worst()
     written = (
         _program(options.program, said, named, bodies, poses, answers, tolerance)
@@ -235,15 +236,13 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
     return found
 
 
-def _program(
-    path: Path, said: loewner.Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float
-) -> str:
+def _program(path: Path, said: Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float) -> str:
     """Write the worst answer about two hulls as a program; return a line about it."""
     for k in said.worst().tolist():
         given = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
         a, b = (bodies[name] for name in named[k])
         try:
-            code = loewner.reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=tolerance)
+            code = reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=tolerance)
         except LoewnerError:
             continue
         with replacing(path) as file:
@@ -252,7 +251,7 @@ def _program(
     return f"{shown(path)} is not written: no wrong answer is about two convex hulls"
 
 
-def _for_json(said: loewner.Judgement, named: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def _for_json(said: Judgement, named: Sequence[tuple[str, str]]) -> dict[str, Any]:
     rows = [
         {
             "row": k + 1,
@@ -270,7 +269,7 @@ def _for_json(said: loewner.Judgement, named: Sequence[tuple[str, str]]) -> dict
     return {"pairs": len(named), "counts": {str(kind): n for kind, n in said.counts().items()}, "wrong": rows}
 
 
-def _print(said: loewner.Judgement, named: Sequence[tuple[str, str]], written: str | None) -> None:
+def _print(said: Judgement, named: Sequence[tuple[str, str]], written: str | None) -> None:
     worst = said.worst().tolist()
     count = f"{len(worst)} of {len(named)} answers" if worst else f"{len(named)} answers"
     print(f"{count} proven wrong" if worst else f"none of {count} is proven wrong")
@@ -294,7 +293,7 @@ def _print(said: loewner.Judgement, named: Sequence[tuple[str, str]], written: s
         print(f"program   {written}")
 
 
-def _interval(said: loewner.Judgement, k: int) -> str:
+def _interval(said: Judgement, k: int) -> str:
     """The signed distance of a row, as it is proven."""
     lower, upper = float(said.lower[k]), float(said.upper[k])
     if np.isinf(lower):

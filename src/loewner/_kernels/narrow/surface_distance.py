@@ -96,7 +96,7 @@ def _between_pieces(A, B, shift, n, memory, result):
     G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
     _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, v, d)
     radii = radius(A) + radius(B)  # which `run` takes off
-    if k == 4:  # the cores have a point in common, of which `run` does not write the weights
+    if k == 4:  # the cores have a point in common; `run` has not written its weights
         above = -radii
         weigh_inside(G, weights, v)
     below = max(below, -radii)  # cores that are in each other for sure do not come here
