@@ -27,7 +27,7 @@ from loewner.bodies.triangulated import MANY_PIECES, for_pictures
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
-from loewner.polytopes import Hulls, box_hull, hulls
+from loewner.polytopes import Hulls, Polytope, box_hull, hulls
 
 # Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
 LARGEST_EXTENT = 1e9
@@ -339,7 +339,7 @@ class Body(_Bodies):
             seed=seed,
             progress=report,
         )
-        body = cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
+        body = body_of_polytopes(polytopes, covering, tol)
         if progress is not None:
             progress(steps, steps)
         return body
@@ -1242,6 +1242,11 @@ def reach_of(body: Body) -> float:
     else:
         far = float(packed.kernel.table[:, columns.REACH].max(initial=0.0))
     return far * (1.0 + 4.0 * tolerances.ROTATION_TOLERANCE)
+
+
+def body_of_polytopes(polytopes: Sequence[Polytope], covering: Covering | None, tol: float) -> Body:
+    """Make a body of polytopes, whose ellipsoids have log-volume gaps of up to `tol`."""
+    return Body(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
 
 
 def bodies_of(packed: Packed) -> Bodies:
