@@ -960,6 +960,39 @@ class Body(_Bodies):
         exports.plain_name(file.stem, "the stem of path")
         exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
 
+    def to_stl(self, path: str | os.PathLike[str]) -> None:
+        """Write the pieces as one STL file, binary, in metres: a closed mesh for each convex piece; they may overlap.
+
+        Parameters
+        ----------
+        path : path
+            Must end in ``.stl``; it is written under a temporary name and then renamed.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a piece is a surface or a cloud with a radius.
+        FileError
+            If the file cannot be written.
+
+        Notes
+        -----
+        Coordinates are rounded to single precision, and the triangles of curved pieces lie inside these. A body of
+        `Robot.swept` is written without any change.
+
+        Examples
+        --------
+        >>> Body.box([1, 2, 3]).to_stl("box.stl")
+        >>> Body.from_mesh("box.stl").covering.kind
+        'convex'
+        """
+        from loewner.bodies import exports
+
+        file = _validate.path(path, "path")
+        if file.suffix.lower() != ".stl":
+            raise InputError(f"path: expected a name that ends in .stl, found {file}")
+        exports.save_stl(self._packed, file)
+
     def to_trimesh(self, what: Literal["pieces", "inner", "outer"] = "pieces") -> Any:
         """Triangulate the pieces or ellipsoids, for trimesh to display or to write as GLB, STL or another format.
 

@@ -20,7 +20,22 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import audit, check, clash, clearance, compile, fit, info, paper, plan, report, robot, verify, view
+from loewner.cli import (
+    audit,
+    check,
+    clash,
+    clearance,
+    compile,
+    fit,
+    info,
+    paper,
+    plan,
+    report,
+    robot,
+    swept,
+    verify,
+    view,
+)
 from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
 
@@ -93,7 +108,22 @@ def _parser() -> argparse.ArgumentParser:
     ):
         parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, clearance, robot, clash, plan, verify, audit, report, view, compile, info, paper):
+    for command in (
+        fit,
+        check,
+        clearance,
+        robot,
+        clash,
+        plan,
+        verify,
+        audit,
+        swept,
+        report,
+        view,
+        compile,
+        info,
+        paper,
+    ):
         command.add(commands)
     return parser
 

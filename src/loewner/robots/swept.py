@@ -9,9 +9,9 @@ on the excess.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +24,13 @@ from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import CURVED, Body, Packed, body_of_polytopes, packed_of
 from loewner.bodies.kinds import ball
+from loewner.bodies.surface_trees import SurfaceTree
+from loewner.closed_parts import closed_parts
 from loewner.coverage import Covering, distances_from
 from loewner.errors import GeometryError, InputError
+from loewner.plane_cuts import WORK, pieces_within
 from loewner.polytopes import Polytope
+from loewner.protrusion import Solid, protrusions
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.courses import configurations, straight
 from loewner.robots.curves import Curve, expect_carried, joint_errors, started
@@ -37,7 +41,7 @@ from loewner.scenes import Scene
 
 # Shares of the tolerance: for convex pieces in place of solids and curved shapes, for vertices that are left out, for
 # the distance of points from the chords between knots, and for the turn between two knots.
-PIECES, VERTICES, CHORDS, TURNS = 0.25, 0.05, 1 / 32, 0.25
+PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
 # Pieces with more vertices than this have only those that matter.
 FEW = 26
@@ -59,6 +63,9 @@ ROUNDINGS = 2.0**-53 * 2**20
 
 # Certified log-volume gap of the ellipsoids.
 TOL = 1e-2
+
+# Convex pieces of meshes, by their trees and the room for sticking out; cutting a mesh takes seconds.
+_known: WeakKeyDictionary[SurfaceTree, dict[float, list[tuple[Floats, float]]]] = WeakKeyDictionary()
 
 # Directions in which vertices are taken first: of the corners, edges and faces of a cube.
 _WAYS = np.indices((3, 3, 3)).reshape(3, -1).T[np.arange(27) != 13] - 1.0
@@ -156,6 +163,12 @@ def swept(
 answers["swept"] = swept
 
 
+def united(bodies: list[Body]) -> tuple[Body, float]:
+    """Return one body of several that `swept` made, with its covering, and its excess [m]."""
+    excess = max(body.covering.max_protrusion for body in bodies if body.covering is not None)
+    return Body(packed_of(Body.union(bodies)), Covering("swept", True, 0.0, math.nan, 0, excess)), excess
+
+
 # -- what moves -------------------------------------------------------------------------------
 
 
@@ -193,7 +206,7 @@ def _parts(body: int, name: str, packed: Packed, tolerance: float) -> Iterator[_
             axes = principal_axes(vertices)
             sides = image(axes, vertices)
             ends = np.stack([sides.min(axis=0), sides.max(axis=0)]) + ROUNDINGS * np.abs(sides).max() * _SIGNS
-            yield _Part(body, vertices, image(np.linalg.inv(axes), ends[_CORNERS, np.arange(3)]), near, out)
+            yield _Part(body, vertices, image(axes.T, ends[_CORNERS, np.arange(3)]), near, out)
 
 
 _SIGNS = np.array([[-1.0], [1.0]])
@@ -215,18 +228,27 @@ def _convex(name: str, packed: Packed, i: int, room: float) -> list[tuple[Floats
     if (triangles == triangles[:, :1]).all():
         raise InputError(f"{name}: expected links of shapes and meshes, found a cloud; take its voxels (voxel=)")
     vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
-    with warnings.catch_warnings():  # of pieces that stick out farther, which counts below
-        warnings.simplefilter("ignore", UserWarning)
-        body = Body.from_mesh((vertices, triangles), tolerance=room, tol=TOL)
-    covering = body.covering
-    if covering is None or not covering.exact:
-        raise GeometryError(f"{name}: expected a mesh that pieces cover, found one of which a part is left")
+    known = _known.setdefault(packed.trees[i], {})
+    if room not in known:
+        known[room] = _cut(vertices, triangles, kind == columns.SOLID, room)
     grown, further = _grown_ball(radius, room) if radius > 0 else (np.zeros((1, 3)), 0.0)
-    return [
-        ((piece.vertices[:, None] + grown).reshape(-1, 3), covering.max_protrusion + further)
-        for piece in body.pieces
-        if piece.vertices is not None
-    ]
+    return [((points[:, None] + grown).reshape(-1, 3), out + further) for points, out in known[room]]
+
+
+def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tuple[Floats, float]]:
+    """Return vertices of hulls that together contain a mesh, with its inside if it is solid, and how far each is out.
+
+    The hull of a solid's surface contains it, and so does each hull of a closed part, or of a part on one side of a
+    plane, what of the solid is there.
+    """
+    vertices, triangles = meshes.welded(vertices, triangles)
+    closed = closed_parts(vertices, triangles) if solid else None
+    parts = [vertices[part.triangles] for part in closed] if closed else [vertices[triangles]]
+    mesh, hull = Solid(np.concatenate(parts), closed=solid), Polytope.from_points(vertices)
+    out = float(protrusions([hull], mesh, floor=room, relative=1.0).bounds[0])
+    if out <= room or (solid and not closed):
+        return [(hull.vertices, out)]
+    return [(cell.hull.vertices, cell.bound) for cell in pieces_within(parts, mesh, room, None, None, WORK)]
 
 
 def _grown_ball(radius: float, room: float) -> tuple[Floats, float]:
