@@ -390,7 +390,8 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
         if best is None:
             raise InputError(
                 f"tolerance: expected more than {between(i, i + 1).excess:.3g} m, found {tolerance:g}: joint errors "
-                f"alone move points by up to {astray[i]:.3g} m, and {part.out:.3g} m are between shapes and pieces"
+                f"move points by up to {astray[i]:.3g} m, convex pieces stick out of the link by {part.out:.3g} m, and "
+                f"coordinates are rounded by {SINGLE * size[i]:.1g} m"
             )
         yield best
         step = max(1, best.last - i)
