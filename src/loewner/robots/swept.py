@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate, meshes
 from loewner._kernels import columns
+from loewner._kernels.robots.motion_bounds import UPWARD
 from loewner._matrices import dot, image, lengths, principal_axes, product
 from loewner._native import entries
 from loewner._threads import in_shares
@@ -206,7 +207,8 @@ def _parts(body: int, name: str, packed: Packed, tolerance: float) -> Iterator[_
             axes = principal_axes(vertices)
             sides = image(axes, vertices)
             ends = np.stack([sides.min(axis=0), sides.max(axis=0)]) + ROUNDINGS * np.abs(sides).max() * _SIGNS
-            yield _Part(body, vertices, image(axes.T, ends[_CORNERS, np.arange(3)]), near, out)
+            corners = image(axes.T, ends[_CORNERS, np.arange(3)])
+            yield _Part(body, vertices, corners, UPWARD * near, UPWARD * out)
 
 
 _SIGNS = np.array([[-1.0], [1.0]])
@@ -353,6 +355,25 @@ def _diameter(points: Floats) -> float:
     return float(lengths(points[:, None] - points).max())
 
 
+def _off_chords(ways: Floats) -> float:
+    """Bound how far the hull of two places of a part is from the chords of its points [m].
+
+    Parameters
+    ----------
+    ways : ndarray, shape (8, 3)
+        From one place to the other, for the corners of a box around the part.
+    """
+    off, middle = _diameter(ways) / 4, np.add.reduce(ways, axis=0)
+    size = float(lengths(middle))
+    if size > 0:
+        along = np.maximum(dot(ways, middle / size), 0.0)
+        least, most = float(along.min()), float(along.max())
+        across = float(lengths(ways - along[:, None] * (middle / size)).max())
+        if most > 0:
+            off = min(off, across * (least + most) / (math.sqrt(least) + math.sqrt(most)) ** 2)
+    return off * (1 + ROUNDINGS)
+
+
 def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) -> Iterator[_Element]:
     """Divide the knots into the longest ways between which the hull of a part's places sticks out within tolerance."""
     part = parts[number]
@@ -371,7 +392,7 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
         rounded = 2 * SINGLE * (float(size[i : j + 1].max()) + 2 * tolerance)
         grown = max(growth, LEAST_GROWTH * tolerance) + rounded
         sides = math.sqrt(3.0) * grown * (1 + ROUNDINGS) + rounded
-        return _Element(number, i, j, growth, grown, part.out + sides + off + lost + _diameter(whole) / 4)
+        return _Element(number, i, j, growth, grown, part.out + sides + off + lost + _off_chords(whole))
 
     i, last, step = 0, len(places) - 1, 1
     while i < last:
