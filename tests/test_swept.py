@@ -121,7 +121,9 @@ def test_turns_fill_a_ring_and_no_more(tolerance: float, tmp_path):
                                     points))) == 0  # fmt: skip
     corners = np.concatenate([piece.vertices[piece.triangles] for piece in body.pieces])
     corners = corners[rng.integers(0, len(corners), 1000)]
-    found = off_box((rng.dirichlet([0.5] * 3, 1000)[..., None] * corners).sum(axis=1), np.linspace(0.0, 2.5, 3001)).max()
+    found = off_box(
+        (rng.dirichlet([0.5] * 3, 1000)[..., None] * corners).sum(axis=1), np.linspace(0.0, 2.5, 3001)
+    ).max()
     assert found - 2.5 / 3000 * 0.5 < body.covering.max_protrusion <= tolerance
     assert found > 0.1 * body.covering.max_protrusion  # the bound is of some use
 
@@ -211,7 +213,9 @@ def misses(robot: Robot) -> int:
     rng = np.random.default_rng(5)
     body = robot.swept([[0.0], [2.5]], tolerance=0.05)
     points = rng.choice([-1.0, 1.0], (5000, 3)) * HALF + [0.4, 0.0, 0.0]
-    return len(outside(body, passed(rng, robot, straight(robot, np.zeros((1, 1)), np.full((1, 1), 2.5)), "arm", points)))
+    return len(
+        outside(body, passed(rng, robot, straight(robot, np.zeros((1, 1)), np.full((1, 1), 2.5)), "arm", points))
+    )
 
 
 def test_mutant_without_curvature_is_caught(tmp_path, monkeypatch):

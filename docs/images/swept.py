@@ -14,8 +14,8 @@ SCALE, WIDTH, HEIGHT, LEFT, TOP = 150.0, 340, 300, 90, 270
 SWEPT, LINK = "#cc6677", "#4477aa"
 TOLERANCES = (0.1, 0.02)
 LINKS = "".join(
-    f'<link name="{name}"><collision><origin xyz="0.4 0 0"/><geometry><box size="0.84 0.12 0.1"/></geometry></collision>'
-    "</link>"
+    f'<link name="{name}"><collision><origin xyz="0.4 0 0"/><geometry><box size="0.84 0.12 0.1"/></geometry>'
+    "</collision></link>"
     for name in ("upper", "fore")
 )
 URDF = f"""<robot name="arm"><link name="base"/>{LINKS}
@@ -48,7 +48,9 @@ def polygon(points: np.ndarray, colour: str, opacity: float) -> str:
     """The outline of points, seen from above."""
     flat = points[:, :2]
     corners = " ".join(f"{SCALE * x:.1f},{-SCALE * y:.1f}" for x, y in flat[ConvexHull(flat).vertices])
-    return f'<polygon points="{corners}" fill="{colour}" fill-opacity="{opacity}" stroke="{colour}" stroke-width="0.7"/>'
+    return (
+        f'<polygon points="{corners}" fill="{colour}" fill-opacity="{opacity}" stroke="{colour}" stroke-width="0.7"/>'
+    )
 
 
 if __name__ == "__main__":

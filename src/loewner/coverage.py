@@ -35,7 +35,7 @@ class Covering:
         ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
         ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh. ``"solid"``: the
         mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces contain links of a
-        robot wherever they are on a curve (`Robot.swept`), and all of this refers to what these sweep.
+        robot wherever they are on a curve (`Robot.swept`), and all numbers refer to their swept volume.
     exact : bool
         Whether the union of the pieces contains the whole surface of the mesh, up to rounding, which `max_uncovered`
         then bounds. If so, FREE also applies to the mesh.

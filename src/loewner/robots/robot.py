@@ -977,8 +977,8 @@ class Robot(KeepsReadOnly):
         links : str or iterable of str, optional
             Names of links with bodies, or of bodies that are attached to links in `scene`. Default: all of them.
         tolerance : float
-            The largest distance in metres by which the body may stick out of what the links sweep. A larger one leaves
-            fewer pieces.
+            The largest distance in metres by which the body may stick out of the links' swept volume. A larger one
+            leaves fewer pieces.
         joint_error : float, or array_like of shape (dof,)
             The body also contains the links if each value deviates from the curve by up to this much [rad or m]. These
             deviations count as sticking out.
@@ -991,8 +991,8 @@ class Robot(KeepsReadOnly):
         -------
         Body
             In the frame of the world, of convex pieces. Its `Body.covering` has the proven excess, `max_protrusion`:
-            no point of the body is farther from what the links sweep. The coordinates of vertices are numbers of single
-            precision, so `Body.to_stl` writes exactly this body.
+            no point of the body is farther from the links' swept volume. The coordinates of vertices are numbers of
+            single precision, so `Body.to_stl` writes exactly this body.
 
         Raises
         ------

@@ -44,13 +44,13 @@ from loewner.scenes import Scene
 # the distance of points from the chords between knots, and for the turn between two knots.
 PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
-# Pieces with more vertices than this have only those that matter.
+# Vertices are left out of pieces that have more than this.
 FEW = 26
 
 # Places of links at most.
 MOST_PLACES = 2**21
 
-# What the body is grown by at least, as a share of the tolerance: otherwise neighbouring corners would coincide.
+# The least growth, as a share of the tolerance: otherwise neighbouring corners would coincide.
 LEAST_GROWTH = 1e-4
 
 # A ball of radius 1 lies in the octahedron with these corners.
@@ -59,7 +59,7 @@ OCTAHEDRON = math.sqrt(3.0) * (1 + 1e-15) * np.concatenate([np.eye(3), -np.eye(3
 # How far a coordinate moves when it is rounded to single precision, in units of the coordinate.
 SINGLE = 2.0**-24
 
-# Slack for the rounding of lengths in double precision, in units of the lengths; a thousand times what it takes.
+# Slack for the rounding of lengths in double precision, in units of the lengths; a thousand times as much as needed.
 ROUNDINGS = 2.0**-53 * 2**20
 
 # Certified log-volume gap of the ellipsoids.
@@ -83,7 +83,7 @@ class _Part(NamedTuple):
     vertices : ndarray, shape (n, 3)
         In the frame of the body's link.
     corners : ndarray, shape (8, 3)
-        Of a box around them.
+        Corners of a box around them.
     near, out : float
         The body's points in the piece are within `near` of the hull of the vertices [m], all points of the hull are
         within `out` of the body [m].
@@ -121,7 +121,7 @@ class _Element(NamedTuple):
     growth, grown : float
         How far it has to be grown, and how far it is, with room for rounding its vertices to single precision [m].
     excess : float
-        How far it then sticks out of what the body sweeps, at most [m].
+        How far it then sticks out of the body's swept volume, at most [m].
     """
 
     part: int
@@ -170,7 +170,7 @@ def united(bodies: list[Body]) -> tuple[Body, float]:
     return Body(packed_of(Body.union(bodies)), Covering("swept", True, 0.0, math.nan, 0, excess)), excess
 
 
-# -- what moves -------------------------------------------------------------------------------
+# -- links and curves -------------------------------------------------------------------------
 
 
 def _curve(robot: Robot, scene: Scene, given: Any) -> Curve:
@@ -287,7 +287,7 @@ def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
     vertices = Polytope.from_points(points).vertices
     size = float(np.abs(vertices).max())
     if len(vertices) <= FEW:
-        return vertices, ROUNDINGS * size  # the hull leaves out what is within rounding of its faces
+        return vertices, ROUNDINGS * size  # the hull leaves out points within rounding of its faces
     chosen = np.unique(product(vertices, (_WAYS / np.ptp(vertices, axis=0)).T).argmax(axis=0)).tolist()
     while True:
         away = distances_from(vertices, Polytope.from_points(vertices[chosen]), ROUNDINGS * size)
@@ -297,7 +297,7 @@ def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
         chosen.append(farthest)
 
 
-# -- where it moves ---------------------------------------------------------------------------
+# -- places -----------------------------------------------------------------------------------
 
 
 def _knots(robot: Robot, curve: Curve, parts: list[_Part], link: Ints, tolerance: float) -> _Knots:
@@ -428,7 +428,7 @@ def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
     Raises
     ------
     GeometryError
-        If the stored vertices are not proven to contain what they should.
+        If the hull of the stored vertices is not proven to reach so far.
     """
     ends = _placed(knots.poses[part.body, [one.first, one.last]], part.vertices).reshape(-1, 3)
     corners = (np.unique(ends, axis=0)[:, None] + one.grown * OCTAHEDRON).reshape(-1, 3)
