@@ -1016,13 +1016,13 @@ class Robot(KeepsReadOnly):
 
         Examples
         --------
-        >>> import loewner
+        >>> from loewner import Robot, collide
         >>> robot = Robot.from_urdf("arm.urdf")
         >>> fence = robot.swept([[0.0, 0.0], [1.0, 0.0]], links="cart")
         >>> fence.covering.max_protrusion < 0.01
         True
         >>> moved = robot.forward_kinematics([0.3, 0.0])[robot.link_names.index("cart")]
-        >>> bool(loewner.collide(fence, None, robot.bodies["cart"], moved))
+        >>> collide(fence, None, robot.bodies["cart"], moved)
         True
         """
         return cast(
