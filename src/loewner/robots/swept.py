@@ -194,6 +194,8 @@ def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> 
         raise InputError("links: expected at least one link, found none")
     known = {ready.names[k]: k for k in own}
     for name in names:
+        if not isinstance(name, str):
+            raise InputError(f"links: expected names of links, found {_validate.short(name)}")
         if name not in known:
             raise _validate.unknown_name("links: link with a body, or attached body", name, tuple(known))
     return np.array([known[name] for name in dict.fromkeys(names)])
