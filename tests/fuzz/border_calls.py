@@ -1058,7 +1058,7 @@ CALLS: dict[str, Call] = {
             "curve": arg(lambda: [[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0]]),
             "links": arg("rod", NONE),
             "tolerance": positive(0.1),
-            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "joint_error": array([2**-10, 0.0, 2**-10], FINITE, NUMBERS, ZERO, "a number alone"),
             "scene": arg(None, NONE, "Scene"),
             "progress": callback(),
         },
