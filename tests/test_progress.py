@@ -94,6 +94,9 @@ WATCHED = {
         lambda progress: meshes.convex_pieces(with_a_hole(), progress=progress),
     ],
     "Bodies.from_points": [lambda progress: loewner.Bodies.from_points(SETS, progress=progress)],
+    "Robot.swept": [
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).swept([[0.0] * 3, [0.3] * 3], progress=progress)
+    ],
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
     "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
     "compile_kernels": [compiled],

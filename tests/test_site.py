@@ -266,6 +266,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " plan",
         " verify",
         " audit",
+        " swept",
         " report",
         " report check",
         " report robot",

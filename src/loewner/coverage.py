@@ -34,7 +34,8 @@ class Covering:
     kind : str
         ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
         ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh. ``"solid"``: the
-        mesh is not closed, and triangles that close its holes were added.
+        mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces contain links of a
+        robot wherever they are on a curve (`Robot.swept`), and all numbers refer to their swept volume.
     exact : bool
         Whether the union of the pieces contains the whole surface of the mesh, up to rounding, which `max_uncovered`
         then bounds. If so, FREE also applies to the mesh.
@@ -166,12 +167,12 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
         near = _excess(points, hull)[corner].max(axis=1) < least
         used = np.unique(corner[near])
         distance = np.full(len(points), np.inf)
-        distance[used] = _distances(points[used], hull, slack)
+        distance[used] = distances_from(points[used], hull, slack)
         least = np.minimum(least, distance[corner].max(axis=1))
     return float(least.max())
 
 
-def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
+def distances_from(points: Floats, hull: Polytope, slack: float) -> Floats:
     """Compute the distance of points to a convex piece, 0 inside.
 
     The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.

@@ -820,6 +820,7 @@ CALLS: dict[str, Call] = {
             "mesh_prefix": arg("", TEXTS, "empty text"),
         },
     ),
+    "Body.to_stl": Call(on(cube, "to_stl"), {"path": arg("out.stl", NUMERAL)}),
     "Body.to_trimesh": Call(on(cube, "to_trimesh"), {"what": choice("pieces")}),
     "Body.load": Call(Body.load, {"path": arg("part.npz")}),
     "Bodies": Call(Bodies, {"bodies": arg(lambda: [ball(), cube()], NOTHING, "Bodies")}),
@@ -1124,6 +1125,17 @@ CALLS: dict[str, Call] = {
     "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
     "Robot.to_urdf": Call(
         on(robot, "to_urdf"), {"path": arg("out.urdf", NUMERAL), "mesh_prefix": arg("", TEXTS, "empty text")}
+    ),
+    "Robot.swept": Call(
+        on(robot, "swept"),
+        {
+            "curve": arg(lambda: [[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0]]),
+            "links": arg("rod", NONE),
+            "tolerance": positive(0.1),
+            "joint_error": array([2**-10, 0.0, 2**-10], FINITE, NUMBERS, ZERO, "a number alone"),
+            "scene": arg(None, NONE, "Scene"),
+            "progress": callback(),
+        },
     ),
     "Robot.prove_pairs": Call(
         on(robot, "prove_pairs"),

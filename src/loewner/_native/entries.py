@@ -31,6 +31,7 @@ ENTRIES = {
         Entry("robots.motions", "certify_motions", "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", ""),
         Entry("robots.motions", "free_motions", "i i i F3 i f i i i I2 B1 i", ""),
         Entry("robots.motions", "motion_memory", "i i i", "i"),
+        Entry("robots.motion_bounds", "course_bounds", "i i F3 F2 F3", ""),
         Entry("robots.planning", "connect_trees", "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i"),
         Entry("robots.shortening", "shorten_path", "i i I1 F1 F2 I1 F2 F2", "i"),
         Entry("robots.polishing", "polish_path", "i i I1 F1 F2 F2 I1 F1 F2 F2", "i"),

@@ -7,7 +7,17 @@ pass a pose to a query; its ellipsoids are not fitted again.
 format.
 """
 
-from loewner.bodies.body import Bodies, Body, Piece, bodies_of, body_of_file, checksum_of, packed_of, reach_of
+from loewner.bodies.body import (
+    Bodies,
+    Body,
+    Piece,
+    bodies_of,
+    body_of_file,
+    body_of_polytopes,
+    checksum_of,
+    packed_of,
+    reach_of,
+)
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
@@ -26,6 +36,7 @@ __all__ = [
     "arrays_of",
     "bodies_of",
     "body_of_file",
+    "body_of_polytopes",
     "checksum_of",
     "for_pictures",
     "packed_of",

@@ -27,7 +27,7 @@ from loewner.bodies.triangulated import MANY_PIECES, for_pictures
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
-from loewner.polytopes import Hulls, box_hull, hulls
+from loewner.polytopes import Hulls, Polytope, box_hull, hulls
 
 # Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
 LARGEST_EXTENT = 1e9
@@ -339,7 +339,7 @@ class Body(_Bodies):
             seed=seed,
             progress=report,
         )
-        body = cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
+        body = body_of_polytopes(polytopes, covering, tol)
         if progress is not None:
             progress(steps, steps)
         return body
@@ -960,6 +960,39 @@ class Body(_Bodies):
         exports.plain_name(file.stem, "the stem of path")
         exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
 
+    def to_stl(self, path: str | os.PathLike[str]) -> None:
+        """Write the pieces as one STL file, binary, in metres: a closed mesh for each convex piece; they may overlap.
+
+        Parameters
+        ----------
+        path : path
+            Must end in ``.stl``; it is written under a temporary name and then renamed.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a piece is a surface or a cloud with a radius.
+        FileError
+            If the file cannot be written.
+
+        Notes
+        -----
+        Coordinates are rounded to single precision, and the triangles of curved pieces lie inside these. A body of
+        `Robot.swept` is written without any change.
+
+        Examples
+        --------
+        >>> Body.box([1, 2, 3]).to_stl("box.stl")
+        >>> Body.from_mesh("box.stl").covering.kind
+        'convex'
+        """
+        from loewner.bodies import exports
+
+        file = _validate.path(path, "path")
+        if file.suffix.lower() != ".stl":
+            raise InputError(f"path: expected a name that ends in .stl, found {file}")
+        exports.save_stl(self._packed, file)
+
     def to_trimesh(self, what: Literal["pieces", "inner", "outer"] = "pieces") -> Any:
         """Triangulate the pieces or ellipsoids, for trimesh to display or to write as GLB, STL or another format.
 
@@ -1242,6 +1275,11 @@ def reach_of(body: Body) -> float:
     else:
         far = float(packed.kernel.table[:, columns.REACH].max(initial=0.0))
     return far * (1.0 + 4.0 * tolerances.ROTATION_TOLERANCE)
+
+
+def body_of_polytopes(polytopes: Sequence[Polytope], covering: Covering | None, tol: float) -> Body:
+    """Make a body of polytopes, whose ellipsoids have log-volume gaps of up to `tol`."""
+    return Body(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
 
 
 def bodies_of(packed: Packed) -> Bodies:

@@ -1,4 +1,4 @@
-"""Write bodies for other programs, as MJCF and URDF.
+"""Write bodies for other programs, as MJCF, URDF and STL.
 
 Spheres, cylinders, capsules, ellipsoids and boxes become shapes of that type if the format has it. Any other polytope
 becomes a mesh whose convex hull it is. Curved pieces without a matching type are replaced by circumscribed polytopes,
@@ -8,6 +8,7 @@ inner ellipsoids by inscribed ones.
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
@@ -28,6 +29,7 @@ from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import ellipsoids_of, of_pieces
 from loewner.errors import InputError
+from loewner.mesh_files.stl import FACETS
 
 ELLIPSOIDS = ("inner", "outer")
 
@@ -125,6 +127,26 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
     with replacing(path) as temporary:  # a name that cannot be written is reported before any mesh is written
         save_texts(meshes)
         temporary.write_text(text_of(root), encoding="utf-8")
+
+
+def save_stl(packed: Packed, path: Path) -> None:
+    """Write the triangles of all pieces, whose corners are rounded to single precision."""
+    thick = (packed.layout[:, columns.KIND] < columns.POLYTOPE) & (packed.frames[:, 0] > 0.0)
+    if thick.any():
+        raise InputError(
+            f"expected pieces that triangles bound, found that piece {int(thick.argmax())} is a surface or a cloud "
+            "with a radius"
+        )
+    corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed)])
+    facets = np.zeros(len(corners), FACETS)
+    facets["corners"] = corners
+    corners = facets["corners"].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    facets["normal"] = np.divide(normals, size, out=np.zeros_like(normals), where=size > 0)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(b"written by loewner".ljust(80) + struct.pack("<I", len(facets)))
+        facets.tofile(file)
 
 
 def add_collisions(

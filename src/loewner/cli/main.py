@@ -33,6 +33,7 @@ from loewner.cli import (
     plan,
     report,
     robot,
+    swept,
     verify,
     view,
 )
@@ -108,7 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     ):
         parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    of_bodies, of_robots = (fit, check, clearance, judge_answers), (robot, clash, plan, verify, audit)
+    of_bodies, of_robots = (fit, check, clearance, judge_answers), (robot, clash, plan, verify, audit, swept)
     for command in (*of_bodies, *of_robots, report, view, compile, info, paper):
         command.add(commands)
     return parser

@@ -19,7 +19,7 @@ from loewner.mesh_files.parts import (
 )
 
 HEADER, FACET = 84, 50  # bytes
-_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+FACETS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 # Lines of a facet in text: the beginning of each, and the number of words that follow. A normal may be any three words:
 # for a triangle without area, C libraries write NaN in many ways.
@@ -40,7 +40,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET * count:
         tell_unit(data[:80], tell)
-        corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)
+        corners = np.frombuffer(data, FACETS, offset=HEADER)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # behind the name of the first solid
         corners = _text(data)

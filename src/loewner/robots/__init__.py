@@ -7,6 +7,7 @@ queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges` pro
 """
 
 from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401 - it answers methods of Robot
+from loewner.robots import swept as _swept  # noqa: F401 - likewise
 from loewner.robots.approaches import ClosestApproach
 from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker

@@ -992,6 +992,81 @@ class Robot(KeepsReadOnly):
         """
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
 
+    @guarded
+    def swept(
+        self,
+        curve: Any,
+        *,
+        links: str | Iterable[str] | None = None,
+        tolerance: float = 0.01,
+        joint_error: ArrayLike = 0.0,
+        scene: Scene | None = None,
+        progress: Progress | None = None,
+    ) -> Body:
+        """Make a body that provably contains links wherever they are along a whole curve.
+
+        Parameters
+        ----------
+        curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or array_like
+            As for `CollisionChecker.certify_trajectory`; or a path of straight motions, shape (k, dof).
+        links : str or iterable of str, optional
+            Names of links with bodies, or of bodies that are attached to links in `scene`. Default: all of them.
+        tolerance : float
+            The largest distance in metres by which the body may stick out of the links' swept volume. A larger one
+            leaves fewer pieces.
+        joint_error : float, or array_like of shape (dof,)
+            The body also contains the links if each value deviates from the curve by up to this much [rad or m]. These
+            deviations count as sticking out.
+        scene : Scene, optional
+            Bodies that are attached there are carried along; its other bodies do not matter.
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of pieces.
+
+        Returns
+        -------
+        Body
+            In the frame of the world, of convex pieces. Its `Body.covering` has the proven excess, `max_protrusion`:
+            no point of the body is farther from the links' swept volume. The coordinates of vertices are numbers of
+            single precision, so `Body.to_stl` writes exactly this body.
+
+        Raises
+        ------
+        InputError
+            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, or so small
+            that it cannot be kept, or that the curve has to be divided; or if a body is a cloud.
+        UnknownNameError
+            If there is no such link or body.
+        GeometryError
+            If a link's mesh is flat.
+
+        See Also
+        --------
+        CollisionChecker.certify_trajectory : Whether a curve is free, without a body in between.
+
+        Notes
+        -----
+        Links are taken as their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths of
+        the tolerance, as far as ten seconds of work for each suffice. docs/certified.md, "Swept volumes", derives both
+        bounds.
+
+        Examples
+        --------
+        >>> from loewner import Robot, collide
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> fence = robot.swept([[0.0, 0.0], [1.0, 0.0]], links="cart")
+        >>> fence.covering.max_protrusion < 0.01
+        True
+        >>> moved = robot.forward_kinematics([0.3, 0.0])[robot.link_names.index("cart")]
+        >>> collide(fence, None, robot.bodies["cart"], moved)
+        True
+        """
+        return cast(
+            Body,
+            answers["swept"](
+                self, curve, links=links, tolerance=tolerance, joint_error=joint_error, scene=scene, progress=progress
+            ),
+        )
+
     def prove_pairs(
         self,
         pairs: Iterable[Pair] | None = None,

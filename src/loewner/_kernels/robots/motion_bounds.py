@@ -19,6 +19,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import BALL, FIXED, FLOATING, PLANAR, PRISMATIC
 from loewner._kernels.elementary import arc_sine
+from loewner._kernels.pieces.pack import motion_tables_of, problem_of
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Rounding of a position by forward kinematics, for each joint of the chain, in units of the chain's length.
@@ -375,3 +376,33 @@ def ways_between(tables, rates, body, link, fixed):
         speed += far + slide
     # Rounding of `rest` by the differences: a few roundings of the whole, for each joint.
     return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD, every * UPWARD, turning * UPWARD, travel)
+
+
+@njit()
+def course_bounds(problem_handle, tables_handle, courses, off, bounds):
+    """Bound how the points of all moving bodies move in the world on courses.
+
+    Parameters
+    ----------
+    problem_handle, tables_handle : addresses
+    courses : ndarray, shape (N, degree + 1, dof)
+    off : ndarray, shape (N, dof)
+        Allowed deviation of each value from the course at the same fraction.
+    bounds : ndarray, shape (N, bodies, 4)
+        Receives the norm of the second derivative [m], the angular velocity [rad], the distance by which points may
+        deviate [m], and the error of computed positions [m]; infinite if an orientation may turn arbitrarily fast.
+    """
+    problem, tables = problem_of(problem_handle), motion_tables_of(tables_handle)
+    memory = np.zeros((10, len(problem.tree.kind)))
+    rates = Rates(memory[0], memory[1], memory[2], memory[3], memory[4])
+    strays = Rates(memory[5], memory[6], memory[7], memory[8], memory[9])
+    for n in range(len(courses)):
+        travel, angles, places = rates_of(problem.tree, courses[n], 1.0, rates)
+        slides, _ = write_strays(problem.tree, off[n], rates, strays)
+        error, length, turned = uncertainty(tables, travel + slides, angles, places)
+        for body in range(len(problem.link)):
+            ways = ways_between(tables, rates, body, problem.link[body], -1)
+            astray = ways_between(tables, strays, body, problem.link[body], -1)
+            bounds[n, body, 0], bounds[n, body, 1] = ways.bend, ways.turn
+            bounds[n, body, 2] = (1.0 + 2.0 * (turned + tables.chain[2])) * astray.speed
+            bounds[n, body, 3] = error + tables.chain[2] * length

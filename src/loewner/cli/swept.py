@@ -1,0 +1,88 @@
+"""``loewner swept``: write a body that provably contains links of a robot along a whole trajectory."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import meshes
+from loewner.bodies import for_pictures, packed_of
+from loewner.cli import inputs, trajectories
+from loewner.cli.output import FREE, progress_bar
+from loewner.errors import FileError
+from loewner.robots.swept import united
+
+EXAMPLES = """examples:
+  loewner swept panda.urdf moves.csv -o fence.stl
+  loewner swept panda.urdf moves.csv --links panda_hand panda_link7 --tolerance 0.005 -o hand.npz
+  loewner swept panda.urdf path.csv --scene shelf.yaml --attach can=panda_hand -o fence.stl
+
+Every point of the links is in the body at every real time of the trajectory, as a controller executes it. No point of
+the body is farther from what the links sweep than the number that is printed, which is at most the tolerance.
+
+trajectory, controller, attach: see loewner audit --help. Links without --links: all of them, and carried bodies.
+
+An .stl file is in metres and has a closed mesh for each convex piece; the pieces overlap. It is read again and compared
+with the body. An .npz file is for further checks (loewner check, loewner clearance, Body.load).
+
+exit status: 0 written, 2 error
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    swept = inputs.command(commands, "swept", "a body that contains links along a whole trajectory", EXAMPLES)
+    inputs.add_robot_options(swept)
+    swept.add_argument(
+        "trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)"
+    )
+    swept.add_argument("-o", "--out", type=Path, metavar="FILE", required=True, help="the body (.stl or .npz)")
+    swept.add_argument("--links", nargs="+", metavar="NAME", help="links, or bodies that are carried (all)")
+    swept.add_argument(
+        "--tolerance", type=float, default=0.01, metavar="M",
+        help="largest distance by which the body may stick out, in metres (default %(default)s)",
+    )  # fmt: skip
+    swept.add_argument(
+        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
+    )
+    swept.add_argument("--scene", type=Path, metavar="FILE", help="attached bodies (.yaml)")
+    trajectories.add_options(swept)
+    swept.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.out.suffix.lower() not in (".stl", ".npz"):
+        raise FileError(f"--out: expected a .stl or .npz file, found {options.out}")
+    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+    robot, found = inputs.robot(options), []
+    parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
+    with progress_bar() as progress:
+        for number, given in enumerate(parts):
+            trajectories.carry(scene, robot, given, carrying[number])
+            task = progress.add_task(f"part {number + 1}" if len(parts) > 1 else options.trajectory.name, total=None)
+
+            def report(done: int, total: int, task: Any = task) -> None:
+                progress.update(task, completed=done, total=total)
+
+            found.append(
+                robot.swept(
+                    given, links=options.links, tolerance=options.tolerance, joint_error=options.joint_error,
+                    scene=scene, progress=report,
+                )
+            )  # fmt: skip
+            trajectories.put_down(scene, robot, given, carrying[number])
+    body, excess = united(found)
+    if options.out.suffix.lower() == ".npz":
+        body.save(options.out)
+    else:
+        body.to_stl(options.out)
+        vertices, triangles = meshes.load(options.out)
+        if not np.array_equal(vertices[triangles], for_pictures(packed_of(body)).corners):
+            raise FileError(f"{options.out}: expected the body that was written, found another one when reading it")
+    print(f"{options.out}  {len(body.pieces)} pieces")
+    print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
+    return FREE

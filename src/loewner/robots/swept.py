@@ -1,0 +1,449 @@
+"""Swept volumes: a body that provably contains links wherever they are on a curve, and how far it sticks out.
+
+The curve is placed at knots, so near each other that all points of a link stay near the chords between them. The hull
+of a convex piece's places at two knots then contains the piece on the whole way between these knots, once it is grown
+by the largest distance from the chords between the two. docs/certified.md, "Swept volumes", derives this and the bound
+on the excess.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate, meshes
+from loewner._kernels import columns
+from loewner._kernels.robots.motion_bounds import UPWARD
+from loewner._matrices import dot, image, lengths, principal_axes, product
+from loewner._native import entries
+from loewner._threads import in_shares
+from loewner._validate import Floats, Ints, Progress
+from loewner.bodies import CURVED, Body, Packed, body_of_polytopes, packed_of
+from loewner.bodies.kinds import ball
+from loewner.bodies.surface_trees import SurfaceTree
+from loewner.closed_parts import closed_parts
+from loewner.coverage import Covering, distances_from
+from loewner.errors import GeometryError, InputError
+from loewner.plane_cuts import WORK, pieces_within
+from loewner.polytopes import Polytope
+from loewner.protrusion import Solid, protrusions
+from loewner.robots.checker import CollisionChecker
+from loewner.robots.courses import configurations, straight
+from loewner.robots.curves import Curve, expect_carried, joint_errors, started
+from loewner.robots.edges import checked_path
+from loewner.robots.problem import Problem
+from loewner.robots.robot import Robot, answers, link_poses
+from loewner.scenes import Scene
+
+# Shares of the tolerance: for convex pieces in place of solids and curved shapes, for vertices that are left out, for
+# the distance of points from the chords between knots, and for the turn between two knots.
+PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
+
+# Vertices are left out of pieces that have more than this.
+FEW = 26
+
+# Places of links at most.
+MOST_PLACES = 2**21
+
+# The least growth, as a share of the tolerance: otherwise neighbouring corners would coincide.
+LEAST_GROWTH = 1e-4
+
+# A ball of radius 1 lies in the octahedron with these corners.
+OCTAHEDRON = math.sqrt(3.0) * (1 + 1e-15) * np.concatenate([np.eye(3), -np.eye(3)])
+
+# How far a coordinate moves when it is rounded to single precision, in units of the coordinate.
+SINGLE = 2.0**-24
+
+# Slack for the rounding of lengths in double precision, in units of the lengths; a thousand times as much as needed.
+ROUNDINGS = 2.0**-53 * 2**20
+
+# Certified log-volume gap of the ellipsoids.
+TOL = 1e-2
+
+# Convex pieces of meshes, by their trees and the room for sticking out; cutting a mesh takes seconds.
+_known: WeakKeyDictionary[SurfaceTree, dict[float, list[tuple[Floats, float]]]] = WeakKeyDictionary()
+
+# Directions in which vertices are taken first: of the corners, edges and faces of a cube.
+_WAYS = np.indices((3, 3, 3)).reshape(3, -1).T[np.arange(27) != 13] - 1.0
+_CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
+
+
+class _Part(NamedTuple):
+    """A convex piece of a body.
+
+    Attributes
+    ----------
+    body : int
+        Number of the moving body.
+    vertices : ndarray, shape (n, 3)
+        In the frame of the body's link.
+    corners : ndarray, shape (8, 3)
+        Corners of a box around them.
+    near, out : float
+        The body's points in the piece are within `near` of the hull of the vertices [m], all points of the hull are
+        within `out` of the body [m].
+    """
+
+    body: int
+    vertices: Floats
+    corners: Floats
+    near: float
+    out: float
+
+
+class _Knots(NamedTuple):
+    """Places of the moving bodies on a curve, and bounds on their motions between two knots.
+
+    Attributes
+    ----------
+    poses : ndarray, shape (bodies, N, 4, 4)
+    sag, astray, error : ndarray, shape (bodies, N - 1)
+        How far points may be from their chords, how far they may deviate as joints do, and errors of places [m].
+    """
+
+    poses: Floats
+    sag: Floats
+    astray: Floats
+    error: Floats
+
+
+class _Element(NamedTuple):
+    """The hull of a part's places at two knots.
+
+    Attributes
+    ----------
+    part, first, last : int
+    growth, grown : float
+        How far it has to be grown, and how far it is, with room for rounding its vertices to single precision [m].
+    excess : float
+        How far it then sticks out of the body's swept volume, at most [m].
+    """
+
+    part: int
+    first: int
+    last: int
+    growth: float
+    grown: float
+    excess: float
+
+
+def swept(
+    self: Robot,
+    curve: Any,
+    *,
+    links: str | Iterable[str] | None,
+    tolerance: float,
+    joint_error: ArrayLike,
+    scene: Scene | None,
+    progress: Progress | None,
+) -> Body:
+    """Answer `Robot.swept`."""
+    limit = _validate.positive_scalar(tolerance, "tolerance")
+    _validate.callback(progress, "progress")
+    errors = joint_errors(self, joint_error)
+    ready: Problem = CollisionChecker(self, scene)._ready(timed=True)
+    given = _curve(self, Scene() if scene is None else scene, curve)
+    chosen = _chosen(self, ready, links)
+    parts = [part for k, n in enumerate(chosen) for part in _parts(k, ready.names[n], ready.packs[n], limit)]
+    knots = _knots(self, given._replace(off=given.off + errors), parts, ready.link[chosen], limit)
+    elements = [element for number in range(len(parts)) for element in _elements(parts, number, knots, limit)]
+
+    def run(first: int, last: int) -> list[Polytope]:
+        return [_hull(parts[one.part], knots, one) for one in elements[first:last]]
+
+    hulls = [hull for share in in_shares(run, len(elements), 16, most=64, progress=progress) for hull in share]
+    excess = max(one.excess for one in elements)
+    return body_of_polytopes(hulls, Covering("swept", True, 0.0, math.nan, 0, excess), TOL)
+
+
+answers["swept"] = swept
+
+
+def united(bodies: list[Body]) -> tuple[Body, float]:
+    """Return one body of several that `swept` made, with its covering, and its excess [m]."""
+    excess = max(body.covering.max_protrusion for body in bodies if body.covering is not None)
+    return Body(packed_of(Body.union(bodies)), Covering("swept", True, 0.0, math.nan, 0, excess)), excess
+
+
+# -- links and curves -------------------------------------------------------------------------
+
+
+def _curve(robot: Robot, scene: Scene, given: Any) -> Curve:
+    """Return the courses of a curve or a path."""
+    if isinstance(given, (np.ndarray, list, tuple)):
+        rows = checked_path(robot, given)
+        a, b = rows[:-1], rows[1:]
+        return Curve(None, np.arange(len(rows), dtype=np.float64), straight(robot, a, b), np.zeros_like(a))
+    curve = started(robot, given, "curve")
+    expect_carried({body: one.link for body, one in scene.attachments.items()}, curve.carried)
+    return curve
+
+
+def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> Ints:
+    """Return the numbers of the bodies that are swept."""
+    own = [k for k, link in enumerate(ready.link.tolist()) if link < len(robot.link_names)]
+    if links is None:
+        return np.array(own)
+    names = [links] if isinstance(links, str) else _validate.listed(links, "links")
+    if not names:
+        raise InputError("links: expected at least one link, found none")
+    known = {ready.names[k]: k for k in own}
+    for name in names:
+        if not isinstance(name, str):
+            raise InputError(f"links: expected names of links, found {_validate.short(name)}")
+        if name not in known:
+            raise _validate.unknown_name("links: link with a body, or attached body", name, tuple(known))
+    return np.array([known[name] for name in dict.fromkeys(names)])
+
+
+def _parts(body: int, name: str, packed: Packed, tolerance: float) -> Iterator[_Part]:
+    """Divide a body into convex pieces with few vertices."""
+    for i in range(len(packed.layout)):
+        for points, out in _convex(name, packed, i, PIECES * tolerance):
+            vertices, near = _thinned(points, VERTICES * tolerance)
+            axes = principal_axes(vertices)
+            sides = image(axes, vertices)
+            ends = np.stack([sides.min(axis=0), sides.max(axis=0)]) + ROUNDINGS * np.abs(sides).max() * _SIGNS
+            corners = image(axes.T, ends[_CORNERS, np.arange(3)])
+            yield _Part(body, vertices, corners, UPWARD * near, UPWARD * out)
+
+
+_SIGNS = np.array([[-1.0], [1.0]])
+
+
+def _convex(name: str, packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
+    """Return points whose hulls contain a piece of a body, and how far each hull may stick out of it.
+
+    A curved shape becomes a polytope around it. A solid, or a surface, becomes its hull if that does not stick out
+    farther than `room`, and is cut along planes otherwise.
+    """
+    row, frame = packed.layout[i], packed.frames[i]
+    kind, radius = int(row[columns.KIND]), float(frame[0])
+    if kind == columns.POLYTOPE:
+        return [(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], 0.0)]
+    if kind > columns.POLYTOPE:
+        return [_around(kind, radius, frame[1:4], frame[4:].reshape(3, 3), room)]
+    triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
+    if (triangles == triangles[:, :1]).all():
+        raise InputError(f"{name}: expected links of shapes and meshes, found a cloud; take its voxels (voxel=)")
+    vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+    known = _known.setdefault(packed.trees[i], {})
+    if room not in known:
+        known[room] = _cut(vertices, triangles, kind == columns.SOLID, room)
+    grown, further = _grown_ball(radius, room) if radius > 0 else (np.zeros((1, 3)), 0.0)
+    return [((points[:, None] + grown).reshape(-1, 3), out + further) for points, out in known[room]]
+
+
+def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tuple[Floats, float]]:
+    """Return vertices of hulls that together contain a mesh, with its inside if it is solid, and how far each is out.
+
+    The hull of a solid's surface contains it, and so does each hull of a closed part, or of a part on one side of a
+    plane, what of the solid is there.
+    """
+    vertices, triangles = meshes.welded(vertices, triangles)
+    closed = closed_parts(vertices, triangles) if solid else None
+    parts = [vertices[part.triangles] for part in closed] if closed else [vertices[triangles]]
+    mesh, hull = Solid(np.concatenate(parts), closed=solid), Polytope.from_points(vertices)
+    out = float(protrusions([hull], mesh, floor=room, relative=1.0).bounds[0])
+    if out <= room or (solid and not closed):
+        return [(hull.vertices, out)]
+    return [(cell.hull.vertices, cell.bound) for cell in pieces_within(parts, mesh, room, None, None, WORK)]
+
+
+def _grown_ball(radius: float, room: float) -> tuple[Floats, float]:
+    """Return the corners of a polytope around a ball about the origin, and how far it sticks out."""
+    for level in range(4):
+        unit, triangles = ball(level)
+        a, b, c = np.moveaxis(unit[triangles], 1, 0)
+        across = np.cross(b - a, c - a)
+        inside = float((dot(across, a) / lengths(across)).min()) * (1 - ROUNDINGS)
+        out = radius * (1 / inside - 1)
+        if out <= room:
+            break
+    return unit * (radius / inside), out
+
+
+def _around(kind: int, radius: float, center: Floats, factor: Floats, room: float) -> tuple[Floats, float]:
+    """Return points whose hull contains a curved piece, and how far it sticks out."""
+    known, up = CURVED[kind], 1 + ROUNDINGS
+    if known.core is not None:  # a ball along a segment
+        ends = np.array([[known.core], [-known.core]]) * factor[:, 2]
+        corners, out = _grown_ball(radius * up, room)
+        return (corners + ends[:, None] + center).reshape(-1, 3), out + radius * ROUNDINGS
+    size = float(lengths(factor.T).max())
+    if known.is_ball:
+        corners, out = _grown_ball(1.0, room / size)
+        return image(factor, corners * up) + center, (out + ROUNDINGS) * size
+    unit, _ = known.mesh()
+    inradius = math.cos(math.pi / 48) * (1 - ROUNDINGS)
+    return image(factor, unit * [1 / inradius, 1 / inradius, 1.0] * up) + center, size * (1 / inradius - 1 + ROUNDINGS)
+
+
+def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
+    """Choose vertices of the points' hull, and return how far the points are from the chosen ones' hull, at most."""
+    vertices = Polytope.from_points(points).vertices
+    size = float(np.abs(vertices).max())
+    if len(vertices) <= FEW:
+        return vertices, ROUNDINGS * size  # the hull leaves out points within rounding of its faces
+    chosen = np.unique(product(vertices, (_WAYS / np.ptp(vertices, axis=0)).T).argmax(axis=0)).tolist()
+    while True:
+        away = distances_from(vertices, Polytope.from_points(vertices[chosen]), ROUNDINGS * size)
+        farthest = int(away.argmax())
+        if away[farthest] <= room or farthest in chosen:
+            return vertices[chosen], float(away[farthest]) + 2 * ROUNDINGS * size
+        chosen.append(farthest)
+
+
+# -- places -----------------------------------------------------------------------------------
+
+
+def _knots(robot: Robot, curve: Curve, parts: list[_Part], link: Ints, tolerance: float) -> _Knots:
+    """Place the bodies so often that chords and turns between two knots have their shares of the tolerance."""
+    packs = [
+        packed_of(Body.from_pieces([part.vertices for part in parts if part.body == k], tol=TOL))
+        for k in range(len(link))
+    ]
+    none, empty = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    no = np.zeros(0, dtype=bool)
+    problem = Problem.of(robot, (0, 0), ("",) * len(link), packs, link, none, empty, no, no)
+    count, bounds = len(curve.courses), np.empty((len(curve.courses), len(link), 4))
+    entries.course_bounds(
+        problem.handle, problem.handle_of_motions, np.ascontiguousarray(curve.courses),
+        np.ascontiguousarray(curve.off), bounds,
+    )  # fmt: skip
+    bend, turn, astray, error = np.moveaxis(bounds, 2, 0)
+    for k in np.flatnonzero(~np.isfinite(bounds).all(axis=(1, 2)))[:1]:
+        raise InputError(
+            f"curve: expected pieces on which no orientation turns by more than about 80 degrees, found the piece from "
+            f"{curve.times[k]:.15g} s to {curve.times[k + 1]:.15g} s; divide it"
+        )
+    wide = np.array([max(_diameter(part.corners) for part in parts if part.body == k) for k in range(len(link))])
+    each = np.maximum(np.sqrt(bend / (8 * CHORDS * tolerance)), turn * wide / (4 * TURNS * tolerance)).max(axis=1)
+    if not (each.sum() + 2 * count) * len(link) <= MOST_PLACES:
+        raise InputError(
+            f"tolerance: expected at most {MOST_PLACES} places of links, found {each.sum() * len(link):.3g}; divide "
+            f"the curve, or raise the tolerance of {tolerance:g} m"
+        )
+    steps = np.maximum(np.ceil(each), 1).astype(np.int64)
+    at = np.repeat(np.arange(count), steps + 1)
+    first = np.cumsum(steps + 1) - (steps + 1)
+    number = np.arange(len(at)) - first[at]
+    shares = np.where(number == steps[at], 1.0, number / steps[at])
+    poses = np.empty((len(link), len(at), 4, 4))
+    for begin in range(0, len(at), 4096):
+        some = slice(begin, begin + 4096)
+        Q = configurations(robot, curve.courses[at[some]], shares[some])
+        poses[:, some] = link_poses(robot, Q)[:, link].swapaxes(0, 1)
+    sag = (bend / (8 * steps[:, None].astype(float) ** 2))[at[:-1]].T.copy()
+    # Where one course ends and the next one begins, points do not move, except for rounding.
+    for k in range(len(link)):
+        corners = np.concatenate([part.corners for part in parts if part.body == k])
+        for knot in first[1:].tolist():
+            sag[k, knot - 1] = lengths(_placed(poses[k, knot], corners) - _placed(poses[k, knot - 1], corners)).max()
+    return _Knots(poses, sag, astray[at[:-1]].T.copy(), error[at[:-1]].T.copy())
+
+
+def _placed(T: Floats, points: Floats) -> Floats:
+    """Place points, shape (n, 3), at poses of shape (..., 4, 4)."""
+    return product(points, T[..., :3, :3].swapaxes(-1, -2)) + T[..., None, :3, 3]
+
+
+def _diameter(points: Floats) -> float:
+    return float(lengths(points[:, None] - points).max())
+
+
+def _off_chords(ways: Floats) -> float:
+    """Bound how far the hull of two places of a part is from the chords of its points [m].
+
+    Parameters
+    ----------
+    ways : ndarray, shape (8, 3)
+        From one place to the other, for the corners of a box around the part.
+    """
+    off, middle = _diameter(ways) / 4, np.add.reduce(ways, axis=0)
+    size = float(lengths(middle))
+    if size > 0:
+        along = np.maximum(dot(ways, middle / size), 0.0)
+        least, most = float(along.min()), float(along.max())
+        across = float(lengths(ways - along[:, None] * (middle / size)).max())
+        if most > 0:
+            off = min(off, across * (least + most) / (math.sqrt(least) + math.sqrt(most)) ** 2)
+    return off * (1 + ROUNDINGS)
+
+
+def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) -> Iterator[_Element]:
+    """Divide the knots into the longest ways between which the hull of a part's places sticks out within tolerance."""
+    part = parts[number]
+    places = _placed(knots.poses[part.body], part.corners)
+    sag, astray, error = (bound[part.body] for bound in knots[1:])
+    size = np.abs(places).max(axis=(1, 2))
+
+    def between(i: int, j: int) -> _Element:
+        ways = places[i : j + 1] - places[i]
+        whole = ways[-1]
+        square = float((whole * whole).sum())
+        shares = np.clip((ways * whole).sum(axis=(1, 2)) / square, 0.0, 1.0) if square > 0 else np.zeros(len(ways))
+        off = float(lengths(ways - shares[:, None, None] * whole).max()) + float(sag[i:j].max())
+        lost = float(error[i:j].max()) + ROUNDINGS * float(size[i : j + 1].max())
+        growth = part.near + off + float(astray[i:j].max()) + lost
+        rounded = 2 * SINGLE * (float(size[i : j + 1].max()) + 2 * tolerance)
+        grown = max(growth, LEAST_GROWTH * tolerance) + rounded
+        sides = math.sqrt(3.0) * grown * (1 + ROUNDINGS) + rounded
+        return _Element(number, i, j, growth, grown, part.out + sides + off + lost + _off_chords(whole))
+
+    i, last, step = 0, len(places) - 1, 1
+    while i < last:
+        # The farthest knot: in larger steps first, then between the last one that fits and the first that does not.
+        best, beyond = None, last + 1
+        while beyond - (i if best is None else best.last) > 1:
+            j = min(i + step, last) if beyond > last else ((i if best is None else best.last) + beyond) // 2
+            found = between(i, j)
+            if found.excess <= tolerance:
+                best = found
+                step = 2 * step
+            else:
+                beyond = j
+            if best is not None and best.last == last:
+                break
+        if best is None:
+            raise InputError(
+                f"tolerance: expected more than {between(i, i + 1).excess:.3g} m, found {tolerance:g}: joint errors "
+                f"move points by up to {astray[i]:.3g} m, convex pieces stick out of the link by {part.out:.3g} m, and "
+                f"coordinates are rounded by {SINGLE * size[i]:.1g} m"
+            )
+        yield best
+        step = max(1, best.last - i)
+        i = best.last
+
+
+# -- hulls ------------------------------------------------------------------------------------
+
+
+def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
+    """Make the hull of two places of a part, grown; its vertices are numbers of single precision.
+
+    Raises
+    ------
+    GeometryError
+        If the hull of the stored vertices is not proven to reach so far.
+    """
+    ends = _placed(knots.poses[part.body, [one.first, one.last]], part.vertices).reshape(-1, 3)
+    corners = (np.unique(ends, axis=0)[:, None] + one.grown * OCTAHEDRON).reshape(-1, 3)
+    hull = Polytope.from_points(corners.astype(np.float32).astype(np.float64))
+    # By the lemma of docs/containment.md, for any normals.
+    center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
+    normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
+    heights = np.full(len(hull.normals), np.inf)
+    np.minimum.at(heights, hull.face_of_simplex, dot(normals[:, None], vertices).min(axis=1))
+    reached = product(hull.normals, (ends - center).T).max(axis=1) + one.growth * (1 + ROUNDINGS)
+    if not (reached < heights).all():
+        raise GeometryError(
+            f"expected hulls that reach {one.growth:.3g} m beyond a link, found one that falls short by "
+            f"{(reached - heights).max():.3g} m; raise the tolerance"
+        )
+    return hull
