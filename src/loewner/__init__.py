@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from loewner import cover_files as _cover_files  # noqa: F401 - it answers methods of Robot
 from loewner._threads import get_num_threads, set_num_threads
 from loewner.bodies import Bodies, Body, Piece
 from loewner.coverage import Covering

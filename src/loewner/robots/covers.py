@@ -1,0 +1,118 @@
+"""Cover the links of robots by simple shapes, and judge such models of others, link by link."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from loewner import _validate
+from loewner._plausible import warn
+from loewner._validate import Floats, Named, Pair, Progress
+from loewner.bodies import Body, CoverReport
+from loewner.errors import InputError
+from loewner.robots.checker import CollisionChecker
+from loewner.robots.robot import Robot, answers
+
+# Configurations in which pairs are searched that only the shapes of a cover bring into contact: such a pair that meets
+# in one of a hundred configurations is missed once in thirty thousand robots.
+TRIED = 1000
+
+# Boxes of configurations for the proofs that these pairs never collide; most pairs take some thousands.
+BOXES = 200_000
+
+# The range of protrusions [m] in which the least one for a number of shapes is searched, and the number of steps, which
+# leave its end within 9 % of the next one that was tried.
+LEAST, LARGEST, STEPS = 1e-4, 10.0, 7
+
+
+def cover(self: Robot, kind: str, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
+    """Answer `Robot.cover`, which has the defaults."""
+    _validate.callback(progress, "progress")
+    if not self.bodies:
+        raise InputError("expected a robot with bodies, found one without")
+    if n is None:
+        bodies = _covered(self, kind, protrusion, progress, 0, 1)
+    elif protrusion is not None:
+        raise InputError("n: expected none with protrusion, found both")
+    else:
+        bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), progress)
+    made = replace(self, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
+    found = new_contacts(self, made)
+    pairs = [pair for pair, _ in found]
+    rows = self.prove_pairs(pairs, boxes=BOXES).with_verdict("NEVER") if pairs else ()
+    never = frozenset(row.names for row in rows)
+    always = [f"{a} and {b}" for (a, b), share in found if share == 1.0 and (a, b) not in never]
+    if always:
+        warn(
+            f"shapes of links that may collide meet in all of {TRIED} configurations, so no motion of this cover is "
+            f"free: {', '.join(always)}; take a smaller protrusion"
+        )
+    return made.disabling(made._usually_skipped | never)
+
+
+def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float]]:
+    """Find the pairs that meet in some configurations with another robot's bodies only, and the share of these."""
+    Q = robot.random_configurations(TRIED)
+    theirs = CollisionChecker(model)
+    meets = theirs.collide_by_pair(Q)
+    ours = CollisionChecker(replace(robot, disabled_pairs=model._usually_skipped, _ruled=True))
+    known = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
+    none = np.zeros(TRIED, dtype=bool)
+    shares = [
+        (pair, float((hits & ~known.get(pair, none)).mean()))
+        for pair, hits in zip(theirs.checked_pairs, meets.T, strict=True)
+    ]
+    return [(pair, share) for pair, share in shares if share > 0]
+
+
+def _covered(
+    robot: Robot, kind: str, protrusion: float | None, progress: Progress | None, before: int, steps: int
+) -> dict[str, Body]:
+    """Cover all links; of all steps, some were done before."""
+    made = {}
+    for number, (link, body) in enumerate(robot.bodies.items(), 1):
+        made[link] = body.cover(kind, protrusion=protrusion)
+        if progress is not None:
+            progress(before * len(robot.bodies) + number, steps * len(robot.bodies))
+    return made
+
+
+def _of_number(robot: Robot, kind: str, n: int, progress: Progress | None) -> dict[str, Body]:
+    """Cover all links with at most n shapes; the bound on how far they stick out is halved on a scale of ratios."""
+    low, high, best = LEAST, LARGEST, None
+    for step in range(STEPS):
+        middle = float(np.sqrt(low * high))
+        made = _covered(robot, kind, middle, progress, step, STEPS)
+        if sum(len(body.pieces) for body in made.values()) > n:
+            low = middle
+        else:
+            high, best = middle, made
+    if best is None:
+        raise InputError(f"n: expected more shapes for {len(robot.bodies)} links, found {n}")
+    return best
+
+
+def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Progress | None) -> dict[str, CoverReport]:
+    """Answer `Robot.covered_by`, which has the defaults."""
+    if not isinstance(model, Robot):
+        raise InputError(f"model: expected loewner.Robot, found {type(model).__name__}")
+    _validate.callback(progress, "progress")
+    found = {}
+    for number, (link, body) in enumerate(self.bodies.items(), 1):
+        if link in model.bodies:
+            found[link] = body.covered_by(model.bodies[link], tolerance=tolerance)
+        else:
+            found[link] = CoverReport("uncovered", (1.0, 1.0), (np.inf, np.inf), _point_of(body), (0.0, 0.0))
+        if progress is not None:
+            progress(number, len(self.bodies))
+    return found
+
+
+def _point_of(body: Body) -> Floats:
+    """Return a point of a body."""
+    vertices = body.pieces[0].vertices
+    return np.array(body.inner.center[0] if vertices is None else vertices[0])
+
+
+answers |= {"cover": cover, "covered_by": covered_by}
