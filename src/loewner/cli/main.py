@@ -2,8 +2,8 @@
 
 The exit status is 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or configurations); 2
 for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check --method certified``,
-``loewner plan``, ``clash`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ. The status stays
-the same if the program that reads the output ends before it has read all (``| head``).
+``plan``, ``clash``, ``cover``, ``judge`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ. The
+status stays the same if the program that reads the output ends before it has read all (``| head``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,23 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import audit, check, clash, clearance, compile, fit, info, paper, plan, report, robot, verify, view
+from loewner.cli import (
+    audit,
+    check,
+    clash,
+    clearance,
+    compile,
+    cover,
+    fit,
+    info,
+    judge,
+    paper,
+    plan,
+    report,
+    robot,
+    verify,
+    view,
+)  # fmt: skip
 from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
 
@@ -93,7 +109,8 @@ def _parser() -> argparse.ArgumentParser:
     ):
         parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, clearance, robot, clash, plan, verify, audit, report, view, compile, info, paper):
+    every = fit, check, clearance, robot, clash, cover, judge, plan, verify, audit, report, view, compile, info, paper
+    for command in every:
         command.add(commands)
     return parser
 

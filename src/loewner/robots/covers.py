@@ -14,6 +14,8 @@ from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.robot import Robot, answers
 
+KINDS = ("spheres", "capsules", "boxes", "ellipsoids")
+
 # Configurations in which pairs are searched that only the shapes of a cover bring into contact: such a pair that meets
 # in one of a hundred configurations is missed once in thirty thousand robots.
 TRIED = 1000
