@@ -129,7 +129,8 @@ def others(name: str, robot: Robot, path: Path) -> None:
     same = sum(len(body.cover("spheres", protrusion=max(excess.values())).pieces) for body in links.values())
     print(
         f"  grown until proven: {spheres} spheres stick out by up to {1e3 * max(excess.values()):.1f} mm; ours: "
-        f"{fewer} ({fewer / spheres:.2f}) with no link farther out than theirs, {same} ({same / spheres:.2f}) with the largest",
+        f"{fewer} ({fewer / spheres:.2f}) with no link farther out than theirs, {same} ({same / spheres:.2f}) with no "
+        "link farther out than their worst",
         flush=True,
     )
 

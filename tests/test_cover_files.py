@@ -1,6 +1,7 @@
 """Models of robots in the files of planners: what is read and reported, and that written files contain the bodies."""
 
 import json
+import re
 import warnings
 from fractions import Fraction
 
@@ -9,10 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from families import translation
 from gantry import gantry
-from loewner import Body, CollisionChecker, FileError, InputError, Joint, Robot, UnknownNameError
+from loewner import Body, CollisionChecker, FileError, InputError, Joint, Robot, UnknownNameError, cli, plots
 from loewner.bodies import packed_of
 from loewner.cover_files import FORMATS, _Balls, _rounded
+from loewner.robots import covers
 
 SUFFIX = {
     "curobo": "yml",
@@ -39,7 +42,7 @@ def model(robot, tmp_path):
     return robot.with_cover(written(tmp_path / "model.json", PYROKI))
 
 
-PYROKI = """{"ball": {"centers": [[0, 0, 0.01]], "radii": [0.11]},
+PYROKI = """{"ball": {"centers": [[0, 0, 0.01]], "radii": [0.125]},
 "rod": {"centers": [[0.2, 0, 0], [0.3, 0.001, 0], [0.4, 0, 0]], "radii": [0.07, 0.06, 0.07]}}"""
 CUROBO = """
 robot_cfg:
@@ -359,3 +362,172 @@ def test_scene_bodies_at_poses(robot, tmp_path):
     text = "bodies: {ball: {sphere: {radius: 0.5}, position: [0, 0, 1]}, rod: {sphere: {radius: 1}}}"
     found = robot.with_cover(written(tmp_path / "s.yaml", text))
     assert spheres(found.bodies["ball"])[0].tolist() == [[0, 0, 1]]
+
+
+# -- covers of robots -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def near():
+    """A cart 5 mm above its rail, which it never touches, and a flap that can turn into the rail."""
+    joints = [
+        Joint(
+            "slide",
+            "prismatic",
+            "rail",
+            "cart",
+            T_parent_joint=translation(z=0.105),
+            axis=[1, 0, 0],
+            lower=-0.2,
+            upper=0.2,
+        ),
+        Joint("turn", "revolute", "cart", "flap", T_parent_joint=translation(y=0.2), axis=[1, 0, 0], lower=-3, upper=0),
+    ]
+    flap = Body.box([0.1, 0.1, 0.02]).transformed(translation(y=0.1))
+    links = {"rail": Body.box([0.4, 0.4, 0.1]), "cart": Body.box([0.1, 0.1, 0.1]), "flap": flap}
+    return Robot.from_links(links, joints, disabled=[])
+
+
+def test_covers_contain_the_links(near):
+    """Each link is covered by shapes that stick out by no more than was asked, with nothing but spheres."""
+    cover = near.cover("spheres", protrusion=0.02)
+    assert list(cover.bodies) == list(near.bodies)
+    assert {piece.kind for body in cover.bodies.values() for piece in body.pieces} == {"sphere"}
+    for report in near.covered_by(cover).values():
+        assert report.outcome == "covered"
+        assert report.excess[1] <= 0.02 * 1.02
+    Q = near.random_configurations(5)
+    np.testing.assert_array_equal(cover.forward_kinematics(Q), near.forward_kinematics(Q))
+
+
+def test_pairs_that_only_the_cover_makes_collide(near):
+    """A pair that is proven never to collide becomes exempt; one that can collide stays checked."""
+    cover = near.cover("spheres", protrusion=0.02)
+    assert cover.disabled_pairs == {("cart", "rail")}
+    assert ("flap", "rail") in CollisionChecker(cover).checked_pairs
+    shares = dict(covers.new_contacts(near, cover))
+    assert ("cart", "rail") not in shares
+    assert 0 < shares["flap", "rail"] < 1
+
+
+def test_adjacent_pairs_stay_exempt(robot):
+    """Without rules on pairs, adjacent links are exempt before and after further pairs are."""
+    alone = Robot.from_urdf(robot.urdf)
+    cover = alone.cover("spheres", protrusion=0.05)
+    assert CollisionChecker(cover).checked_pairs == CollisionChecker(alone).checked_pairs
+
+
+def test_a_pair_that_always_meets_is_reported():
+    """A cover with which no configuration is free, though the links may collide, causes a warning."""
+    joint = Joint(
+        "turn", "revolute", "base", "arm", T_parent_joint=translation(x=0.35), axis=[0, 0, 1], lower=-1.57, upper=0.5
+    )
+    arm = Body.box([0.3, 0.3, 0.1])
+    robot = Robot.from_links({"base": Body.box([0.3, 0.3, 0.1]), "arm": arm}, [joint], disabled=[])
+    with pytest.warns(UserWarning, match="meet in all of 1000 configurations.*: arm and base"):
+        cover = robot.cover("spheres", protrusion=0.12)
+    assert cover.disabled_pairs == frozenset()
+
+
+def test_covers_of_a_number(near):
+    """A cover has at most the number of shapes, and a number below that of the links is an error."""
+    steps = []
+    cover = near.cover("boxes", n=6, progress=lambda done, total: steps.append(done / total))
+    assert 3 <= sum(len(body.pieces) for body in cover.bodies.values()) <= 6
+    assert steps == sorted(steps)
+    assert steps[-1] == 1.0
+    with pytest.raises(InputError, match="n: expected more shapes for 3 links, found 2"):
+        near.cover("boxes", n=2)
+    with pytest.raises(InputError, match="n: expected none with protrusion"):
+        near.cover(n=5, protrusion=0.1)
+
+
+def test_a_link_without_shapes_is_uncovered(near):
+    """A link that the model lacks is uncovered as a whole, at a point of it."""
+    model = Robot.from_links({"rail": near.bodies["rail"]}, [])
+    reports = near.covered_by(model)
+    assert reports["rail"].outcome == "covered"
+    assert reports["flap"].outcome == "uncovered"
+    assert reports["flap"].depth == (np.inf, np.inf)
+    assert abs(reports["flap"].witness - [0, 0.1, 0]).max() <= 0.05
+    with pytest.raises(InputError, match="model: expected loewner.Robot"):
+        near.covered_by(near.bodies)
+
+
+# -- commands -------------------------------------------------------------------------------------
+
+
+def run(capsys, *words):
+    """Exit status, standard output and standard error of a command."""
+    status = cli.main([str(word) for word in words])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_cover_command(robot, tmp_path, monkeypatch, capsys, format):
+    """The file that the command writes is read back, proven, and has a row for each link."""
+    monkeypatch.chdir(tmp_path)
+    name = f"written.{SUFFIX[format]}"
+    words = ("gantry.urdf", "--srdf", "gantry.srdf", "-o", name, "--for", format, "--protrusion", "0.02")
+    status, out, _ = run(capsys, "cover", *words)
+    assert status == 0
+    assert re.search(r"rod +.? *\d+ +.? *covered", out)
+    assert "2 covered of 2 links" in out
+    assert {r.outcome for r in robot.covered_by(robot.with_cover(name, format)).values()} == {"covered"}
+    assert run(capsys, "judge", "--model", name, "--format", format, "gantry.urdf")[0] == 0
+
+
+def test_judge_command(robot, tmp_path, monkeypatch, capsys):
+    """An uncovered link gives the status 1, a row with its place, and a picture."""
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "model.json", PYROKI.replace("0.07", "0.001"))
+    status, out, _ = run(capsys, "judge", "--model", "model.json", "gantry.urdf", "--picture", "holes.png")
+    assert status == 1
+    assert "1 uncovered of 2 links" in out
+    assert (tmp_path / "holes.png").read_bytes().startswith(b"\x89PNG")
+    answer = json.loads(run(capsys, "judge", "--model", "model.json", "gantry.urdf", "--json")[1])
+    assert answer["links"]["ball"]["outcome"] == "covered"
+    rod = answer["links"]["rod"]
+    assert rod["outcome"] == "uncovered"
+    assert 0.01 < rod["uncovered_share"][0] <= rod["uncovered_share"][1] < 1
+
+
+def test_judge_command_of_missing_links(robot, tmp_path, monkeypatch, capsys):
+    """A link without shapes has no finite depth, which JSON has as null."""
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "model.json", '{"ball": {"centers": [[0, 0, 0]], "radii": [0.2]}}')
+    status, out, err = run(capsys, "judge", "--model", "model.json", "gantry.urdf", "--json")
+    assert status == 1
+    assert "links of the robot that have no shapes: rod" in err
+    assert json.loads(out)["links"]["rod"]["depth"] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("judge", "--model", "model.json"), "expected one robot with --model, found 0 files"),
+        (("judge", "--model", "model.json", "gantry.urdf", "--picture", "a.gif"), "--picture: expected a .png or .svg"),
+        (("judge", "--model", "none.json", "gantry.urdf"), "no such file"),
+        (("cover", "gantry.urdf", "-o", "a.txt", "--protrusion", "0.1"), "format: expected one of curobo"),
+        (("cover", "gantry.urdf", "-o", "a.yml", "--kind", "boxes", "--protrusion", "0.1"), "expected spheres only"),
+        (("cover", "gantry.urdf", "-o", "a.yml", "--protrusion", "-1"), "protrusion"),
+    ],
+)
+def test_bad_options(robot, model, tmp_path, monkeypatch, capsys, words, found):
+    """Missing files, other pictures and shapes that a format lacks are one line and the status 2."""
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capsys, *words)
+    assert status == 2
+    assert found in err
+    assert out == ""
+
+
+def test_pictures_show_what_is_outside(near):
+    """The title counts the links that have parts outside."""
+    pytest.importorskip("matplotlib")
+    assert plots.cover(near, near).get_title() == "robot: no part of 3 links is outside"
+    model = Robot.from_links({"rail": near.bodies["rail"]}, [])
+    assert plots.cover(near, model).get_title() == "robot: parts of 2 of 3 links are outside"
+    with pytest.raises(InputError, match="model: expected loewner.Robot"):
+        plots.cover(near, 3)

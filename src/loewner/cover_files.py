@@ -176,7 +176,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
         keys = top.mapping(None)
         if format is None and "bodies" in keys:
             chosen = "scene"
-        elif format is None and any("spheres" in set(_keys(each)) for each in keys.values() if chosen == "pyroki"):
+        elif format is None and chosen == "pyroki" and any(map(_of_foam, keys.values())):
             chosen = "foam"
         if chosen != "scene":
             return {"curobo": _read_curobo, "pyroki": _read_pyroki, "foam": _read_foam}[chosen](keys, file)
@@ -206,6 +206,10 @@ def _format(file: Path, format: str | None) -> str:
             f"format: expected one of {', '.join(FORMATS)} for a file with the suffix {file.suffix!r}, found none"
         )
     return BY_SUFFIX[file.suffix.lower()]
+
+
+def _of_foam(node: Node) -> bool:
+    return node.kind == "sequence" or (node.kind == "mapping" and not {"centers", "radii"} & {*_keys(node)})
 
 
 def _keys(node: Node) -> Iterable[str]:
@@ -310,6 +314,9 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
     used = None if listed is None or listed.empty else [item.text() for item in listed.items()]
     replaced = _names(keys.pop("extra_collision_spheres", None))
     extra = _names(keys.pop("extra_links", None))
+    unused = sorted(each.keys() - {link for link, _ in links})
+    if unused:
+        model.notes.append(f"buffers of links without spheres: {some(unused)}")
     for link, entries in links:
         if link in model.bodies:
             raise entries.error(f"expected each link once, found {link!r} again")
@@ -349,6 +356,8 @@ def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
     name = chosen["geometry"].text()
     if name not in geometry:
         raise chosen["geometry"].error(f"expected one of {some(geometry)}, found {name!r}")
+    if len(geometry) > 1:
+        model.notes.append(f"geometries that are not used: {some(key for key in geometry if key != name)}")
     shapes = geometry[name].mapping(("spheres", "clone"), required=("spheres",))
     if "clone" in shapes:
         model.notes.append("key that is not read: clone")

@@ -496,6 +496,9 @@ def write_files() -> None:
     )
     Path("pole.xml").write_text("<mujoco><worldbody><body><joint/><geom size='0.5'/></body></worldbody></mujoco>")
     np.save("configs.npy", np.zeros((2, 3)))
+    Path("balls.json").write_text(
+        json.dumps({link: {"centers": [[0, 0, 0]], "radii": [1]} for link in ("ball", "rod")})
+    )
     moved().save("moved.json")
     proof().save("plan.proof")
     Path("limits.yaml").write_text("joint_limits: {x: {max_velocity: 1.0, max_jerk: 9.0}}")
@@ -1051,6 +1054,19 @@ CALLS: dict[str, Call] = {
     "Robot.to_urdf": Call(
         on(robot, "to_urdf"), {"path": arg("out.urdf", NUMERAL), "mesh_prefix": arg("", TEXTS, "empty text")}
     ),
+    "Robot.cover": Call(
+        on(robot, "cover"),
+        {"kind": choice("spheres"), "n": arg(None, NONE), "protrusion": margin(0.25, NONE), "progress": callback()},
+    ),
+    "Robot.covered_by": Call(
+        on(robot, "covered_by"),
+        {"model": arg(robot, "Robot"), "tolerance": arg(None, NONE), "progress": callback()},
+    ),
+    "Robot.with_cover": Call(on(robot, "with_cover"), {"path": arg("balls.json"), "format": arg(None, NONE)}),
+    "Robot.save_cover": Call(
+        on(lambda: robot().with_cover("balls.json"), "save_cover"),
+        {"path": arg("out.json", NUMERAL), "format": arg(None, NONE)},
+    ),
     "Robot.prove_pairs": Call(
         on(robot, "prove_pairs"),
         {
@@ -1588,6 +1604,16 @@ CALLS: dict[str, Call] = {
     ),
     "plots.configuration": Call(
         drawing.configuration, {"checker": arg(checker), "q": ONE, "ax": arg(axes_in_space, NONE)}, varies=True
+    ),
+    "plots.cover": Call(
+        drawing.cover,
+        {
+            "robot": arg(robot, "Robot"),
+            "model": arg(robot, "Robot"),
+            "q": array(Q[0], FINITE, NONE),
+            "ax": arg(axes_in_space, NONE),
+        },
+        varies=True,
     ),
     "plots.trajectory": Call(
         drawing.trajectory,

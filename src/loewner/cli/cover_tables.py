@@ -10,6 +10,8 @@ import numpy as np
 
 import loewner
 from loewner import CoverReport, plots
+from loewner.bodies import packed_of
+from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
 from loewner.errors import FileError
@@ -55,9 +57,23 @@ def print_reports(
     counts = {name: sum(report.outcome == name for report in reports.values()) for name in STATUS}
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     largest = max(report.excess[1] for report in reports.values())
+    if any(report.outcome == "uncovered" for report in reports.values()):
+        area = {link: _area(body) for link, body in robot.bodies.items()}
+        ends = [
+            sum(reports[link].uncovered_share[k] * area[link] for link in area) / sum(area.values()) for k in (0, 1)
+        ]
+        print(f"{_percent((ends[0], ends[1]))} of the surface of all links is outside")
     print(
         f"{told} of {len(reports)} links; {sum(len(body.pieces) for body in model.bodies.values())} shapes, "
         f"which stick out by up to {_number(1e3 * largest)} mm"
+    )
+
+
+def _area(body: loewner.Body) -> float:
+    """The area of the surfaces of all pieces."""
+    corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed_of(body))])
+    return (
+        float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()) / 2
     )
 
 
