@@ -166,12 +166,12 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
         near = _excess(points, hull)[corner].max(axis=1) < least
         used = np.unique(corner[near])
         distance = np.full(len(points), np.inf)
-        distance[used] = _distances(points[used], hull, slack)
+        distance[used] = hull_distances(points[used], hull, slack)
         least = np.minimum(least, distance[corner].max(axis=1))
     return float(least.max())
 
 
-def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
+def hull_distances(points: Floats, hull: Polytope, slack: float) -> Floats:
     """Compute the distance of points to a convex piece, 0 inside.
 
     The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, cast, overload
+from typing import TYPE_CHECKING, Any, Literal, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,9 @@ from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.polytopes import Hulls, box_hull, hulls
+
+if TYPE_CHECKING:
+    from loewner.bodies.cover_proofs import CoverReport
 
 # Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
 LARGEST_EXTENT = 1e9
@@ -861,6 +864,53 @@ class Body(_Bodies):
         array([[5., 0., 0.]])
         """
         return Body(moved(self._packed, _validate.pose(T, "T")), self.covering)
+
+    def covered_by(
+        self, model: Body, *, tolerance: float | None = None, progress: Progress | None = None
+    ) -> CoverReport:
+        """Prove that a model of convex elements holds the whole body, inside included, or find a point left out.
+
+        Parameters
+        ----------
+        model : Body
+            Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
+        tolerance : float, optional
+            Cells of the body that no single element holds are halved down to this size, in metres; by default 1e-4 of
+            the body's diagonal. Holes of any size are seen: below the tolerance, the outcome is "undecided" or
+            "uncovered", never "covered".
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each step.
+
+        Returns
+        -------
+        CoverReport
+            The outcome, with bounds on the uncovered share and its depth, and on how far the model sticks out.
+
+        Raises
+        ------
+        InputError
+            If a piece of the model is a surface, or the tolerance is not positive.
+
+        Notes
+        -----
+        A surface without an inside counts as its triangles, with their radius; the inside of solids and of convex
+        pieces counts too. docs/containment.md states the proof.
+
+        Examples
+        --------
+        >>> box = Body.box([0.2, 0.1, 0.1])
+        >>> report = box.covered_by(Body.spheres([[-0.05, 0, 0], [0.05, 0, 0]], 0.1))
+        >>> report.outcome, report.excess[1] < 0.06
+        ('covered', True)
+        >>> report = box.covered_by(Body.spheres([[-0.05, 0, 0], [0.05, 0, 0]], 0.08))
+        >>> report.outcome, report.witness
+        ('uncovered', array([-0.1 , -0.05, -0.05]))
+        """
+        from loewner.bodies.cover_proofs import prove
+
+        other = _expect_body(model, "model")
+        length = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
+        return prove(self._packed, other._packed, length, _validate.callback(progress, "progress"))
 
     def to_mjcf(
         self,
