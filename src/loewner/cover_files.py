@@ -11,7 +11,7 @@ import json
 import os
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,12 +22,13 @@ from loewner._files import read_regular, shown
 from loewner._kernels import columns
 from loewner._nodes import Node, read_json, read_yaml, some
 from loewner._plausible import told_to, warn
-from loewner._validate import Floats, Named, Pair
+from loewner._validate import Floats, Pair
 from loewner.bodies import Body, packed_of
 from loewner.bodies.exports import save_text
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.errors import FileError, InputError
 from loewner.robots import Robot
+from loewner.robots.covers import exempt_pairs, listed_pairs, with_bodies
 from loewner.robots.exports import mjcf_text, save_urdf
 from loewner.robots.robot import answers
 from loewner.scene_files import load_scene, save_scene
@@ -49,7 +50,7 @@ MOST_BYTES = 2**25
 # of angles and sizes of robots, whose parts are smaller than a kilometre.
 WIDENED = 1e-9
 
-# Keys of cuRobo's files, of Lula's robot descriptions and of XRDF that say nothing about shapes or pairs.
+# Keys of cuRobo's files, of Lula's robot descriptions and of XRDF without shapes or rules on pairs.
 OF_CUROBO = frozenset((
     "acceleration_limits", "add_object_link", "api_version", "asset_root_path", "base_link", "composite_task_spaces",
     "cspace", "cspace_to_urdf_rules", "debug", "default_joint_positions", "default_q", "dynamics", "ee_link",
@@ -80,7 +81,7 @@ class Model:
     ignored : frozenset of pairs of str, or None
         The pairs that its program does not check; None if the file has no rules on pairs.
     notes : list of str
-        What the file has and its program, or this reader, does not use.
+        Contents of the file that its program, or this reader, does not use.
     """
 
     bodies: dict[str, Body] = field(default_factory=dict)
@@ -109,11 +110,10 @@ def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
     if model.notes:
         warn(f"{shown(file)}: found{_told(model.notes)}")
     ordered = {link: model.bodies[link] for link in self.link_names if link in model.bodies}
-    made = replace(self, bodies=Named("link with a body", ordered), shapes=Named("link with shapes of a URDF", {}))
     if model.ignored is None:
-        return made
+        return with_bodies(self, ordered)
     known = frozenset(pair for pair in model.ignored if not {*pair} & {*unknown})
-    return replace(made, disabled_pairs=known, _ruled=True)
+    return with_bodies(self, ordered, known)
 
 
 def _told(notes: list[str]) -> str:
@@ -135,7 +135,7 @@ def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
         save_text(json.dumps(_ignored(self), indent=1) + "\n", _pairs_file(file))
         save_text(json.dumps(spheres, indent=1) + "\n", file)
     elif chosen in ("vamp", "foam"):
-        replace(self, bodies={link: Body.spheres(*found) for link, found in balls.items()}).to_urdf(file)
+        with_bodies(self, {link: Body.spheres(*found) for link, found in balls.items()}).to_urdf(file)
     elif chosen == "scene":
         save_scene(_as_scene(self), file)
     elif chosen == "urdf":
@@ -191,7 +191,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
         return Model(dict(robot.bodies), robot.disabled_pairs)
     semantics = file.with_suffix(".srdf")
     robot = Robot.from_urdf(file, srdf=semantics if semantics.is_file() else None)
-    model = Model(dict(robot.bodies), robot.disabled_pairs if robot._lists_pairs else None)
+    model = Model(dict(robot.bodies), listed_pairs(robot))
     if chosen in OF_SPHERES:
         for link, body in model.bodies.items():
             model.bodies[link] = _body(*_spheres_of(body, link, chosen))
@@ -470,7 +470,7 @@ def _level(key: Any, node: Node) -> int:
 
 def _ignored(robot: Robot) -> list[Pair]:
     """Return the pairs of links with bodies that a checker of this robot does not check, sorted."""
-    return sorted(pair for pair in robot._usually_skipped if all(link in robot.bodies for link in pair))
+    return sorted(pair for pair in exempt_pairs(robot) if all(link in robot.bodies for link in pair))
 
 
 def _as_scene(robot: Robot) -> Scene:

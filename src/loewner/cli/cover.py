@@ -13,7 +13,7 @@ from loewner.cli import cover_tables, inputs
 from loewner.cli.output import progress_bar
 from loewner.cover_files import FORMATS
 from loewner.errors import InputError
-from loewner.robots.covers import KINDS, new_contacts
+from loewner.robots.covers import KINDS, exempt_pairs, new_contacts
 
 EXAMPLES = """examples:
   loewner cover panda.urdf --srdf panda.srdf -o spheres.yml
@@ -70,7 +70,7 @@ def _run(options: argparse.Namespace) -> int:
     made.save_cover(options.out, options.format)
     written = robot.with_cover(options.out, options.format)
     reports = cover_tables.judged(robot, written)
-    ignored = sorted(made.disabled_pairs - robot._usually_skipped)
+    ignored = sorted(made.disabled_pairs - exempt_pairs(robot))
     left = [(pair, share) for pair, share in new_contacts(robot, written) if pair not in made.disabled_pairs]
     if options.json:
         answer = {

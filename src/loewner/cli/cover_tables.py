@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import CoverReport, plots
+from loewner import plots
 from loewner.bodies import packed_of
+from loewner.bodies.cover_proofs import CoverReport
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from loewner import _validate
 from loewner._plausible import warn
 from loewner._validate import Floats, Named, Pair, Progress
-from loewner.bodies import Body, CoverReport
+from loewner.bodies import Body
+from loewner.bodies.cover_proofs import CoverReport
 from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.robot import Robot, answers
@@ -39,7 +41,7 @@ def cover(self: Robot, kind: str, *, n: int | None, protrusion: float | None, pr
         raise InputError("n: expected none with protrusion, found both")
     else:
         bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), progress)
-    made = replace(self, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
+    made = with_bodies(self, bodies)
     found = new_contacts(self, made)
     pairs = [pair for pair, _ in found]
     rows = self.prove_pairs(pairs, boxes=BOXES).with_verdict("NEVER") if pairs else ()
@@ -50,15 +52,31 @@ def cover(self: Robot, kind: str, *, n: int | None, protrusion: float | None, pr
             f"shapes of links that may collide meet in all of {TRIED} configurations, so no motion of this cover is "
             f"free: {', '.join(always)}; take a smaller protrusion"
         )
-    return made.disabling(made._usually_skipped | never)
+    return made.disabling(exempt_pairs(made) | never)
+
+
+def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
+    """Return the same robot with other bodies and, if they are given, other exempt pairs instead of its rules."""
+    made = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
+    return made if ignored is None else replace(made, disabled_pairs=ignored, _ruled=True)
+
+
+def exempt_pairs(robot: Robot) -> frozenset[Pair]:
+    """Return the pairs of links that a checker of this robot does not check by default."""
+    return robot._usually_skipped
+
+
+def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
+    """Return the exempt pairs of a robot with rules on pairs; None for one without."""
+    return robot.disabled_pairs if robot._lists_pairs else None
 
 
 def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float]]:
-    """Find the pairs that meet in some configurations with another robot's bodies only, and the share of these."""
+    """Find the pairs that meet with another robot's bodies only, and the share of configurations in which they do."""
     Q = robot.random_configurations(TRIED)
     theirs = CollisionChecker(model)
     meets = theirs.collide_by_pair(Q)
-    ours = CollisionChecker(replace(robot, disabled_pairs=model._usually_skipped, _ruled=True))
+    ours = CollisionChecker(with_bodies(robot, robot.bodies, exempt_pairs(model)))
     known = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
     none = np.zeros(TRIED, dtype=bool)
     shares = [

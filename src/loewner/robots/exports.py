@@ -263,7 +263,7 @@ def mjcf_text(robot: Any, wider: float) -> str:
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """
     root = ElementTree.Element("mujoco", model=robot.name)
-    # Links without shapes need some mass, since MuJoCo refuses to move what has none.
+    # Links without shapes need some mass, since MuJoCo refuses to move bodies without any.
     ElementTree.SubElement(root, "compiler", angle="radian", boundmass="1e-3", boundinertia="1e-6")
     asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
     contact, equality = (ElementTree.SubElement(root, name) for name in ("contact", "equality"))

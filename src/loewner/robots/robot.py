@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +46,9 @@ from loewner.robots.urdf import VALUES, Description, Joint, doubt_limits, read_u
 from loewner.robots.watch import LARGEST_VALUE, Watch
 from loewner.robots.xacro_files import SUFFIX, expanded, refuse_unused
 from loewner.scenes import Scene
+
+if TYPE_CHECKING:
+    from loewner.bodies.cover_proofs import CoverReport
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
@@ -1109,8 +1112,8 @@ class Robot(KeepsReadOnly):
         """Replace the body of each link by a union of simple shapes that is proven to contain it.
 
         Shapes that stick out of links can meet where the links never do, and a planner would then find no path. Such
-        pairs are found in random configurations. Those that are proven never to collide (`prove_pairs`) are added to
-        `disabled_pairs`; all others stay checked, and a warning lists those that always meet.
+        pairs are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added to
+        `disabled_pairs`; the others stay checked, and a warning lists the pairs that always meet.
 
         Parameters
         ----------
@@ -1196,7 +1199,7 @@ class Robot(KeepsReadOnly):
         """Return the same robot with the bodies of links from a file, for instance spheres of a planner.
 
         The pairs that the file ignores become the `disabled_pairs`, instead of the robot's own; a file without rules
-        on pairs leaves them as they are. docs/howto/covers.md lists what is read of each format.
+        on pairs leaves them as they are. docs/howto/covers.md lists the formats.
 
         Parameters
         ----------
@@ -1261,7 +1264,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the format does not have shapes of these kinds, or the suffix does not determine the format. As for
+            If the format has other shapes only, or the suffix does not determine the format. As for
             `to_urdf`.
         UnknownNameError
             If there is no such format.
