@@ -381,7 +381,7 @@ def near():
             lower=-0.2,
             upper=0.2,
         ),
-        Joint("turn", "revolute", "cart", "flap", T_parent_joint=translation(y=0.2), axis=[1, 0, 0], lower=-3, upper=0),
+        Joint("turn", "revolute", "cart", "flap", T_parent_joint=translation(y=0.2), axis=[1, 0, 0], lower=-2, upper=0),
     ]
     flap = Body.box([0.1, 0.1, 0.02]).transformed(translation(y=0.1))
     links = {"rail": Body.box([0.4, 0.4, 0.1]), "cart": Body.box([0.1, 0.1, 0.1]), "flap": flap}

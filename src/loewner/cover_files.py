@@ -235,8 +235,8 @@ def _rounded(balls: _Balls) -> _Balls:
         moved = np.linalg.norm(centers - balls.centers, axis=1)
         # The sum and the norm err by a few roundings, the norm relative to itself.
         needed = np.where(moved > 0, np.nextafter(balls.radii + moved * (1 + 1e-12), np.inf), balls.radii)
-        radii = np.float32(needed)
-        radii = np.where(radii < needed, np.nextafter(radii, np.float32(np.inf)), radii).astype(float)
+        single = needed.astype(np.float32)
+        radii = np.where(single < needed, np.nextafter(single, np.float32(np.inf)), single).astype(float)
     if not np.isfinite(radii).all():  # nor are the others, if a center is not
         raise InputError(f"expected spheres that float32 can express, found a radius of {balls.radii.max():g} m")
     return _Balls(centers, radii)

@@ -80,7 +80,7 @@ def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float]]:
     known = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
     none = np.zeros(TRIED, dtype=bool)
     shares = [
-        (pair, float((hits & ~known.get(pair, none)).mean()))
+        ((min(pair), max(pair)), float((hits & ~known.get(pair, none)).mean()))
         for pair, hits in zip(theirs.checked_pairs, meets.T, strict=True)
     ]
     return [(pair, share) for pair, share in shares if share > 0]
