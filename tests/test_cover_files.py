@@ -531,3 +531,23 @@ def test_pictures_show_what_is_outside(near):
     assert plots.cover(near, model).get_title() == "robot: parts of 2 of 3 links are outside"
     with pytest.raises(InputError, match="model: expected loewner.Robot"):
         plots.cover(near, 3)
+
+
+def test_pinocchio_reads_the_urdf_of_vamp(model, tmp_path):
+    """VAMP's generator reads the file with pinocchio: spheres only, where they are, and no pair that is exempt."""
+    pin = pytest.importorskip("pinocchio")
+    path = tmp_path / "spheres.urdf"
+    model.save_cover(path, "vamp")
+    kinematics = pin.buildModelFromUrdf(str(path))
+    geometry = pin.buildGeomFromUrdf(kinematics, str(path), pin.GeometryType.COLLISION)
+    geometry.addAllCollisionPairs()
+    pin.removeCollisionPairs(kinematics, geometry, str(path.with_suffix(".srdf")))
+    assert len(geometry.collisionPairs) == 0
+    found = sorted(
+        (round(g.geometry.radius, 12), *np.round(g.placement.translation, 12)) for g in geometry.geometryObjects
+    )
+    given = [spheres(body) for body in model.bodies.values()]
+    expected = sorted(
+        (round(r, 12), *np.round(c, 12)) for centers, radii in given for c, r in zip(centers, radii, strict=True)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)

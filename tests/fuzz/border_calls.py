@@ -1060,7 +1060,7 @@ CALLS: dict[str, Call] = {
     ),
     "Robot.covered_by": Call(
         on(robot, "covered_by"),
-        {"model": arg(robot, "Robot"), "tolerance": arg(None, NONE), "progress": callback()},
+        {"model": arg(robot, "Robot"), "tolerance": positive(0.5, NONE), "progress": callback()},
     ),
     "Robot.with_cover": Call(on(robot, "with_cover"), {"path": arg("balls.json"), "format": arg(None, NONE)}),
     "Robot.save_cover": Call(
