@@ -98,6 +98,15 @@ WATCHED = {
     "Bodies.from_points": [lambda progress: loewner.Bodies.from_points(SETS, progress=progress)],
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
     "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
+    "Robot.cover": [
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover(protrusion=0.05, progress=progress),
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", n=4, progress=progress),
+    ],
+    "Robot.covered_by": [
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).covered_by(
+            loewner.Robot.from_urdf(text=GANTRY), progress=progress
+        ),
+    ],
     "compile_kernels": [compiled],
     "paper.run": [lambda progress: paper.run(300, progress=progress)],
     "cluster.fit": [fitted_by_a_cluster],

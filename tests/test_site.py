@@ -104,7 +104,7 @@ MODULES = {
     "meshes": ("load", "convex_pieces"),
     "paper": tuple(name for name in loewner.paper.__all__ if name != "tables"),
     "planners": tuple(loewner.planners.__all__),
-    "plots": ("body", "pair", "configuration", "trajectory", "tiers", "costs", "accuracy", "save"),
+    "plots": ("body", "pair", "configuration", "cover", "trajectory", "tiers", "costs", "accuracy", "save"),
     "torch": tuple(loewner.torch.__all__),
     "viewer": tuple(loewner.viewer.__all__),
 }
@@ -256,6 +256,8 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot info",
         " robot check",
         " clash",
+        " cover",
+        " judge",
         " plan",
         " verify",
         " audit",
