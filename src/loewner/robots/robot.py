@@ -1121,7 +1121,7 @@ class Robot(KeepsReadOnly):
             As for `Body.cover`.
         n : int, optional
             The largest number of shapes of the whole robot. All links then have the same bound on how far shapes stick
-            out, the least one that was found for this number.
+            out. This takes several times as long as a given `protrusion`.
         protrusion : float, optional
             The largest distance by which shapes may stick out of a link [m]. Give this or `n`, or neither for the
             default of `Body.cover`.
