@@ -904,13 +904,66 @@ class Body(_Bodies):
         ('covered', True)
         >>> report = box.covered_by(Body.spheres([[-0.05, 0, 0], [0.05, 0, 0]], 0.08))
         >>> report.outcome, report.witness
-        ('uncovered', array([-0.1 , -0.05, -0.05]))
+        ('uncovered', array([ 0.1 ,  0.05, -0.05]))
         """
         from loewner.bodies.cover_proofs import prove
 
         other = _expect_body(model, "model")
         length = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
         return prove(self._packed, other._packed, length, _validate.callback(progress, "progress"))
+
+    def cover(
+        self,
+        kind: Literal["spheres", "capsules", "boxes", "ellipsoids"] = "spheres",
+        *,
+        n: int | None = None,
+        protrusion: float | None = None,
+        progress: Progress | None = None,
+    ) -> Body:
+        """Make a body of few simple elements that is proven to hold this body, inside included.
+
+        Parameters
+        ----------
+        kind : {"spheres", "capsules", "boxes", "ellipsoids"}
+        n : int, optional
+            The largest number of elements; the elements stick out as little as the search achieves.
+        protrusion : float, optional
+            The largest distance by which an element may stick out of the body, in metres; the number of elements is as
+            small as the search achieves. Give either `n` or `protrusion`.
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each step.
+
+        Returns
+        -------
+        Body
+            One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
+            `protrusion` if that was given. Centers and radii of spheres are multiples of a power of two, so that
+            float32 and the decimals in files hold the same numbers.
+
+        Raises
+        ------
+        InputError
+            If not exactly one of `n` and `protrusion` is given, or it is out of range: at least one element, and at
+            least 1e-4 of the body's diagonal.
+        GeometryError
+            If no such elements are found.
+
+        Examples
+        --------
+        >>> cover = Body.box([0.2, 0.1, 0.1]).cover("spheres", protrusion=0.02)
+        >>> len(cover.pieces) < 20, cover.covering.max_protrusion <= 0.02
+        (True, True)
+        """
+        from loewner.bodies import cover_fits
+
+        _validate.choice(kind, "kind", ("spheres", "capsules", "boxes", "ellipsoids"))
+        if (n is None) == (protrusion is None):
+            raise InputError("n, protrusion: expected one of the two, found " + ("none" if n is None else "both"))
+        count = None if n is None else _validate.whole_number(n, "n", 1, cover_fits.MOST)
+        length = None if protrusion is None else _validate.positive_scalar(protrusion, "protrusion")
+        _validate.callback(progress, "progress")
+        packed, excess = cover_fits.cover(self._packed, kind, count, length, progress)
+        return Body(packed, Covering("cover", True, 0.0, float("nan"), 0, excess))
 
     def to_mjcf(
         self,

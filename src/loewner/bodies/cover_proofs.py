@@ -12,6 +12,7 @@ import numpy as np
 
 from loewner import _validate
 from loewner._kernels import columns
+from loewner._kernels.tolerances import FACE_WIDTH
 from loewner._matrices import dot, lengths
 from loewner._validate import Bools, Floats, Ints, Progress
 from loewner.bodies.elements import HEIGHT_ROUNDINGS, Elements
@@ -34,6 +35,9 @@ WORK, AT_ONCE, LOOKED_INTO, LOOKS = 400_000, 2_000_000, 128, 60
 
 # The search for the largest distance ends when the bound is this near to a distance that was found, as a ratio.
 RELATIVE = 0.01
+
+# Halvings of triangles of which parts are inside other pieces.
+TRIMS = 8
 
 # Circumscribed polytopes are larger by this factor than their computed corners.
 OUTWARD = 1 + 1e-12
@@ -123,6 +127,7 @@ class Target:
         self.solids += [Solid(part.triangles, True) for part in self.parts if part.solid and not part.convex]
         closed = all(part.solid for part in self.parts)
         self.whole = self.solids[0] if closed and len(self.solids) == 1 else Solid(self.triangles, closed)
+        self.boundary = self._boundary()
         self.open = [Solid(part.triangles, False) for part in self.parts if not part.solid]
 
     def cube(self) -> Floats:
@@ -156,9 +161,45 @@ class Target:
         return found
 
     def far(self, points: Floats) -> Floats:
-        """Bound from above the signed distances of points from the body, of points of the circumscribed polytopes."""
-        signed = self.whole.signed_distances(points)[0] + self.whole.rounding
-        return np.asarray(signed - self.radius.min() + self.gap.max())
+        """Bound from above the distances of points from the body, negative inside: there, of balls in the body."""
+        distances = self.boundary.signed_distances(points)[0]
+        if self.boundary is not self.whole and self.whole.closed:
+            clear = np.flatnonzero(distances > self.whole.rounding)
+            distances[clear[self.whole.winding_numbers(points[clear]) != 0]] *= -1
+        return np.asarray(distances + self.whole.rounding - self.radius.min() + self.gap.max())
+
+    def _boundary(self) -> Solid:
+        """Leave out parts of triangles that are in the interior of a convex piece: they are not in the boundary."""
+        convex = [k for k, part in enumerate(self.parts) if part.convex]
+        if len(convex) < 2 or not self.whole.closed:
+            return self.whole
+        cells, owner = self.triangles, self.owner
+        boxes = [(part.triangles.min(axis=(0, 1)), part.triangles.max(axis=(0, 1))) for part in self.parts]
+        pieces = {k: Solid(self.parts[k].triangles, True) for k in convex}
+        rest = []
+        for step in range(TRIMS + 1):
+            inside, meets = np.zeros(len(cells), dtype=bool), np.zeros(len(cells), dtype=bool)
+            for k in convex:
+                low, high = cells.min(axis=1), cells.max(axis=1)
+                near = (owner != k) & ~inside & (high > boxes[k][0]).all(axis=1) & (low < boxes[k][1]).all(axis=1)
+                asked = np.flatnonzero(near)
+                if len(asked) == 0:
+                    continue
+                corners, back = np.unique(cells[asked].reshape(-1, 3), axis=0, return_inverse=True)
+                slack = 2 * (pieces[k].rounding + self.parts[k].slack)
+                deep = (pieces[k].signed_distances(corners)[0] < -slack)[back.reshape(-1, 3)]
+                inside[asked[deep.all(axis=1)]] = True
+                meets[asked[deep.any(axis=1)]] = True
+            split = meets & ~inside
+            if step == TRIMS or len(cells) > WORK:
+                split[:] = False
+            rest.append(cells[~inside & ~split])
+            edges = cells[split] - np.roll(cells[split], -1, axis=1)
+            cells, owner = halved(cells[split], dot(edges, edges).argmax(axis=1)), np.tile(owner[split], 2)
+            if len(cells) == 0:
+                break
+        kept = np.concatenate(rest)
+        return Solid(kept, False) if len(kept) < len(self.triangles) or len(rest) > 1 else self.whole
 
 
 def _part(packed: Packed, i: int) -> _Part:
@@ -168,27 +209,24 @@ def _part(packed: Packed, i: int) -> _Part:
         return _Part(vertices[triangles], kind == columns.SOLID, False, float(packed.frames[i, 0]), 0.0)
     if kind == columns.POLYTOPE:
         planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
-        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, triangles, planes))
+        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, planes))
     hull, center, shrink = _around(packed, i)
-    slack = _stray(hull.vertices, hull.simplices, np.column_stack([hull.normals, hull.offsets]))
+    slack = _stray(hull.vertices, np.column_stack([hull.normals, hull.offsets]))
     gap = (1 - shrink) * float(lengths(hull.vertices - center).max())
     inner = center + (vertices - center) / OUTWARD
     return _Part(hull.vertices[hull.simplices], True, True, 0.0, slack, gap, inner[triangles])
 
 
-def _stray(vertices: Floats, triangles: Ints, planes: Floats) -> float:
-    """Bound how far the hull of vertices is outside of its own triangles, which are flat only up to rounding.
+def _stray(hull_points: Floats, planes: Floats) -> float:
+    """Bound how far the hull of points is outside of its own triangles, which are flat only up to rounding.
 
-    A point y of the hull beyond the plane of a triangle, seen from the middle c, is beyond it by at most the largest
-    height of a vertex over that plane, times |y - c| over the plane's height over c.
+    Seen from the middle c, a point y of the hull is beyond the plane of a triangle by at most the width within which
+    `polytopes` accepts the corners of a face, times |y - c| over the plane's height over c.
     """
-    heights = vertices @ planes[:, :3].T
-    low = heights[triangles].min(axis=1) - planes[:, 3]
-    face = low.argmax(axis=1)
-    middle = vertices.mean(axis=0)
-    beyond = np.maximum(-low.max(axis=1), 0.0) + HEIGHT_ROUNDINGS * np.abs(vertices).max()
-    over = planes[face, 3] - planes[face, :3] @ middle
-    return float((beyond / over).max() * lengths(vertices - middle).max())
+    middle = hull_points.mean(axis=0)
+    reach = float(lengths(hull_points - middle).max())
+    over = float((planes[:, 3] - planes[:, :3] @ middle).min())
+    return (2 * FACE_WIDTH * reach + HEIGHT_ROUNDINGS * float(np.abs(hull_points).max())) * reach / over
 
 
 def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
@@ -276,7 +314,7 @@ class _Proof:
         self.cells = CELL_ROUNDINGS * (target.reach + float(ends))
         self.witness: Floats | None = None
         self.deepest = 0.0
-        self.holes = 0
+        self.outside: list[Floats] = []
 
     def within(self, points: Floats, element: Ints, radius: float) -> Bools:
         """Return whether balls about stored points are in elements."""
@@ -407,6 +445,7 @@ class _Proof:
                 every = np.ones(len(found.cell), dtype=bool)
                 if own:
                     outside += float(found.area[out].sum())
+                    self.outside.append(middle[out])
                     self.note(middle, least)
                     if first:
                         self._corners(found)
@@ -660,3 +699,20 @@ def prove(
     if progress is not None:
         progress(100, 100)
     return CoverReport(outcome, share, depth, proof.witness, sticks)
+
+
+def first_failures(target: Target, model: Packed, protrusion: float) -> Floats:
+    """Return points at which a model fails to cover a body, or fails to be proven to; none if it covers."""
+    proof = _Proof(target, Elements(model), 0.02 * protrusion)
+    whole = proof.wholes()
+    triangles, owner = target.triangles, target.owner
+    left = ~whole[owner]
+    _, _, rest = proof.surface(triangles[left], owner[left], lambda done, total: None)
+    missed = [*proof.outside, rest.middles()[0] if rest is not None else np.empty((0, 3))]
+    points = np.concatenate(missed)
+    if len(points) == 0 and not whole.all():
+        holes = proof.inside()
+        points = np.empty((0, 3)) if holes is None else holes.middles()[0]
+        if proof.witness is not None:
+            points = np.concatenate([points, proof.witness[None]])
+    return points[:: max(1, len(points) // 1000)]
