@@ -14,6 +14,7 @@ from families import translation
 from gantry import gantry
 from loewner import Body, CollisionChecker, FileError, InputError, Joint, Robot, UnknownNameError, cli, plots
 from loewner.bodies import packed_of
+from loewner.bodies.triangulated import of_pieces
 from loewner.cover_files import FORMATS, _Balls, _rounded
 from loewner.robots import covers
 
@@ -388,36 +389,56 @@ def near():
     return Robot.from_links(links, joints, disabled=[])
 
 
+@pytest.fixture
+def lumps(monkeypatch):
+    """A fit without proofs that takes no time: balls around the cells of a grid, which stick out by less than half."""
+
+    def cover(body, kind="spheres", *, n=None, protrusion=None, progress=None):
+        meshes = [vertices for vertices, _ in of_pieces(packed_of(body))]
+        low, high = np.concatenate(meshes).min(axis=0), np.concatenate(meshes).max(axis=0)
+        counts = np.ceil((high - low) / protrusion).astype(int)
+        size = (high - low) / counts
+        cells = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
+        radius = float(np.float32(np.linalg.norm(size) / 2 + 1e-6))
+        return Body.spheres(low + (cells + 0.5) * size, np.full(len(cells), radius))
+
+    monkeypatch.setattr(Body, "cover", cover)
+
+
 def test_covers_contain_the_links(near):
-    """Each link is covered by shapes that stick out by no more than was asked, with nothing but spheres."""
-    cover = near.cover("spheres", protrusion=0.02)
+    """Each link is covered by shapes that stick out by no more than was asked, and the tree is the same."""
+    cover = near.cover("boxes", protrusion=0.02)
     assert list(cover.bodies) == list(near.bodies)
-    assert {piece.kind for body in cover.bodies.values() for piece in body.pieces} == {"sphere"}
     for report in near.covered_by(cover).values():
         assert report.outcome == "covered"
         assert report.excess[1] <= 0.02 * 1.02
     Q = near.random_configurations(5)
     np.testing.assert_array_equal(cover.forward_kinematics(Q), near.forward_kinematics(Q))
+    with pytest.raises(UnknownNameError, match="kind: expected one of spheres, capsules, boxes, ellipsoids"):
+        near.cover("cones")
 
 
-def test_pairs_that_only_the_cover_makes_collide(near):
+def test_pairs_that_only_the_cover_makes_collide(near, lumps):
     """A pair that is proven never to collide becomes exempt; one that can collide stays checked."""
     cover = near.cover("spheres", protrusion=0.02)
     assert cover.disabled_pairs == {("cart", "rail")}
-    assert ("flap", "rail") in CollisionChecker(cover).checked_pairs
+    assert {frozenset(pair) for pair in CollisionChecker(cover).checked_pairs} == {
+        frozenset({"flap", "rail"}),
+        frozenset({"flap", "cart"}),
+    }
     shares = dict(covers.new_contacts(near, cover))
     assert ("cart", "rail") not in shares
     assert 0 < shares["flap", "rail"] < 1
 
 
-def test_adjacent_pairs_stay_exempt(robot):
+def test_adjacent_pairs_stay_exempt(robot, lumps):
     """Without rules on pairs, adjacent links are exempt before and after further pairs are."""
     alone = Robot.from_urdf(robot.urdf)
     cover = alone.cover("spheres", protrusion=0.05)
     assert CollisionChecker(cover).checked_pairs == CollisionChecker(alone).checked_pairs
 
 
-def test_a_pair_that_always_meets_is_reported():
+def test_a_pair_that_always_meets_is_reported(lumps):
     """A cover with which no configuration is free, though the links may collide, causes a warning."""
     joint = Joint(
         "turn", "revolute", "base", "arm", T_parent_joint=translation(x=0.35), axis=[0, 0, 1], lower=-1.57, upper=0.5
@@ -425,7 +446,7 @@ def test_a_pair_that_always_meets_is_reported():
     arm = Body.box([0.3, 0.3, 0.1])
     robot = Robot.from_links({"base": Body.box([0.3, 0.3, 0.1]), "arm": arm}, [joint], disabled=[])
     with pytest.warns(UserWarning, match="meet in all of 1000 configurations.*: arm and base"):
-        cover = robot.cover("spheres", protrusion=0.12)
+        cover = robot.cover("spheres", protrusion=0.3)
     assert cover.disabled_pairs == frozenset()
 
 
@@ -465,7 +486,7 @@ def run(capsys, *words):
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_cover_command(robot, tmp_path, monkeypatch, capsys, format):
+def test_cover_command(robot, lumps, tmp_path, monkeypatch, capsys, format):
     """The file that the command writes is read back, proven, and has a row for each link."""
     monkeypatch.chdir(tmp_path)
     name = f"written.{SUFFIX[format]}"
@@ -476,6 +497,17 @@ def test_cover_command(robot, tmp_path, monkeypatch, capsys, format):
     assert "2 covered of 2 links" in out
     assert {r.outcome for r in robot.covered_by(robot.with_cover(name, format)).values()} == {"covered"}
     assert run(capsys, "judge", "--model", name, "--format", format, "gantry.urdf")[0] == 0
+
+
+@pytest.mark.slow("fits of spheres")
+def test_cover_command_with_spheres(robot, tmp_path, monkeypatch, capsys):
+    """Fitted spheres are written and proven as they are read."""
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = run(capsys, "cover", "gantry.urdf", "-o", "s.yml", "--protrusion", "0.02", "--json")
+    assert status == 0
+    answer = json.loads(out)["links"]
+    assert {link["outcome"] for link in answer.values()} == {"covered"}
+    assert max(link["excess"][1] for link in answer.values()) <= 0.02 * 1.02
 
 
 def test_judge_command(robot, tmp_path, monkeypatch, capsys):
@@ -510,7 +542,7 @@ def test_judge_command_of_missing_links(robot, tmp_path, monkeypatch, capsys):
         (("judge", "--model", "model.json", "gantry.urdf", "--picture", "a.gif"), "--picture: expected a .png or .svg"),
         (("judge", "--model", "none.json", "gantry.urdf"), "no such file"),
         (("cover", "gantry.urdf", "-o", "a.txt", "--protrusion", "0.1"), "format: expected one of curobo"),
-        (("cover", "gantry.urdf", "-o", "a.yml", "--kind", "boxes", "--protrusion", "0.1"), "expected spheres only"),
+        (("cover", "gantry.urdf", "-o", "a.yml", "--kind", "boxes"), "--kind: expected spheres for curobo"),
         (("cover", "gantry.urdf", "-o", "a.yml", "--protrusion", "-1"), "protrusion"),
     ],
 )

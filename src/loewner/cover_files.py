@@ -123,7 +123,7 @@ def _told(notes: list[str]) -> str:
 def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> None:
     """Answer `Robot.save_cover`."""
     file = _validate.path(path, "path")
-    chosen = _format(file, format)
+    chosen = format_of(file, format)
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
     if chosen in OF_SPHERES:
@@ -165,7 +165,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
     MissingExtraError
         If PyYAML or MuJoCo is needed and not installed.
     """
-    chosen = _format(file, format)
+    chosen = format_of(file, format)
     if chosen in ("curobo", "pyroki") or (chosen == "foam" and file.suffix.lower() == ".json"):
         data = read_regular(file, "a model of spheres", MOST_BYTES)
         top: Node = (
@@ -198,7 +198,8 @@ def read_model(file: Path, format: str | None = None) -> Model:
     return model
 
 
-def _format(file: Path, format: str | None) -> str:
+def format_of(file: Path, format: str | None) -> str:
+    """Return the format of a file, by its suffix unless it is given; see `read_model`."""
     if format is not None:
         return _validate.choice(format, "format", FORMATS)
     if file.suffix.lower() not in BY_SUFFIX:

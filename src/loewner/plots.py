@@ -257,7 +257,7 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     --------
     >>> from loewner import Robot, plots
     >>> robot = Robot.from_urdf("arm.urdf")
-    >>> plots.cover(robot, robot.cover("spheres", protrusion=0.05)).get_title()
+    >>> plots.cover(robot, robot.cover("boxes", protrusion=0.05)).get_title()
     'arm: no part of 3 links is outside'
     """
     for name, given in (("robot", robot), ("model", model)):

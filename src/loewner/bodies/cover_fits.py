@@ -85,7 +85,11 @@ class Spheres:
             candidates = surface
         self.centers = np.unique(np.rint(candidates / self.grid), axis=0) * self.grid
         self.depth = -target.far(self.centers)
-        keep = np.arange(0, len(self.depth), -(-len(self.depth) // CANDIDATES)) if len(self.depth) > CANDIDATES else slice(None)
+        keep = (
+            np.arange(0, len(self.depth), -(-len(self.depth) // CANDIDATES))
+            if len(self.depth) > CANDIDATES
+            else slice(None)
+        )
         self.centers, self.depth = self.centers[keep], self.depth[keep]
         self.far = self._far(self.points)
 
@@ -270,7 +274,9 @@ class _Clusters:
             except GeometryError:  # flat
                 turn, half, center = _box(points)
                 axes, least = np.sqrt(3.0) * half, 1e-2 * half.max() + self.spare
-            return _placed(primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None]), turn, center)
+            return _placed(
+                primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None]), turn, center
+            )
         turn, half, center = _box(points)
         if self.kind == "boxes":
             half = np.maximum(half + self.spare, 1e-3 * half.max())
@@ -278,7 +284,9 @@ class _Clusters:
         tried = [_capsule(points, np.roll(turn, k, axis=1)) for k in range(3)]
         radius, half_length, turn, center = min(tried, key=lambda one: one[0] ** 2 * (4 * one[0] / 3 + 2 * one[1]))
         radius, half_length = radius + self.spare, max(half_length, self.spare)
-        return _placed(primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, half_length]])), turn, center)
+        return _placed(
+            primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, half_length]])), turn, center
+        )
 
     def sticks(self, element: Packed) -> float:
         """Estimate how far an element sticks out, from points of its surface."""
@@ -375,13 +383,17 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
             break
         limit *= 0.95
         fit.divide(int(np.argmax(fit.excess)))
-    asked = f"n: expected a number of {kind} that suffices, found {n}" if protrusion is None else (
-        f"protrusion: expected one that {kind} reach, found {protrusion:g} m"
+    asked = (
+        f"n: expected a number of {kind} that suffices, found {n}"
+        if protrusion is None
+        else (f"protrusion: expected one that {kind} reach, found {protrusion:g} m")
     )
     raise GeometryError(f"{asked}, and no proof")
 
 
-def cover(packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress | None) -> tuple[Packed, float]:
+def cover(
+    packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress | None
+) -> tuple[Packed, float]:
     """Fit elements of a kind to a body, and bound how far they stick out; see `Body.cover`."""
     target, share = Target(packed), 0
 
@@ -397,7 +409,9 @@ def cover(packed: Packed, kind: str, n: int | None, protrusion: float | None, pr
             f"found {protrusion:g}"
         )
     report(0, 100)
-    found = _spheres(target, n, protrusion, report) if kind == "spheres" else _others(target, kind, n, protrusion, report)
+    found = (
+        _spheres(target, n, protrusion, report) if kind == "spheres" else _others(target, kind, n, protrusion, report)
+    )
     proof = prove(packed, found, None)
     if proof.outcome != "covered":
         raise GeometryError(f"cover: expected a proof that the {kind} hold the body, found {proof.outcome}")

@@ -11,7 +11,7 @@ from typing import Any
 from loewner._files import shown
 from loewner.cli import cover_tables, inputs
 from loewner.cli.output import progress_bar
-from loewner.cover_files import FORMATS
+from loewner.cover_files import FORMATS, OF_SPHERES, format_of
 from loewner.errors import InputError
 from loewner.robots.covers import KINDS, exempt_pairs, new_contacts
 
@@ -42,7 +42,7 @@ def add(commands: Any) -> None:
     cover.add_argument("--for", dest="format", choices=FORMATS, help="the program that reads it (by the suffix)")
     cover.add_argument("--kind", choices=KINDS, default=KINDS[0], help="shapes (%(default)s)")
     how = cover.add_mutually_exclusive_group()
-    how.add_argument("--protrusion", type=float, metavar="M", help="the largest distance to stick out of a link [m]")
+    how.add_argument("--protrusion", type=float, metavar="M", help="how far shapes may stick out of a link [m] (0.02)")
     how.add_argument("--number", type=int, metavar="N", help="the largest number of shapes of the robot")
     cover.add_argument("--picture", type=Path, metavar="FILE", help="draw the robot and the shapes (.png or .svg)")
     cover.add_argument("--json", action="store_true", help="print JSON")
@@ -51,6 +51,9 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     cover_tables.refuse_other_pictures(options.picture)
+    chosen = format_of(options.out, options.format)
+    if chosen in OF_SPHERES and options.kind != "spheres":
+        raise InputError(f"--kind: expected spheres for {chosen}, which has nothing else, found {options.kind}")
     robot = inputs.robot(options)
     count = len(robot.bodies)
     if not count:

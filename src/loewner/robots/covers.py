@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -16,7 +17,11 @@ from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.robot import Robot, answers
 
-KINDS = ("spheres", "capsules", "boxes", "ellipsoids")
+Kind = Literal["spheres", "capsules", "boxes", "ellipsoids"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+# How far shapes may stick out of links by default [m].
+USUAL = 0.02
 
 # Configurations in which pairs are searched that only the shapes of a cover bring into contact: such a pair that meets
 # in one of a hundred configurations is missed once in thirty thousand robots.
@@ -30,13 +35,13 @@ BOXES = 200_000
 LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 
-def cover(self: Robot, kind: str, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
+def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
     """Answer `Robot.cover`, which has the defaults."""
     _validate.callback(progress, "progress")
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
     if n is None:
-        bodies = _covered(self, kind, protrusion, progress, 0, 1)
+        bodies = _covered(self, kind, USUAL if protrusion is None else protrusion, progress, 0, 1)
     elif protrusion is not None:
         raise InputError("n: expected none with protrusion, found both")
     else:
@@ -87,7 +92,7 @@ def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float]]:
 
 
 def _covered(
-    robot: Robot, kind: str, protrusion: float | None, progress: Progress | None, before: int, steps: int
+    robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
 ) -> dict[str, Body]:
     """Cover all links; of all steps, some were done before."""
     made = {}
@@ -98,7 +103,7 @@ def _covered(
     return made
 
 
-def _of_number(robot: Robot, kind: str, n: int, progress: Progress | None) -> dict[str, Body]:
+def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
     """Cover all links with at most n shapes, and with most of them, which stick out of all links by one length."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):

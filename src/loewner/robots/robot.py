@@ -1103,7 +1103,7 @@ class Robot(KeepsReadOnly):
 
     def cover(
         self,
-        kind: str = "spheres",
+        kind: Literal["spheres", "capsules", "boxes", "ellipsoids"] = "spheres",
         *,
         n: int | None = None,
         protrusion: float | None = None,
@@ -1123,8 +1123,7 @@ class Robot(KeepsReadOnly):
             The largest number of shapes of the whole robot. All links then have the same bound on how far shapes stick
             out. This takes several times as long as a given `protrusion`.
         protrusion : float, optional
-            The largest distance by which shapes may stick out of a link [m]. Give this or `n`, or neither for the
-            default of `Body.cover`.
+            The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of links.
 
@@ -1152,7 +1151,7 @@ class Robot(KeepsReadOnly):
         Examples
         --------
         >>> robot = Robot.from_urdf("arm.urdf")
-        >>> cover = robot.cover("spheres", protrusion=0.05)
+        >>> cover = robot.cover("boxes", protrusion=0.05)
         >>> {report.outcome for report in robot.covered_by(cover).values()}
         {'covered'}
         """
@@ -1234,10 +1233,13 @@ class Robot(KeepsReadOnly):
 
         Examples
         --------
-        >>> robot = Robot.from_urdf("arm.urdf")
-        >>> robot.cover("spheres", protrusion=0.05).save_cover("arm.yml")
-        >>> robot.with_cover("arm.yml").bodies.keys() == robot.bodies.keys()
-        True
+        >>> from pathlib import Path
+        >>> _ = Path("cart.yml").write_text("""collision_spheres:
+        ...   rail: [{center: [1, 0, 0], radius: 1.5}]
+        ...   cart: [{center: [0, 0, 0], radius: 0.5}]
+        ...   forearm: [{center: [0, 0, 0], radius: 0.7}]""")
+        >>> Robot.from_urdf("arm.urdf").with_cover("cart.yml").bodies["cart"]
+        Body(sphere, 0 vertices)
         """
         return cast("Robot", answers["with_cover"](self, path, format))
 
@@ -1273,7 +1275,7 @@ class Robot(KeepsReadOnly):
 
         Examples
         --------
-        >>> Robot.from_urdf("arm.urdf").cover("capsules", protrusion=0.05).save_cover("capsules.urdf")
+        >>> Robot.from_urdf("arm.urdf").cover("boxes", protrusion=0.05).save_cover("boxes.urdf")
         """
         answers["save_cover"](self, path, format)
 
