@@ -1234,11 +1234,10 @@ class Robot(KeepsReadOnly):
         Examples
         --------
         >>> from pathlib import Path
-        >>> _ = Path("cart.yml").write_text("""collision_spheres:
-        ...   rail: [{center: [1, 0, 0], radius: 1.5}]
-        ...   cart: [{center: [0, 0, 0], radius: 0.5}]
-        ...   forearm: [{center: [0, 0, 0], radius: 0.7}]""")
-        >>> Robot.from_urdf("arm.urdf").with_cover("cart.yml").bodies["cart"]
+        >>> ball = "[{center: [0, 0, 0], radius: 0.5}]"
+        >>> text = f"collision_spheres: {{rail: {ball}, cart: {ball}, forearm: {ball}}}"
+        >>> _ = Path("balls.yml").write_text(text)
+        >>> Robot.from_urdf("arm.urdf").with_cover("balls.yml").bodies["cart"]
         Body(sphere, 0 vertices)
         """
         return cast("Robot", answers["with_cover"](self, path, format))
