@@ -74,7 +74,7 @@ def _run(options: argparse.Namespace) -> int:
     written = robot.with_cover(options.out, options.format)
     reports = cover_tables.judged(robot, written)
     ignored = sorted(made.disabled_pairs - exempt_pairs(robot))
-    left = [(pair, share) for pair, share in new_contacts(robot, written) if pair not in made.disabled_pairs]
+    left = [(pair, share) for pair, share, _ in new_contacts(robot, written) if pair not in made.disabled_pairs]
     if options.json:
         answer = {
             "robot": robot.name,

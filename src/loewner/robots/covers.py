@@ -48,10 +48,10 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
         bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), progress)
     made = with_bodies(self, bodies)
     found = new_contacts(self, made)
-    pairs = [pair for pair, _ in found]
+    pairs = [pair for pair, _, _ in found]
     rows = self.prove_pairs(pairs, boxes=BOXES).with_verdict("NEVER") if pairs else ()
     never = frozenset(row.names for row in rows)
-    always = [f"{a} and {b}" for (a, b), share in found if share == 1.0 and (a, b) not in never]
+    always = [f"{a} and {b}" for (a, b), _, share in found if share == 1.0 and (a, b) not in never]
     if always:
         warn(
             f"shapes of links that may collide meet in all of {TRIED} configurations, so no motion of this cover is "
@@ -76,8 +76,12 @@ def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
     return robot.disabled_pairs if robot._lists_pairs else None
 
 
-def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float]]:
-    """Find the pairs that meet with another robot's bodies only, and the share of configurations in which they do."""
+def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
+    """Find the pairs that meet in some configurations with another robot's bodies, but not with a robot's own.
+
+    Each pair comes with the share of random configurations in which this is so, and the share in which the other
+    robot's bodies meet at all.
+    """
     Q = robot.random_configurations(TRIED)
     theirs = CollisionChecker(model)
     meets = theirs.collide_by_pair(Q)
@@ -85,10 +89,10 @@ def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float]]:
     known = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
     none = np.zeros(TRIED, dtype=bool)
     shares = [
-        ((min(pair), max(pair)), float((hits & ~known.get(pair, none)).mean()))
+        ((min(pair), max(pair)), float((hits & ~known.get(pair, none)).mean()), float(hits.mean()))
         for pair, hits in zip(theirs.checked_pairs, meets.T, strict=True)
     ]
-    return [(pair, share) for pair, share in shares if share > 0]
+    return [row for row in shares if row[1] > 0]
 
 
 def _covered(
