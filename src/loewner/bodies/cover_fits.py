@@ -9,7 +9,7 @@ from loewner._low_discrepancy import points as even_points
 from loewner._matrices import lengths
 from loewner._validate import Bools, Floats, Ints, Progress
 from loewner.bodies.boxes import least_box_axes
-from loewner.bodies.cover_proofs import Target, excess_of, first_failures, prove
+from loewner.bodies.cover_proofs import OCTANTS, Target, excess_of, first_failures, prove
 from loewner.bodies.elements import Elements
 from loewner.bodies.pack import Packed, as_one, moved
 from loewner.bodies.primitives import primitives
@@ -25,18 +25,25 @@ SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 # Candidates for the centers of balls.
 CANDIDATES = 2500
 
-# Steps of the local search for the fewest balls; its rounds, in which points that the proof misses are added, and more of
-# them until there is a proof; and in each round, steps in which balls are added for such points.
+# Steps of the local search for the fewest balls; its rounds, in which points that the proof misses are added, and more
+# rounds until there is a proof; and in each round, steps in which balls are added for such points.
 STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 
-# Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 2 % by which
+# Pairs of centers that are tried as axes of capsules, and the least depth of an axis relative to its ends; points of an
+# axis at which its depth is measured.
+PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
+
+# Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 3 % by which
 # the protrusion grows until the number is proven to suffice.
 HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
 
 # Largest edge of the cells of clusters, relative to the size of the body; and about their largest number.
-CELL, MOST_CELLS = 0.02, 20_000
+CELL, MOST_CELLS = 0.04, 20_000
 
-# Capsules, boxes and ellipsoids grow by this share of the size, so that decimals of their axes are precise enough.
+# Half the edge of the cubes that are added where the proof fails, relative to the same size.
+AROUND = 0.005
+
+# Boxes and ellipsoids grow by this share of the size, so that decimals of their axes are precise enough.
 WRITTEN = 1e-6
 
 # Share of the protrusion that is kept for what is between the points.
@@ -54,15 +61,16 @@ def grid_of(target: Target) -> float:
     return float(2.0 ** np.ceil(np.log2(2.0 * (target.reach + target.size)))) * GRID
 
 
-class Spheres:
-    """Candidates for balls that hold a body, and the points that they have to hold.
+class Candidates:
+    """Candidates for balls or capsules that hold a body, and the points that they have to hold.
 
     A ball around a point at the depth d in the body, with the radius d + e, sticks out by no more than e. If the point
     moves away from the nearest point of the surface, the ball grows to contain the old one, so that only points of the
-    medial axis count, which have several nearest points.
+    medial axis count, which have several nearest points. A capsule is a union of balls: d is the least depth of its
+    axis.
     """
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Target, capsules: bool) -> None:
         self.target, self.grid = target, grid_of(target)
         triangles = target.boundary.triangles
         a, b, c = triangles.transpose(1, 0, 2)
@@ -78,20 +86,29 @@ class Spheres:
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
         self.points = np.concatenate([surface, corners, inside])
-        normals = unit_normals(triangles)[at]
+        middles = [(target.low / 2 + target.high / 2)[None], surface]
         if target.solids:
-            candidates = np.concatenate([self._medial(surface, -normals), inside, surface[::20]])
-        else:
-            candidates = surface
-        self.centers = np.unique(np.rint(candidates / self.grid), axis=0) * self.grid
-        self.depth = -target.far(self.centers)
-        keep = (
-            np.arange(0, len(self.depth), -(-len(self.depth) // CANDIDATES))
-            if len(self.depth) > CANDIDATES
-            else slice(None)
-        )
-        self.centers, self.depth = self.centers[keep], self.depth[keep]
-        self.far = self._far(self.points)
+            normals = unit_normals(triangles)[at]
+            middles = [middles[0], self._medial(surface, -normals), inside, surface[::20]]
+        centers = np.concatenate(middles)
+        centers = centers[:: -(-len(centers) // CANDIDATES)]
+        self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
+        self.far = np.empty((len(self.points), 0), dtype=np.float32)
+        self.add_candidates(centers, np.zeros((1, 3)))
+        if capsules:
+            self._add_segments()
+
+    def _add_segments(self) -> None:
+        """Join pairs of centers by segments, and keep those along which the depth falls little."""
+        pairs = (even_points(PAIRS, 2) * len(self.centers)).astype(np.int64)
+        p, q = self.centers[pairs[:, 0]], self.centers[pairs[:, 1]]
+        # Half of the segments are shorter.
+        q = np.where((np.arange(PAIRS) % 2 == 0)[:, None], p + (q - p) / 4, q)
+        shares = np.linspace(0.0, 1.0, 9)
+        depth = np.min([-self.target.far(p + share * (q - p)) for share in shares], axis=0)
+        least = np.minimum(self.depth[pairs[:, 0]], self.depth[pairs[:, 1]])
+        best = np.argsort(-(lengths(q - p) * (depth >= FALL * least)), kind="stable")[: CANDIDATES // 2]
+        self.add_candidates((p + q)[best] / 2, (q - p)[best] / 2)
 
     def _medial(self, points: Floats, inward: Floats) -> Floats:
         """Find the centers of the largest balls in the body that touch its surface at points, by halving."""
@@ -103,9 +120,16 @@ class Spheres:
             low, high = np.where(touches, middle, low), np.where(touches, high, middle)
         return points + low[:, None] * inward
 
-    def _far(self, points: Floats) -> Floats:
-        """Compute the distances of points, in rows, from the candidates."""
-        squared = (points**2).sum(axis=1)[:, None] + (self.centers**2).sum(axis=1) - 2 * points @ self.centers.T
+    def _far(self, points: Floats, first: int = 0) -> Floats:
+        """Compute the distances of points, in rows, from the axes of the candidates from the first one on."""
+        centers, axes = self.centers[first:], self.axes[first:]
+        squared = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1) - 2 * points @ centers.T
+        long = np.flatnonzero(axes.any(axis=1))
+        if len(long):
+            size = (axes[long] ** 2).sum(axis=1)
+            along = points @ axes[long].T - (centers[long] * axes[long]).sum(axis=1)
+            share = np.clip(along / size, -1.0, 1.0)
+            squared[:, long] += share * (share * size - 2 * along)
         return np.asarray(np.sqrt(np.maximum(squared, 0.0)), dtype=np.float32)
 
     def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
@@ -118,24 +142,42 @@ class Spheres:
         if not holds.any(axis=1).all():
             # Points that no ball holds get candidates of their own.
             missed = self.points[~holds.any(axis=1)]
-            self.add_candidates(missed)
+            self.add_candidates(missed, np.zeros((1, 3)))
             return self.chosen(protrusion, steps, start, reserve)
         found = _greedy(holds, start)
         return _exchanged(holds, found, steps)
 
-    def add_candidates(self, centers: Floats) -> None:
-        made = np.unique(np.rint(centers / self.grid), axis=0) * self.grid
-        self.centers = np.concatenate([self.centers, made])
-        self.depth = np.concatenate([self.depth, -self.target.far(made)])
-        self.far = self._far(self.points)
+    def add_candidates(self, centers: Floats, axes: Floats) -> None:
+        """Add balls, or capsules whose axes have the given halves."""
+        centers = np.rint(centers / self.grid) * self.grid
+        axes = np.broadcast_to(np.rint(axes / self.grid) * self.grid, centers.shape)
+        depth, parts = np.full(len(centers), np.inf), 1 if not axes.any() else AXIS_POINTS
+        for share in np.linspace(-1.0, 1.0, 2 * parts + 1)[1::2]:
+            depth = np.minimum(depth, -self.target.far(centers + share * axes))
+        first = len(self.centers)
+        self.centers, self.axes = np.concatenate([self.centers, centers]), np.concatenate([self.axes, axes])
+        self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
+        self.far = np.concatenate([self.far, self._far(self.points, first)], axis=1)
 
     def add_points(self, points: Floats) -> None:
+        """Add points that have to be held."""
         self.points = np.concatenate([self.points, points])
         self.far = np.concatenate([self.far, self._far(points)])
 
-    def balls(self, chosen: Ints, protrusion: float) -> tuple[Floats, Floats]:
+    def made(self, chosen: Ints, protrusion: float) -> Packed:
+        """Make a body of chosen candidates, whose radii are rounded down."""
         radii = np.floor((self.depth[chosen] + protrusion) / self.grid - 1e-6) * self.grid
-        return self.centers[chosen], radii
+        centers, axes = self.centers[chosen], self.axes[chosen]
+        plain = ~axes.any(axis=1)
+        bodies = [Packed.of(ball_pieces(centers[plain], radii[plain]))] if plain.any() else []
+        for center, axis, radius in zip(centers[~plain], axes[~plain], radii[~plain], strict=True):
+            length = float(lengths(axis))
+            turn = np.linalg.qr(np.column_stack([axis / length, np.eye(3)]))[0]
+            along = turn[:, 0] * np.sign(turn[:, 0] @ axis)
+            turn = np.column_stack([turn[:, 1], np.cross(along, turn[:, 1]), along])
+            bodies.append(_placed(primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, length]])),
+                                  turn, center))  # fmt: skip
+        return as_one(bodies) if len(bodies) > 1 else bodies[0]
 
     def proven(self, protrusion: float, steps: int, most: int | None = None) -> Packed | None:
         """Choose balls that are proven to hold the body; None if that takes more than `most`."""
@@ -147,15 +189,17 @@ class Spheres:
             for _ in range(REPAIRS):
                 if best is not None and len(trial) >= best or most is not None and len(trial) > most:
                     break
-                made = Packed.of(ball_pieces(*self.balls(trial, protrusion)))
+                made = self.made(trial, protrusion)
                 missed = first_failures(self.target, made, protrusion)
                 if len(missed) == 0:
                     best, packed = len(trial), made
                     break
                 self.add_points(missed)
                 trial = self.chosen(protrusion, 0, trial, reserve)
-            if round_ >= ROUNDS - 1 and (packed is not None or most is not None and len(chosen) > most):
+            if packed is not None and (most is not None or round_ >= ROUNDS - 1):
                 return packed
+            if most is not None and round_ >= 1 and len(chosen) > most:
+                return None
         return packed
 
 
@@ -218,13 +262,14 @@ def _exchanged(holds: Bools, found: Ints, steps: int) -> Ints:
     return best
 
 
-def _spheres(target: Target, n: int | None, protrusion: float | None, report: Progress) -> Packed:
-    fit = Spheres(target)
+def _round(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
+    """Fit spheres or capsules."""
+    fit = Candidates(target, kind == "capsules")
     report(10, 100)
     if protrusion is not None:
         found = fit.proven(protrusion, STEPS)
         if found is None:
-            raise GeometryError(f"protrusion: expected one that spheres reach, found {protrusion:g} m, and no proof")
+            raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
         return found
     assert n is not None
     low, high = LEAST_PROTRUSION * target.size, target.size
@@ -237,14 +282,14 @@ def _spheres(target: Target, n: int | None, protrusion: float | None, report: Pr
         found = fit.proven(high, STEPS, n)
         if found is not None:
             return found
-        high *= 1.02
-    raise GeometryError(f"n: expected a number of spheres that suffices, found {n}, and no proof")
+        high *= 1.03
+    raise GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
 
 
 class _Clusters:
     """Cells of a body in clusters, each with an element around it; the one that sticks out most is divided."""
 
-    def __init__(self, target: Target, kind: str) -> None:
+    def __init__(self, target: Target, kind: str, protrusion: float | None) -> None:
         self.target, self.kind = target, kind
         cells = target.triangles
         for _ in range(20):
@@ -253,10 +298,17 @@ class _Clusters:
             if not long.any() or len(cells) > MOST_CELLS:
                 break
             cells = np.concatenate([cells[~long], halved(cells[long], edge[long])])
-        inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
-        inside = inside[target.holds(inside)]
-        self.cells = np.concatenate([cells, np.repeat(inside[:, None], 3, axis=1)])
-        self.middles = self.cells.mean(axis=1)
+        # Triangles, and cubes of the inside that do not reach the surface, as eight corners.
+        edge = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
+        counts = np.maximum(1, np.ceil((target.high - target.low) / edge)).astype(int)
+        lattice = target.low + (np.indices(counts).reshape(3, -1).T + 0.5) * (target.high - target.low) / counts
+        lattice = lattice[target.holds(lattice)]
+        half = np.minimum(edge / 2, -target.depths(lattice) / np.sqrt(3.0))
+        inside = lattice[:, None] + OCTANTS * half[:, None, None]
+        corners = np.concatenate([cells[:, [0, 1, 2, 0, 1, 2, 0, 1]], inside])
+        self.points, cells_of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        self.cells = cells_of.reshape(-1, 8)
+        self.middles = np.concatenate([cells.mean(axis=1), lattice])
         # What is added for rounding, and for numbers that are written to files.
         self.spare = WRITTEN * (target.reach + target.size) + float(target.radius.max())
         self.clusters = [np.arange(len(self.cells))]
@@ -265,7 +317,9 @@ class _Clusters:
 
     def element(self, cluster: Ints) -> Packed:
         """Fit an element around cells."""
-        points = np.unique(self.cells[cluster].reshape(-1, 3), axis=0)
+        used = np.zeros(len(self.points), dtype=bool)
+        used[self.cells[cluster]] = True
+        points = self.points[used]
         if self.kind == "ellipsoids":
             try:
                 ball = mvce(points, tol=1e-2).ellipsoid
@@ -278,15 +332,8 @@ class _Clusters:
                 primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None]), turn, center
             )
         turn, half, center = _box(points)
-        if self.kind == "boxes":
-            half = np.maximum(half + self.spare, 1e-3 * half.max())
-            return _placed(Packed.of(box_pieces(-half[None], half[None])), turn, center)
-        tried = [_capsule(points, np.roll(turn, k, axis=1)) for k in range(3)]
-        radius, half_length, turn, center = min(tried, key=lambda one: one[0] ** 2 * (4 * one[0] / 3 + 2 * one[1]))
-        radius, half_length = radius + self.spare, max(half_length, self.spare)
-        return _placed(
-            primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, half_length]])), turn, center
-        )
+        half = np.maximum(half + self.spare, 1e-3 * half.max())
+        return _placed(Packed.of(box_pieces(-half[None], half[None])), turn, center)
 
     def sticks(self, element: Packed) -> float:
         """Estimate how far an element sticks out, from points of its surface."""
@@ -294,36 +341,37 @@ class _Clusters:
         return float(self.target.below(np.concatenate([vertices, vertices[triangles].mean(axis=1)])).max())
 
     def divide(self, k: int) -> None:
-        """Divide a cluster across one of its axes, where the parts' elements have the least volume."""
+        """Halve a cluster across one of its axes, so that the parts' elements have the least volume."""
         cluster = self.clusters[k]
         away = self.middles[cluster] - self.middles[cluster].mean(axis=0)
         turn = np.linalg.eigh(away.T @ away)[1]
         best = None
         for axis in turn.T:
             height = away @ axis
-            for share in (0.3, 0.5, 0.7):
-                cut = height <= height.min() + share * np.ptp(height)
-                if cut.all() or not cut.any():
-                    continue
-                parts = [cluster[cut], cluster[~cut]]
-                made = [self.element(part) for part in parts]
-                volume = sum(float(np.linalg.det(element.outer_factor[0])) for element in made)
-                if best is None or volume < best[0]:
-                    best = volume, parts, made
+            cut = height <= height.min() + np.ptp(height) / 2
+            if cut.all() or not cut.any():
+                continue
+            parts = [cluster[cut], cluster[~cut]]
+            made = [self.element(part) for part in parts]
+            volume = sum(abs(float(np.linalg.det(element.outer_factor[0]))) for element in made)
+            if best is None or volume < best[0]:
+                best = volume, parts, made
         if best is None:
             raise GeometryError(f"{self.kind}: expected cells that can be divided, found one; use a larger protrusion")
         self.clusters[k : k + 1], self.elements[k : k + 1] = best[1], best[2]
         self.excess[k : k + 1] = [self.sticks(element) for element in best[2]]
 
     def hold(self, points: Floats) -> None:
-        """Add points to the clusters nearest to them."""
-        first = len(self.cells)
-        self.cells = np.concatenate([self.cells, np.repeat(points[:, None], 3, axis=1)])
+        """Add small cubes around points to the clusters nearest to them."""
+        first, corner = len(self.cells), len(self.points) + np.arange(8 * len(points))
+        around = points[:, None] + OCTANTS * (AROUND * self.target.size)
+        self.points = np.concatenate([self.points, around.reshape(-1, 3)])
+        self.cells = np.concatenate([self.cells, corner.reshape(-1, 8)])
         self.middles = np.concatenate([self.middles, points])
-        for i, point in enumerate(points):
-            off = [float(lengths(self.middles[cluster] - point).min()) for cluster in self.clusters]
-            k = int(np.argmin(off))
-            self.clusters[k] = np.append(self.clusters[k], first + i)
+        off = [lengths(self.middles[cluster][None] - points[:, None]).min(axis=1) for cluster in self.clusters]
+        nearest = np.argmin(off, axis=0)
+        for k in np.unique(nearest).tolist():
+            self.clusters[k] = np.append(self.clusters[k], first + np.flatnonzero(nearest == k))
             self.elements[k] = self.element(self.clusters[k])
             self.excess[k] = self.sticks(self.elements[k])
 
@@ -338,22 +386,6 @@ def _box(points: Floats) -> tuple[Floats, Floats, Floats]:
     return turn, (high - low) / 2, turn @ (low / 2 + high / 2)
 
 
-def _capsule(points: Floats, turn: Floats) -> tuple[float, float, Floats, Floats]:
-    """Fit a capsule around points along the third axis; return radius, half the straight length, axes, center."""
-    turned = points @ turn
-    middle = (turned[:, :2].min(axis=0) + turned[:, :2].max(axis=0)) / 2
-    for step in range(1, 60):  # towards the farthest point by ever smaller steps (Badoiu and Clarkson, 2003)
-        off = turned[:, :2] - middle
-        middle = middle + off[(off**2).sum(axis=1).argmax()] / (step + 1)
-    across = np.hypot(*(turned[:, :2] - middle).T)
-    radius = float(across.max())
-    reach = np.sqrt(np.maximum(radius * radius - across * across, 0.0))
-    low, high = float((turned[:, 2] + reach).min()), float((turned[:, 2] - reach).max())
-    if low > high:
-        low = high = (low + high) / 2
-    return radius, (high - low) / 2, turn, turn @ np.append(middle, (low + high) / 2)
-
-
 def _placed(packed: Packed, turn: Floats, center: Floats) -> Packed:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = turn, center
@@ -361,8 +393,8 @@ def _placed(packed: Packed, turn: Floats, center: Floats) -> Packed:
 
 
 def _others(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
-    """Fit capsules, boxes or ellipsoids by dividing clusters of cells."""
-    fit = _Clusters(target, kind)
+    """Fit boxes or ellipsoids by dividing clusters of cells."""
+    fit = _Clusters(target, kind, protrusion)
     limit = 0.0 if protrusion is None else 0.98 * protrusion
     for _ in range(ROUNDS + GROWTHS):
         while len(fit.elements) < (MOST if n is None else n) and max(fit.excess) > limit:
@@ -372,7 +404,7 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
         packed = as_one(fit.elements)
         missed = first_failures(target, packed, max(fit.excess) if protrusion is None else protrusion)
         if len(missed):
-            fit.hold(missed[:: max(1, len(missed) // 20)])
+            fit.hold(missed[:: max(1, len(missed) // 60)])
             continue
         if protrusion is None:
             return packed
@@ -409,9 +441,8 @@ def cover(
             f"found {protrusion:g}"
         )
     report(0, 100)
-    found = (
-        _spheres(target, n, protrusion, report) if kind == "spheres" else _others(target, kind, n, protrusion, report)
-    )
+    fit = _round if kind in ("spheres", "capsules") else _others
+    found = fit(target, kind, n, protrusion, report)
     proof = prove(packed, found, None)
     if proof.outcome != "covered":
         raise GeometryError(f"cover: expected a proof that the {kind} hold the body, found {proof.outcome}")

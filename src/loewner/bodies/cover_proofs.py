@@ -48,7 +48,7 @@ DIVISIONS = 2
 # Inradius of the polygons of cylinders and cones.
 _POLYGON = (CURVED[columns.CONE].inradii or (1.0,))[0]
 
-_OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +274,7 @@ class _Cells:
 
     def corner(self, cells: Ints, k: int) -> Floats:
         if self.shape.ndim == 2:
-            return np.asarray(self.shape[cells, :3] + self.shape[cells, 3:] * _OCTANTS[k])
+            return np.asarray(self.shape[cells, :3] + self.shape[cells, 3:] * OCTANTS[k])
         return np.asarray(self.shape[cells, k])
 
     def parts(self) -> _Cells:
@@ -282,7 +282,7 @@ class _Cells:
         n = len(self.shape)
         if self.shape.ndim == 2:
             half = self.shape[:, 3:] / 2
-            made = np.concatenate([np.hstack([self.shape[:, :3] + half * way, half]) for way in _OCTANTS])
+            made = np.concatenate([np.hstack([self.shape[:, :3] + half * way, half]) for way in OCTANTS])
             count = 8
         else:
             edges = self.shape - np.roll(self.shape, -1, axis=1)
@@ -495,6 +495,7 @@ class _Proof:
             chosen = np.flatnonzero(keep & (least > 0))
             chosen = chosen[target.holds(centers[chosen])]
             self.note(centers[chosen], least[chosen])
+            self.outside.append(centers[chosen])
             if self.witness is not None:
                 return None
             done = keep & (flush | (2 * reach <= self.tolerance))
@@ -712,7 +713,5 @@ def first_failures(target: Target, model: Packed, protrusion: float) -> Floats:
     points = np.concatenate(missed)
     if len(points) == 0 and not whole.all():
         holes = proof.inside()
-        points = np.empty((0, 3)) if holes is None else holes.middles()[0]
-        if proof.witness is not None:
-            points = np.concatenate([points, proof.witness[None]])
+        points = np.concatenate([*proof.outside, np.empty((0, 3)) if holes is None else holes.middles()[0]])
     return points[:: max(1, len(points) // 1000)]
