@@ -1150,6 +1150,7 @@ class Robot(KeepsReadOnly):
 
         Examples
         --------
+        >>> from loewner import Robot
         >>> robot = Robot.from_urdf("arm.urdf")
         >>> cover = robot.cover("boxes", protrusion=0.05)
         >>> {report.outcome for report in robot.covered_by(cover).values()}
@@ -1184,6 +1185,7 @@ class Robot(KeepsReadOnly):
 
         Examples
         --------
+        >>> from loewner import Robot
         >>> robot = Robot.from_urdf("arm.urdf")
         >>> robot.covered_by(robot)["cart"].outcome
         'covered'
@@ -1234,6 +1236,7 @@ class Robot(KeepsReadOnly):
         Examples
         --------
         >>> from pathlib import Path
+        >>> from loewner import Robot
         >>> ball = "[{center: [0, 0, 0], radius: 0.5}]"
         >>> text = f"collision_spheres: {{rail: {ball}, cart: {ball}, forearm: {ball}}}"
         >>> _ = Path("balls.yml").write_text(text)
@@ -1274,6 +1277,7 @@ class Robot(KeepsReadOnly):
 
         Examples
         --------
+        >>> from loewner import Robot
         >>> Robot.from_urdf("arm.urdf").cover("boxes", protrusion=0.05).save_cover("boxes.urdf")
         """
         answers["save_cover"](self, path, format)
