@@ -15,6 +15,7 @@ from gantry import gantry
 from loewner import Body, CollisionChecker, FileError, InputError, Joint, Robot, UnknownNameError, cli, plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
+from loewner.cli.cover_tables import _interval
 from loewner.cover_files import FORMATS, _Balls, _rounded
 from loewner.robots import covers
 
@@ -583,3 +584,18 @@ def test_pinocchio_reads_the_urdf_of_vamp(model, tmp_path):
         (round(r, 12), *np.round(c, 12)) for centers, radii in given for c, r in zip(centers, radii, strict=True)
     )
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [
+        ((0.0, 0.0), "0 mm"),
+        ((0.0099999, 0.0099999), "9.99 .. 10 mm"),
+        ((0.25, 0.25), "250 mm"),
+        ((0.0123401, 0.0123401), "12.3 .. 12.4 mm"),
+        ((np.inf, np.inf), "inf mm"),
+    ],
+)
+def test_bounds_are_shown_outwards(ends, text):
+    """Bounds with three digits contain the bounds with all digits."""
+    assert _interval(ends, 1e3, "mm") == text

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ def print_reports(
         print(f"{_percent((ends[0], ends[1]))} of the surface of all links is outside")
     print(
         f"{told} of {len(reports)} links; {sum(len(body.pieces) for body in model.bodies.values())} shapes, "
-        f"which stick out by up to {_number(1e3 * largest)} mm"
+        f"which stick out by up to {_number(1e3 * largest, np.ceil)} mm"
     )
 
 
@@ -87,13 +87,16 @@ def _millimetres(length: tuple[float, float]) -> str:
 
 
 def _interval(ends: tuple[float, float], factor: float, unit: str) -> str:
-    """Write bounds as one number if they agree in the digits shown, rounded outwards otherwise."""
-    low, high = (_number(factor * end) for end in ends)
+    """Write bounds with three digits, rounded outwards; as one number if they agree."""
+    low, high = _number(factor * ends[0], np.floor), _number(factor * ends[1], np.ceil)
     return f"{low} {unit}" if low == high else f"{low} .. {high} {unit}"
 
 
-def _number(x: float) -> str:
-    return f"{x:.3g}"
+def _number(x: float, rounded: Callable[[float], float]) -> str:
+    if x == 0 or not np.isfinite(x):
+        return f"{x:g}"
+    step = 10.0 ** (np.floor(np.log10(abs(x))) - 2)
+    return f"{rounded(x / step) * step:.4g}"
 
 
 def entry(report: CoverReport, shapes: int) -> dict[str, Any]:
