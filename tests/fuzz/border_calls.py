@@ -780,6 +780,14 @@ CALLS: dict[str, Call] = {
     "Body.capsule": Call(Body.capsule, {"radius": positive(), "length": positive()}),
     "Body.union": Call(Body.union, {"bodies": arg(lambda: [ball(), cube()], "Bodies")}),
     "Body.transformed": Call(on(cube, "transformed"), {"T": pose(1.0)}),
+    "Body.covered_by": Call(
+        on(cube, "covered_by"),
+        {"model": arg(lambda: Body.box([4.0, 4, 4])), "tolerance": positive(0.125, NONE), "progress": callback()},
+    ),
+    "Body.cover": Call(
+        on(cube, "cover"),
+        {"kind": choice("boxes"), "n": count(1, "2**70"), "protrusion": arg(None, NONE), "progress": callback()},
+    ),
     "Body.save": Call(on(cube, "save"), {"path": PATH_OUT}),
     "Body.to_mjcf": Call(
         on(cube, "to_mjcf"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, cast, overload
+from typing import Any, Literal, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,13 +24,10 @@ from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.bodies.triangulated import MANY_PIECES, for_pictures
-from loewner.coverage import Covering
+from loewner.coverage import Covering, CoverReport
 from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.polytopes import Hulls, box_hull, hulls
-
-if TYPE_CHECKING:
-    from loewner.bodies.cover_proofs import CoverReport
 
 # Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
 LARGEST_EXTENT = 1e9

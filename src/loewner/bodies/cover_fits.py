@@ -299,11 +299,11 @@ class _Clusters:
                 break
             cells = np.concatenate([cells[~long], halved(cells[long], edge[long])])
         # Triangles, and cubes of the inside that do not reach the surface, as eight corners.
-        edge = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
-        counts = np.maximum(1, np.ceil((target.high - target.low) / edge)).astype(int)
+        step = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
+        counts = np.maximum(1, np.ceil((target.high - target.low) / step)).astype(np.int64)
         lattice = target.low + (np.indices(counts).reshape(3, -1).T + 0.5) * (target.high - target.low) / counts
         lattice = lattice[target.holds(lattice)]
-        half = np.minimum(edge / 2, -target.depths(lattice) / np.sqrt(3.0))
+        half = np.minimum(step / 2, -target.depths(lattice) / np.sqrt(3.0))
         inside = lattice[:, None] + OCTANTS * half[:, None, None]
         corners = np.concatenate([cells[:, [0, 1, 2, 0, 1, 2, 0, 1]], inside])
         self.points, cells_of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loewner import _validate
 from loewner._kernels import columns
 from loewner._kernels.tolerances import FACE_WIDTH
 from loewner._matrices import dot, lengths
@@ -19,6 +18,7 @@ from loewner.bodies.elements import HEIGHT_ROUNDINGS, Elements
 from loewner.bodies.kinds import CURVED, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import of_piece
+from loewner.coverage import CoverReport
 from loewner.polytopes import Polytope
 from loewner.protrusion import Solid, protrusions
 from loewner.triangles import halved
@@ -31,7 +31,7 @@ CELL_ROUNDINGS = 256 * 2.0**-53
 
 # Limits on the number of cells that are halved at a time, on pairs of cells and elements formed at a time, and on cells
 # at which a hole smaller than the tolerance is looked for, over this number of halvings.
-WORK, AT_ONCE, LOOKED_INTO, LOOKS = 400_000, 2_000_000, 128, 60
+WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 2_000_000, 128, 60
 
 # The search for the largest distance ends when the bound is this near to a distance that was found, as a ratio.
 RELATIVE = 0.01
@@ -49,41 +49,6 @@ DIVISIONS = 2
 _POLYGON = (CURVED[columns.CONE].inradii or (1.0,))[0]
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-
-
-@dataclass(frozen=True, eq=False)
-class CoverReport:
-    """Whether the elements of a model hold a body, and how far they stick out of it; see `Body.covered_by`.
-
-    Attributes
-    ----------
-    outcome : {"covered", "uncovered", "undecided"}
-        "covered": each point of the body, inside included, is proven to be in the model. "uncovered": `witness` is not.
-        "undecided": neither is proven; some cells of the size of the tolerance are in no single element.
-    uncovered_share : tuple of float
-        Bounds on the share of the area of the body's surface that is outside the model. The surfaces of all pieces
-        count, also where they are inside other pieces; a circumscribed polytope stands for a curved piece.
-    depth : tuple of float
-        Bounds on the largest distance of a point of the body from the model, in metres.
-    witness : ndarray, shape (3,), or None
-        The point of the body, among the points tried, that is deepest outside of every element.
-    excess : tuple of float
-        Bounds on the largest distance of a point of the model from the body, in metres.
-
-    Examples
-    --------
-    >>> from loewner import Body
-    >>> Body.box([1, 1, 1]).covered_by(Body.sphere(1.0)).outcome
-    'covered'
-    """
-
-    outcome: str
-    uncovered_share: tuple[float, float]
-    depth: tuple[float, float]
-    witness: Floats | None
-    excess: tuple[float, float]
-
-    __repr__ = _validate.brief
 
 
 @dataclass

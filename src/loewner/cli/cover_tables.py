@@ -11,10 +11,10 @@ import numpy as np
 import loewner
 from loewner import plots
 from loewner.bodies import packed_of
-from loewner.bodies.cover_proofs import CoverReport
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
+from loewner.coverage import CoverReport
 from loewner.errors import FileError
 
 DRAWN = (".png", ".svg")

@@ -12,7 +12,7 @@ from loewner import _validate
 from loewner._plausible import warn
 from loewner._validate import Floats, Named, Pair, Progress
 from loewner.bodies import Body
-from loewner.bodies.cover_proofs import CoverReport
+from loewner.coverage import CoverReport
 from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.robot import Robot, answers

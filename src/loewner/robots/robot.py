@@ -48,7 +48,7 @@ from loewner.robots.xacro_files import SUFFIX, expanded, refuse_unused
 from loewner.scenes import Scene
 
 if TYPE_CHECKING:
-    from loewner.bodies.cover_proofs import CoverReport
+    from loewner.coverage import CoverReport
 
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
