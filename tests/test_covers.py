@@ -8,8 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from families import translation
-from loewner import Body, CoverReport, GeometryError, InputError
+from loewner import Body, CoverReport, InputError, UnknownNameError
 
 ANNULUS = trimesh.creation.annulus(0.03, 0.04, 0.1)
 BOX = Body.box([0.2, 0.1, 0.1])
@@ -71,6 +70,7 @@ def test_outcomes_of_balls_are_true(seed: int, count: int, radius: float):
     assert report.depth[0] <= report.depth[1]
 
 
+@pytest.mark.slow("bounds on depths in cones and cylinders take many cells")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", ["capsule", "box", "ellipsoid", "cylinder", "cone", "sphere", "hull"])
 def test_elements_hold_what_they_are_said_to(seed: int, kind: str):
@@ -116,11 +116,11 @@ def test_two_balls_around_a_box():
 def test_share_is_that_of_samples():
     """The share of the surface that is outside agrees with samples, to three digits."""
     centers, radius = np.array([[0.0, 0.01, -0.03], [0.0, -0.01, 0.03]]), 0.042
-    report = Body.from_surface(ANNULUS).covered_by(Body.spheres(centers, radius), tolerance=2e-4)
+    report = Body.from_surface(ANNULUS).covered_by(Body.spheres(centers, radius))
     points = ANNULUS.sample(400_000, seed=0)
     share = 1 - in_balls(points, Body.spheres(centers, radius)).mean()
     low, high = report.uncovered_share
-    assert high - low < 3e-3
+    assert high - low < 1e-3
     assert low - 3e-3 < share < high + 3e-3
 
 
@@ -134,12 +134,13 @@ def test_radius_short_by_a_rounding_of_single_precision():
     assert cube.covered_by(Body.sphere(radius)).outcome != "uncovered"
 
 
+@pytest.mark.slow("cells along a seam down to the tolerance")
 def test_boxes_that_share_a_face_are_not_accused():
     """Boxes that share faces cover without a gap: never "uncovered"; moved apart by 1 µm, they leave a hole."""
     halves = [[-0.05, 0, 0], [0.05, 0, 0]]
     assert BOX.covered_by(Body.boxes(halves, 0.1), tolerance=1e-3).outcome in ("covered", "undecided")
     assert BOX.covered_by(Body.boxes(halves, 0.1 + 1e-4)).outcome == "covered"
-    apart = BOX.covered_by(Body.boxes([[-0.05, 0, 0], [0.05 + 1e-6, 0, 0]], 0.1), tolerance=1e-3)
+    apart = BOX.covered_by(Body.boxes([[-0.05, 0, 0], [0.05 + 1e-6, 0, 0]], 0.1))
     assert apart.outcome == "uncovered"
     assert 0 < apart.witness[0] < 1e-6
     assert 0 < apart.depth[0] <= 0.5e-6
@@ -164,11 +165,11 @@ def test_a_hole_inside(solid: bool):
         assert np.linalg.norm(report.witness) < 0.06
         assert report.depth[0] == pytest.approx(0.06, rel=0.02)
         assert report.depth[1] >= 0.06 * (1 - 1e-6)
-        filled = Body.union([shell, Body.sphere(0.0601)])
-        assert body.covered_by(filled).outcome == "covered"
-        # A hole of a thousandth of the size, between the filling and the shell.
-        pierced = Body.union([shell, Body.sphere(0.0599).transformed(translation(0.0003))])
-        assert body.covered_by(pierced).outcome != "covered"
+        assert body.covered_by(Body.union([shell, Body.sphere(0.07)])).outcome == "covered"
+        # Between the balls the hole goes on beyond this radius.
+        pierced = body.covered_by(Body.union([shell, Body.sphere(0.0605)]))
+        assert pierced.outcome == "uncovered"
+        assert 0.0605 < np.linalg.norm(pierced.witness) < 0.07
 
 
 def test_a_cavity_is_no_part_of_the_body():
@@ -193,6 +194,7 @@ def test_excess_of_elements_that_stick_out():
         assert excess * (1 - 1e-9) <= report.excess[1] <= excess * 1.05 + 1e-3
 
 
+@pytest.mark.slow("fits of spheres and capsules repeat a search and a proof")
 @pytest.mark.parametrize("kind", ["spheres", "capsules", "boxes", "ellipsoids"])
 def test_covers_by_number(kind: str):
     """A cover has at most n elements, is proven by another call, holds samples, and sticks out as it states."""
@@ -209,6 +211,7 @@ def test_covers_by_number(kind: str):
         assert in_balls(ANNULUS.sample(100_000, seed=1), cover).all()
 
 
+@pytest.mark.slow("two fits of spheres")
 def test_covers_by_protrusion():
     """Spheres stick out by at most the protrusion, and take no more of them if more is allowed."""
     counts = []
@@ -223,6 +226,7 @@ def test_covers_by_protrusion():
     assert counts[0] > counts[1]
 
 
+@pytest.mark.slow("a fit of spheres")
 def test_spheres_of_an_open_surface():
     """A surface without an inside is held by spheres about its points."""
     triangle = Body.from_surface((np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2]])))
@@ -257,11 +261,10 @@ def test_bad_input():
         BOX.cover()
     with pytest.raises(InputError, match="n, protrusion: expected one of the two, found both"):
         BOX.cover(n=3, protrusion=0.1)
-    with pytest.raises(InputError, match="kind"):
+    with pytest.raises(UnknownNameError, match="kind"):
         BOX.cover("cones", n=3)
     with pytest.raises(InputError, match="n: expected"):
         BOX.cover(n=0)
     with pytest.raises(InputError, match="protrusion: expected at least"):
         BOX.cover(protrusion=1e-7)
     assert isinstance(BOX.covered_by(BOX), CoverReport)
-    assert issubclass(GeometryError, Exception)

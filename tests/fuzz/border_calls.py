@@ -1932,7 +1932,7 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope",
+    "Attachment", "Contact", "CoverReport", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope",
     "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact", "ClosestApproach",

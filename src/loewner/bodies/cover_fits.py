@@ -46,7 +46,7 @@ AROUND = 0.005
 # Boxes and ellipsoids grow by this share of the size, so that decimals of their axes are precise enough.
 WRITTEN = 1e-6
 
-# Share of the protrusion that is kept for what is between the points.
+# Share of the protrusion that is kept for the gaps between the points.
 RESERVE = 0.04
 
 # Numbers are multiples of the largest coordinate's power of two times this, so that they are the same in float32.
@@ -309,7 +309,7 @@ class _Clusters:
         self.points, cells_of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         self.cells = cells_of.reshape(-1, 8)
         self.middles = np.concatenate([cells.mean(axis=1), lattice])
-        # What is added for rounding, and for numbers that are written to files.
+        # Added for rounding, and for numbers that are written to files.
         self.spare = WRITTEN * (target.reach + target.size) + float(target.radius.max())
         self.clusters = [np.arange(len(self.cells))]
         self.elements = [self.element(self.clusters[0])]

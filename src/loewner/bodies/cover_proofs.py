@@ -26,7 +26,7 @@ from loewner.triangles import halved
 # Cells of the body are halved down to this share of its diagonal.
 RESOLUTION = 1e-4
 
-# Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving, of which there are few.
+# Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving; there are few.
 CELL_ROUNDINGS = 256 * 2.0**-53
 
 # Limits on the number of cells that are halved at a time, on pairs of cells and elements formed at a time, and on cells
@@ -36,7 +36,7 @@ WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 2_000_000, 128, 60
 # The search for the largest distance ends when the bound is this near to a distance that was found, as a ratio.
 RELATIVE = 0.01
 
-# Halvings of triangles of which parts are inside other pieces.
+# Halvings of triangles that are partly inside other pieces.
 TRIMS = 8
 
 # Circumscribed polytopes are larger by this factor than their computed corners.
@@ -78,7 +78,7 @@ class Target:
         self.parts = [_part(packed, i) for i in range(len(packed.layout))]
         self.triangles, self.owner = self.surface([part.triangles for part in self.parts])
         self.curved = np.array([part.inner is not None for part in self.parts])
-        # Points of these triangles belong to the body; their areas are measured.
+        # All points of `own` belong to the body, and its areas are measured.
         self.own = self.surface([part.triangles if part.inner is None else part.inner for part in self.parts])
         self.radius, self.slack, self.gap = (
             np.array([getattr(part, name) for part in self.parts]) for name in ("radius", "slack", "gap")
@@ -321,11 +321,11 @@ class _Proof:
         cells : _Cells
             The cells that are in no single element, with the elements that they may meet.
         height : ndarray
-            Least height of the center of each of these cells.
+            The least height of each remaining cell's center.
         outside : ndarray of bool
-            Which of these cells are outside of every element.
+            Which remaining cells are outside of every element.
         flush : ndarray of bool
-            Which of these cells are in the boundary of an element except for rounding, so that their parts are, too.
+            Which remaining cells are in the boundary of an element except for rounding, as their parts are, too.
         settled : ndarray of bool
             Which of the given cells are in one element.
         """

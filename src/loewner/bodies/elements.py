@@ -94,7 +94,7 @@ class Elements:
     def _take_planes(self, packed: Packed) -> None:
         """Prepare polytopes: each simplex of the surface counts with the plane that is least far inside its corners.
 
-        By the lemma of docs/containment.md, the points below all of these planes lie in the hull of the vertices.
+        By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
         """
         rows: dict[int, Floats] = {}
         for i in np.flatnonzero(self.kind == columns.POLYTOPE).tolist():
