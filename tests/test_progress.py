@@ -96,6 +96,10 @@ WATCHED = {
         lambda progress: meshes.convex_pieces(with_a_hole(), progress=progress),
     ],
     "Bodies.from_points": [lambda progress: loewner.Bodies.from_points(SETS, progress=progress)],
+    "Body.cover": [lambda progress: loewner.Body.box([3, 2, 1]).cover("boxes", n=2, progress=progress)],
+    "Body.covered_by": [
+        lambda progress: loewner.Body.box([3, 2, 1]).covered_by(loewner.Body.sphere(1.9), progress=progress)
+    ],
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
     "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
     "Body.cover": [

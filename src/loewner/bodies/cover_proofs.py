@@ -332,7 +332,8 @@ class _Proof:
         target, model = self.target, self.model
         middle, reach = cells.middles()
         radius = np.zeros(len(middle)) if inside else target.radius[cells.owner]
-        below = np.zeros(len(middle)) if inside else radius + target.slack[cells.owner]
+        slack = np.zeros(len(middle)) if inside else target.slack[cells.owner]
+        below = radius + slack
         c, e = cells.cell, cells.element
         height = model.heights(middle[c], e)
         margin = model.rounding[e] + self.cells
@@ -346,16 +347,17 @@ class _Proof:
             # Corners as they are stored, and no rounding of cells.
             needed = np.where(model.exact[e] & (below == 0)[c], 0.0, model.rounding[e])
         # The center of a convex cell in a convex element is in it, up to rounding.
-        left = np.flatnonzero(meets & (height <= margin))
+        blur = margin + 2 * slack[c]
+        left = np.flatnonzero(meets & (height <= blur))
         most = np.full(len(left), -np.inf)
         for k in range(8 if inside else 3):
             most = np.maximum(most, model.heights(cells.corner(c[left], k), e[left]) + below[c[left]])
-            near = most <= margin[left]
+            near = most <= blur[left]
             left, most = left[near], most[near]
         settled, flush = np.zeros(len(middle), dtype=bool), np.zeros(len(middle), dtype=bool)
         settled[c[left[most <= -needed[left]]]] = True
         # The center of a cell that lies in the boundary of an element is there, too.
-        flush[c[left[height[left] >= -radius[c[left]] - 4 * margin[left]]]] = True
+        flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
         rest = ~settled
         return cells.take(rest, meets), least[rest], outside[rest], flush[rest], settled
 
