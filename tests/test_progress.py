@@ -102,13 +102,6 @@ WATCHED = {
     ],
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
     "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
-    "Body.cover": [
-        lambda progress: loewner.Body.box([0.2, 0.1, 0.1]).cover("boxes", protrusion=0.05, progress=progress),
-        lambda progress: loewner.Body.box([0.2, 0.1, 0.1]).cover("capsules", n=2, progress=progress),
-    ],
-    "Body.covered_by": [
-        lambda progress: loewner.Body.box([0.2, 0.1, 0.1]).covered_by(loewner.Body.sphere(0.1), progress=progress),
-    ],
     "Robot.cover": [
         lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", protrusion=0.05, progress=progress),
         lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", n=4, progress=progress),

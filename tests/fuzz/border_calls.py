@@ -1932,8 +1932,8 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "CoverReport", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part", "Piece", "Polytope",
-    "Problem",
+    "Attachment", "Contact", "CoverReport", "Covering", "Distance", "FirstContact", "Fit", "NearPoints", "Part",
+    "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact", "ClosestApproach",
     "Overlaps", "PairDistances",
