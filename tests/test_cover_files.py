@@ -496,7 +496,6 @@ def test_cover_command(robot, lumps, tmp_path, monkeypatch, capsys, format):
     assert status == 0
     assert re.search(r"rod +.? *\d+ +.? *covered", out)
     assert "2 covered of 2 links" in out
-    assert {r.outcome for r in robot.covered_by(robot.with_cover(name, format)).values()} == {"covered"}
     assert run(capsys, "judge", "--model", name, "--format", format, "gantry.urdf")[0] == 0
 
 
