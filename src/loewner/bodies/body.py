@@ -947,8 +947,8 @@ class Body(_Bodies):
 
         Examples
         --------
-        >>> cover = Body.box([0.2, 0.1, 0.1]).cover("spheres", protrusion=0.02)
-        >>> len(cover.pieces) < 20, cover.covering.max_protrusion <= 0.02
+        >>> cover = Body.box([0.2, 0.1, 0.1]).cover("spheres", protrusion=0.04)
+        >>> len(cover.pieces) < 20, cover.covering.max_protrusion <= 0.04
         (True, True)
         """
         from loewner.bodies import cover_fits
