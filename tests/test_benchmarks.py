@@ -16,6 +16,7 @@ import accuracy
 import camera
 import clearance
 import clock
+import covers
 import crowd
 import executed_curves
 import frameworks
@@ -629,3 +630,13 @@ def test_checks_of_a_gate_are_counted(capsys: pytest.CaptureFixture[str]) -> Non
     for name in gate.BRAKES:
         assert median[f"{name}: new, passes"] > median["certify_edges of 50"]
         assert median[f"{name}: continues"] < median[f"{name}: new, passes"] / 10
+
+
+def test_covers_are_sampled_and_grown() -> None:
+    """Points outside of a ball in a cube are counted as geometry says, and the ball grows to the corners."""
+    cube, ball = loewner.Body.box([2, 2, 2]), loewner.Body.spheres([[0.0, 0.0, 0.0]], [1.2])
+    circle = 1 - np.pi * (1.2**2 - 1) / 4  # of each face, outside of the ball's circle
+    assert covers.uncovered(cube, ball, 20_000, False)[0] / 20_000 == pytest.approx(circle, abs=0.02)
+    assert covers.uncovered(cube, loewner.Body.sphere(1.8), 2_000, True) == (0, 2_000)
+    larger = covers.covering(cube, ball, 0.6)
+    assert 3**0.5 <= larger.outer.semi_axes[0, 0] <= 3**0.5 + 0.01

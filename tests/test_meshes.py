@@ -757,7 +757,7 @@ def test_distance_to_a_piece():
     rng = np.random.default_rng(3)
     vertices = rng.normal(size=(40, 3))
     points = rng.normal(size=(200, 3)) * 1.5
-    found = coverage._distances(points, Polytope.from_points(vertices), 1e-10)
+    found = coverage.distances_from(points, Polytope.from_points(vertices), 1e-10)
     np.testing.assert_allclose(found, naive_distance(points, vertices), atol=1e-8)
 
 

@@ -556,6 +556,51 @@ FORMATS |= {
     ),
 }  # fmt: skip
 
+BALL, FLAT = {"center": [0, 0, 1], "radius": 0.5}, {"mean": 0, "best": 0, "worst": 0}
+CUROBO = {
+    "robot_cfg": {
+        "kinematics": {
+            "urdf_path": "cart.urdf",
+            "cspace": {"joint_names": ["rail"]},
+            "collision_link_names": ["cart", "wheel"],
+            "collision_sphere_buffer": {"cart": 0.5},
+            "collision_spheres": {"cart": [BALL, BALL]},
+            "self_collision_ignore": {"cart": ["wheel"]},
+            "self_collision_buffer": {"cart": 0},
+        }
+    }
+}
+XRDF = {
+    "format": "xrdf",
+    "collision": {"geometry": "a", "buffer_distance": {"cart": 0.5}},
+    "self_collision": {"geometry": "a", "ignore": {"cart": ["wheel"]}, "buffer_distance": {"cart": 0}},
+    "geometry": {"a": {"spheres": {"cart": [BALL]}}},
+}
+PYROKI = {"cart": {"centers": [[0, 0, 1], [0, 1, 0]], "radii": [0.5, 0.25]}}
+FOAM = {"cart::a.stl": {"8": {"1": FLAT | {"spheres": [{"origin": [0, 0, 1], "radius": 0.5}]}}}}
+COVERED = """<robot name="r"><link name="base"/>
+<link name="cart"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+<link name="wheel"/>
+<joint name="rail" type="fixed"><parent link="base"/><child link="cart"/></joint>
+<joint name="hub" type="fixed"><parent link="cart"/><child link="wheel"/></joint></robot>"""
+
+
+def spheres(path: Path) -> object:
+    return Robot.from_urdf(text=COVERED).with_cover(path)
+
+
+FORMATS |= {
+    "cuRobo": Format(
+        json.dumps(CUROBO),
+        as_named("c.yml", spheres),
+        json_mutants,
+        ("robot_cfg/kinematics/cspace", "robot_cfg/kinematics/self_collision_buffer"),
+    ),
+    "XRDF": Format(json.dumps(XRDF), as_named("c.xrdf", spheres), json_mutants, ("self_collision/buffer_distance",)),
+    "pyroki": Format(json.dumps(PYROKI), as_named("c.json", spheres), json_mutants, ()),
+    "foam": Format(json.dumps(FOAM), as_named("c.json", spheres), json_mutants, (), named=("cart::a.stl",)),
+}
+
 # YAML is read much more slowly than JSON.
 LONG = {"DisplayTrajectory, yaml", "Solution, yaml", "a goal, yaml"}
 

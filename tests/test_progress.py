@@ -97,8 +97,21 @@ WATCHED = {
     "Robot.swept": [
         lambda progress: loewner.Robot.from_urdf(text=GANTRY).swept([[0.0] * 3, [0.3] * 3], progress=progress)
     ],
+    "Body.cover": [lambda progress: loewner.Body.box([3, 2, 1]).cover("boxes", n=2, progress=progress)],
+    "Body.covered_by": [
+        lambda progress: loewner.Body.box([3, 2, 1]).covered_by(loewner.Body.sphere(1.9), progress=progress)
+    ],
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
     "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
+    "Robot.cover": [
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", protrusion=0.05, progress=progress),
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", n=4, progress=progress),
+    ],
+    "Robot.covered_by": [
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).covered_by(
+            loewner.Robot.from_urdf(text=GANTRY), progress=progress
+        ),
+    ],
     "compile_kernels": [compiled],
     "paper.run": [lambda progress: paper.run(300, progress=progress)],
     "cluster.fit": [fitted_by_a_cluster],

@@ -3,9 +3,10 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from loewner import cover_files as _cover_files  # noqa: F401 - it answers methods of Robot
 from loewner._threads import get_num_threads, set_num_threads
 from loewner.bodies import Bodies, Body, Piece
-from loewner.coverage import Covering
+from loewner.coverage import Covering, CoverReport
 from loewner.crowds import Overlaps, overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
@@ -64,6 +65,7 @@ __all__ = [
     "CollisionChecker",
     "Contact",
     "ConvergenceError",
+    "CoverReport",
     "Covering",
     "Distance",
     "Ellipsoids",

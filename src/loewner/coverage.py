@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loewner import _validate
 from loewner._validate import Floats, Ints
 from loewner.polytopes import Polytope
 from loewner.triangles import halved, longest_edges, squared_distances
@@ -32,6 +33,7 @@ class Covering:
     Attributes
     ----------
     kind : str
+        ``"cover"``: the pieces were fitted by `Body.cover`, to any body, and the attributes refer to that body.
         ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
         ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh. ``"solid"``: the
         mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces contain links of a
@@ -70,6 +72,41 @@ class Covering:
     excess_volume: float
     samples: int
     max_protrusion: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class CoverReport:
+    """Whether the elements of a model hold a body, and how far they stick out of it; see `Body.covered_by`.
+
+    Attributes
+    ----------
+    outcome : {"covered", "uncovered", "undecided"}
+        "covered": each point of the body, inside included, is proven to be in the model. "uncovered": `witness` is not.
+        "undecided": neither is proven; some cells of the size of the tolerance are in no single element.
+    uncovered_share : tuple of float
+        Bounds on the share of the area of the body's surface that is outside the model. The surfaces of all pieces
+        count, also where they are inside other pieces; a circumscribed polytope stands for a curved piece.
+    depth : tuple of float
+        Bounds on the largest distance of a point of the body from the model, in metres.
+    witness : ndarray, shape (3,), or None
+        The point of the body, among the points tried, that is deepest outside of every element.
+    excess : tuple of float
+        Bounds on the largest distance of a point of the model from the body, in metres.
+
+    Examples
+    --------
+    >>> from loewner import Body
+    >>> Body.box([1, 1, 1]).covered_by(Body.sphere(1.0)).outcome
+    'covered'
+    """
+
+    outcome: str
+    uncovered_share: tuple[float, float]
+    depth: tuple[float, float]
+    witness: Floats | None
+    excess: tuple[float, float]
+
+    __repr__ = _validate.brief
 
 
 def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool) -> tuple[list[Polytope], Covering]:

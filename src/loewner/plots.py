@@ -17,12 +17,15 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._files import replacing
 from loewner._proportions import wilson
-from loewner._validate import Floats
-from loewner.bodies import Body
+from loewner._validate import Bools, Floats
+from loewner.bodies import Body, packed_of
+from loewner.bodies.triangulated import of_pieces
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.queries import Verdict, classify, collide, distance
-from loewner.robots import ClosestApproach, CollisionChecker, Settled, approaches, curves
+from loewner.robots import ClosestApproach, CollisionChecker, Robot, Settled, approaches, curves
 from loewner.robots.courses import configurations
+from loewner.robots.robot import first_shown
+from loewner.triangles import halved, longest_edges
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
@@ -33,6 +36,9 @@ SPANS = {
     Verdict.COLLIDING: ("collides in this piece", "#f9ddd4"),
     Verdict.AMBIGUOUS: ("ambiguous in this piece", "#e4e4e4"),
 }
+
+# In pictures of covers: the largest triangle of a link, as a share of its diagonal, and the radius of a point [m].
+SMALL, POINT = 0.03, 1e-9
 
 # Colours of curves, in turn; they also differ in lightness, and each has its own marker.
 CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
@@ -219,6 +225,105 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     pairs = "1 pair" if len(meeting) == 1 else f"{len(meeting)} pairs"
     ax.set_title(f"colliding, {pairs}" if meeting else "free")
     return ax
+
+
+def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
+    """Draw a robot and the shapes that should contain its links, with red where a link is outside of them.
+
+    Colours belong to triangles of about 3 % of each link's size, so smaller holes may be missed; `Robot.covered_by`
+    proves where they are.
+
+    Parameters
+    ----------
+    robot : Robot
+    model : Robot
+        Has links of the same names, for instance from `Robot.with_cover`.
+    q : array_like, shape (dof,), optional
+        Default: the state with the most joints, or zero.
+    ax : matplotlib 3-D axes, optional
+
+    Returns
+    -------
+    matplotlib 3-D axes
+
+    Raises
+    ------
+    InputError
+        If `robot` or `model` is not a robot, or the robot has no bodies; for `q`, as for `CollisionChecker.collide`.
+    MissingExtraError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from loewner import Robot, plots
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> plots.cover(robot, robot.cover("boxes", protrusion=0.05)).get_title()
+    'arm: no part of 3 links is outside'
+    """
+    for name, given in (("robot", robot), ("model", model)):
+        if not isinstance(given, Robot):
+            raise InputError(f"{name}: expected loewner.Robot, found {type(given).__name__}")
+    if not robot.bodies:
+        raise InputError("robot: expected one with bodies, found one without")
+    q = first_shown(robot)[1] if q is None else robot.checked_one(q)
+    poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
+    ax, outside, framed = _axes(ax), 0, []
+    for link, body in robot.bodies.items():
+        triangles = _small_triangles(body)
+        hidden = _inside(triangles.mean(axis=1), model.bodies.get(link))
+        outside += not hidden.all()
+        placed = triangles @ poses[link][:3, :3].T + poses[link][:3, 3]
+        for these, colour in ((hidden, SCENE), (~hidden, COLLIDING)):
+            if these.any():
+                _add_triangles(ax, placed[these], colour, 0.9)
+        if link in model.bodies:
+            _draw_outlines(ax, model.bodies[link], poses[link])
+        framed.append(_corners(body, poses[link]))
+    _frame(ax, np.concatenate(framed))
+    _legend(ax, [("covered", SCENE), ("outside of all shapes", COLLIDING), ("shapes", COLOURS[0])])
+    parts = f"parts of {outside}" if outside else "no part"
+    ax.set_title(f"{robot.name}: {parts} of {len(robot.bodies)} links {'are' if outside else 'is'} outside")
+    return ax
+
+
+def _small_triangles(body: Body) -> Floats:
+    """Return the triangles of a body, shape (n, 3, 3), divided until they are small beside it."""
+    triangles = np.concatenate([vertices[corners] for vertices, corners in of_pieces(packed_of(body))])
+    limit = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0))) * SMALL
+    small = []
+    while len(triangles):
+        length, edge = longest_edges(triangles)
+        small.append(triangles[length <= limit])
+        triangles = halved(triangles[length > limit], edge[length > limit])
+    return np.concatenate(small)
+
+
+def _inside(points: Floats, model: Body | None) -> Bools:
+    """Return which points are in a body, up to the size of a point."""
+    if model is None:
+        return np.zeros(len(points), dtype=bool)
+    T = np.tile(np.eye(4), (len(points), 1, 1))
+    T[:, :3, 3] = points
+    return np.asarray(collide(Body.sphere(POINT), T, model, None))
+
+
+def _draw_outlines(ax: Any, body: Body, T: Floats) -> None:
+    """Draw spheres and ellipsoids as circles, and other pieces as their triangles."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    moved = body.outer.transformed(T)
+    for k, (piece, (vertices, corners)) in enumerate(zip(body.pieces, of_pieces(packed_of(body)), strict=True)):
+        if piece.kind in ("sphere", "ellipsoid"):
+            lines = moved.center[k] + _WIRES @ moved.factor[k].T
+            ax.add_collection3d(Line3DCollection(lines, colors=COLOURS[0], linewidths=0.3, alpha=0.5))
+        else:
+            _add_triangles(ax, (vertices @ T[:3, :3].T + T[:3, 3])[corners], COLOURS[0], 0.1)
+
+
+def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    ax.add_collection3d(Poly3DCollection(corners, facecolors=colour, linewidths=0, alpha=alpha, shade=True))
 
 
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
@@ -637,12 +742,11 @@ def _counted(x: Any, name: str) -> tuple[int, int]:
 
 
 def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None:
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     for piece in body.pieces:
         if piece.vertices is not None and piece.triangles is not None:
-            corners = (piece.vertices @ T[:3, :3].T + T[:3, 3])[piece.triangles]
-            ax.add_collection3d(Poly3DCollection(corners, facecolors=colour, linewidths=0, alpha=0.55, shade=True))
+            _add_triangles(ax, (piece.vertices @ T[:3, :3].T + T[:3, 3])[piece.triangles], colour, 0.55)
     if ellipsoids:
         for fitted, line, width in ((body.outer, OUTER, 0.4), (body.inner, INNER, 0.6)):
             moved = fitted.transformed(T)

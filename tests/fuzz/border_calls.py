@@ -514,6 +514,9 @@ def write_files() -> None:
     )
     Path("pole.xml").write_text("<mujoco><worldbody><body><joint/><geom size='0.5'/></body></worldbody></mujoco>")
     np.save("configs.npy", np.zeros((2, 3)))
+    Path("balls.json").write_text(
+        json.dumps({link: {"centers": [[0, 0, 0]], "radii": [1]} for link in ("ball", "rod")})
+    )
     moved().save("moved.json")
     proof().save("plan.proof")
     Path("limits.yaml").write_text("joint_limits: {x: {max_velocity: 1.0, max_jerk: 9.0}}")
@@ -803,6 +806,14 @@ CALLS: dict[str, Call] = {
     "Body.capsule": Call(Body.capsule, {"radius": positive(), "length": positive()}),
     "Body.union": Call(Body.union, {"bodies": arg(lambda: [ball(), cube()], "Bodies")}),
     "Body.transformed": Call(on(cube, "transformed"), {"T": pose(1.0)}),
+    "Body.covered_by": Call(
+        on(cube, "covered_by"),
+        {"model": arg(lambda: Body.box([4.0, 4, 4])), "tolerance": positive(0.125, NONE), "progress": callback()},
+    ),
+    "Body.cover": Call(
+        on(cube, "cover"),
+        {"kind": choice("boxes"), "n": count(1, "2**70"), "protrusion": arg(None, NONE), "progress": callback()},
+    ),
     "Body.save": Call(on(cube, "save"), {"path": PATH_OUT}),
     "Body.to_mjcf": Call(
         on(cube, "to_mjcf"),
@@ -1136,6 +1147,19 @@ CALLS: dict[str, Call] = {
             "scene": arg(None, NONE, "Scene"),
             "progress": callback(),
         },
+    ),
+    "Robot.cover": Call(
+        on(robot, "cover"),
+        {"kind": choice("spheres"), "n": arg(None, NONE), "protrusion": margin(0.25, NONE), "progress": callback()},
+    ),
+    "Robot.covered_by": Call(
+        on(robot, "covered_by"),
+        {"model": arg(robot, "Robot"), "tolerance": positive(0.5, NONE), "progress": callback()},
+    ),
+    "Robot.with_cover": Call(on(robot, "with_cover"), {"path": arg("balls.json"), "format": arg(None, NONE)}),
+    "Robot.save_cover": Call(
+        on(lambda: robot().with_cover("balls.json"), "save_cover"),
+        {"path": arg("out.json", NUMERAL), "format": arg(None, NONE)},
     ),
     "Robot.prove_pairs": Call(
         on(robot, "prove_pairs"),
@@ -1695,6 +1719,16 @@ CALLS: dict[str, Call] = {
     "plots.configuration": Call(
         drawing.configuration, {"checker": arg(checker), "q": ONE, "ax": arg(axes_in_space, NONE)}, varies=True
     ),
+    "plots.cover": Call(
+        drawing.cover,
+        {
+            "robot": arg(robot, "Robot"),
+            "model": arg(robot, "Robot"),
+            "q": array(Q[0], FINITE, NONE),
+            "ax": arg(axes_in_space, NONE),
+        },
+        varies=True,
+    ),
     "plots.trajectory": Call(
         drawing.trajectory,
         {
@@ -2004,8 +2038,8 @@ if find_spec("distributed"):
 
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
-    "Attachment", "Contact", "Covering", "Distance", "FirstContact", "Fit", "judging.Judgement", "NearPoints",
-    "Part", "Piece", "Polytope", "Problem",
+    "Attachment", "Contact", "CoverReport", "Covering", "Distance", "FirstContact", "Fit", "judging.Judgement",
+    "NearPoints", "Part", "Piece", "Polytope", "Problem",
     "Robot",
     "CertifiedMotions", "CertifiedTrajectory", "TrajectoryContact", "ClosestApproach",
     "Overlaps", "PairDistances",

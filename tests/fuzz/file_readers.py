@@ -144,6 +144,33 @@ def _configurations(path: Path) -> Any:
     return configurations.read(path, slider().robot)
 
 
+def _cover(path: Path) -> Any:
+    return slider().robot.with_cover(path)
+
+
+CUROBO = b"""robot_cfg:
+  kinematics:
+    collision_link_names: [cart]
+    collision_sphere_buffer: {cart: 0.005}
+    collision_spheres:
+      cart:
+        - {center: [0, 0, 0.5], radius: 0.1}
+        - "center": [0, 1e-3, 0]
+          "radius": -1
+    self_collision_ignore: {cart: [base]}
+    self_collision_buffer: {cart: 0.0}
+    cspace: {joint_names: [rail]}
+"""
+XRDF = b"""format: xrdf
+collision: {geometry: a, buffer_distance: {cart: 0.5}}
+self_collision: {geometry: a, ignore: {cart: [base]}}
+geometry: {a: {spheres: {cart: [{center: [0, 0, 0], radius: 0.5}]}}}
+"""
+BALLS = [
+    b'{"cart": {"centers": [[0, 0, 0], [0.5, 0, 1]], "radii": [0.5, 0.25]}}',
+    b'{"cart::a.stl": {"8": {"1": {"mean": 0, "best": 0, "worst": 0, \
+"spheres": [{"origin": [0, 0, 1], "radius": 1}]}}}}',
+]
 CLOUD, HEIGHTS = "cloud: {{file: {file}, radius: 0.1}}", "height_field: {{file: {file}, spacing: [0.1, 0.1]}}"
 TABLES = [b"0.5,0.0,1\n1,2,3\n", b"# x y z\n1 2 3\n4e-1 -5 6\n", b"rail\n0.5\n-1\n", b"0.5\n"]
 URDF = descriptions.URDF.replace('<mesh filename="part.stl" scale="1 -1 1"/>', '<box size="1 1 1"/>').encode()
@@ -176,6 +203,8 @@ READERS: dict[str, Reader] = {
     "mjcf": Reader(lambda: [MJCF.encode()], ".xml", Robot.from_mjcf),
     "mjcf-scene": Reader(lambda: [MJCF.encode()], ".xml", load_scene),
     "problems": Reader(lambda: [descriptions.JSON.encode()], ".json", read_motion_bench_maker),
+    "spheres-yaml": Reader(lambda: [CUROBO, XRDF], ".yml", _cover),
+    "spheres-json": Reader(lambda: BALLS, ".json", _cover),
     "octree": Reader(_octree, ".bt", Body.from_octree),
     "report": Reader(_report, ".zip", report.rerun),
     "roadmap": Reader(_roadmap, ".npz", lambda path: planners.Roadmap.load(path, slider())),

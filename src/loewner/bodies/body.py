@@ -24,7 +24,7 @@ from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.bodies.triangulated import MANY_PIECES, for_pictures
-from loewner.coverage import Covering
+from loewner.coverage import Covering, CoverReport
 from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.polytopes import Hulls, Polytope, box_hull, hulls
@@ -861,6 +861,106 @@ class Body(_Bodies):
         array([[5., 0., 0.]])
         """
         return Body(moved(self._packed, _validate.pose(T, "T")), self.covering)
+
+    def covered_by(
+        self, model: Body, *, tolerance: float | None = None, progress: Progress | None = None
+    ) -> CoverReport:
+        """Prove that a model of convex elements holds the whole body, inside included, or find a point left out.
+
+        Parameters
+        ----------
+        model : Body
+            Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
+        tolerance : float, optional
+            Cells of the body that no single element holds are halved down to this size, in metres; by default 1e-4 of
+            the body's diagonal. Holes of any size are seen: below the tolerance, the outcome is "undecided" or
+            "uncovered", never "covered".
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each step.
+
+        Returns
+        -------
+        CoverReport
+            The outcome, with bounds on the uncovered share and its depth, and on how far the model sticks out.
+
+        Raises
+        ------
+        InputError
+            If a piece of the model is a surface, or the tolerance is not positive.
+
+        Notes
+        -----
+        A surface without an inside counts as its triangles, with their radius; the inside of solids and of convex
+        pieces counts too. docs/containment.md states the proof.
+
+        Examples
+        --------
+        >>> box = Body.box([0.2, 0.1, 0.1])
+        >>> report = box.covered_by(Body.spheres([[-0.05, 0, 0], [0.05, 0, 0]], 0.1))
+        >>> report.outcome, report.excess[1] < 0.06
+        ('covered', True)
+        >>> report = box.covered_by(Body.spheres([[-0.05, 0, 0], [0.05, 0, 0]], 0.08))
+        >>> report.outcome, report.witness
+        ('uncovered', array([ 0.1 ,  0.05, -0.05]))
+        """
+        from loewner.bodies.cover_proofs import prove
+
+        other = _expect_body(model, "model")
+        length = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
+        return prove(self._packed, other._packed, length, _validate.callback(progress, "progress"))
+
+    def cover(
+        self,
+        kind: Literal["spheres", "capsules", "boxes", "ellipsoids"] = "spheres",
+        *,
+        n: int | None = None,
+        protrusion: float | None = None,
+        progress: Progress | None = None,
+    ) -> Body:
+        """Make a body of few simple elements that is proven to hold this body, inside included.
+
+        Parameters
+        ----------
+        kind : {"spheres", "capsules", "boxes", "ellipsoids"}
+        n : int, optional
+            The largest number of elements; the elements stick out as little as the search achieves.
+        protrusion : float, optional
+            The largest distance by which an element may stick out of the body, in metres; the number of elements is as
+            small as the search achieves. Give either `n` or `protrusion`.
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each step.
+
+        Returns
+        -------
+        Body
+            One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
+            `protrusion` if that was given. Centers and radii of spheres are multiples of a power of two, so that
+            float32 and the decimals in files hold the same numbers.
+
+        Raises
+        ------
+        InputError
+            If not exactly one of `n` and `protrusion` is given, or it is out of range: at least one element, and at
+            least 1e-4 of the body's diagonal.
+        GeometryError
+            If no such elements are found.
+
+        Examples
+        --------
+        >>> cover = Body.box([0.2, 0.1, 0.1]).cover("spheres", protrusion=0.04)
+        >>> len(cover.pieces) < 20, cover.covering.max_protrusion <= 0.04
+        (True, True)
+        """
+        from loewner.bodies import cover_fits
+
+        _validate.choice(kind, "kind", ("spheres", "capsules", "boxes", "ellipsoids"))
+        if (n is None) == (protrusion is None):
+            raise InputError("n, protrusion: expected one of the two, found " + ("none" if n is None else "both"))
+        count = None if n is None else _validate.whole_number(n, "n", 1, cover_fits.MOST)
+        length = None if protrusion is None else _validate.positive_scalar(protrusion, "protrusion")
+        _validate.callback(progress, "progress")
+        packed, excess = cover_fits.cover(self._packed, kind, count, length, progress)
+        return Body(packed, Covering("cover", True, 0.0, float("nan"), 0, excess))
 
     def to_mjcf(
         self,

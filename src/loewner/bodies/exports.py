@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import product
 from pathlib import Path
@@ -70,6 +70,13 @@ class Shape:
     center: Floats
     mesh: Mesh | None = None
 
+    def wider(self, by: float) -> Shape:
+        """Return the shape enlarged on each side, unless it is a mesh or a sphere, whose numbers no pose rounds."""
+        if not by or self.kind in ("mesh", "sphere"):
+            return self
+        sides = {"box": (2, 2, 2), "cylinder": (1, 2), "capsule": (1, 0)}.get(self.kind, (1, 1, 1))
+        return replace(self, sizes=tuple(size + side * by for size, side in zip(self.sizes, sides, strict=True)))
+
 
 def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
     """Write an MJCF model of one body without joints."""
@@ -78,7 +85,20 @@ def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
     root = ElementTree.Element("mujoco", model=name)
     asset = ElementTree.SubElement(root, "asset")
     body = ElementTree.SubElement(ElementTree.SubElement(root, "worldbody"), "body", name=name)
-    for number, shape in enumerate(_listed(packed, which)):
+    add_geoms(body, asset, packed, which)
+    return text_of(root)
+
+
+def add_geoms(
+    body: ElementTree.Element,
+    asset: ElementTree.Element,
+    packed: Packed,
+    which: str | None = None,
+    wider: float = 0.0,
+) -> None:
+    """Add the shapes of a body, enlarged on each side, to a body of MJCF, and their meshes to the assets."""
+    name = body.attrib["name"]
+    for number, shape in enumerate(each.wider(wider) for each in _listed(packed, which)):
         geom = ElementTree.SubElement(body, "geom", name=f"{name}_{number}", type=shape.kind)
         if shape.mesh is not None:
             vertices = numbers(shape.mesh[0].ravel())
@@ -91,7 +111,6 @@ def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
         geom.set("size", numbers(np.multiply(shape.sizes, half)))
         geom.set("pos", numbers(shape.center))
         geom.set("quat", numbers(np.roll(Rotation.from_matrix(shape.rotation).as_quat(), 1)))
-    return text_of(root)
 
 
 def _is_small(vertices: Floats, triangles: Any, number: int) -> bool:
@@ -156,13 +175,16 @@ def add_collisions(
     which: str | None,
     mesh_prefix: str,
     accepted: Callable[[Mesh], bool] | None = None,
+    wider: float = 0.0,
 ) -> dict[Path, str]:
     """Add the shapes of a body to a link of the URDF at `path`, and return the contents of its mesh files.
 
-    The triangles of a solid become a mesh if they are `accepted`; otherwise they are refused, like all other surfaces.
+    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side. The triangles of a solid become a
+    mesh if they are `accepted`; otherwise they are refused, like all other surfaces.
     """
     meshes: dict[Path, str] = {}
-    for shape in (part for listed in _listed(packed, which, accepted) for part in _for_urdf(listed, which)):
+    listed = (shape.wider(wider) for shape in _listed(packed, which, accepted))
+    for shape in (part for each in listed for part in _for_urdf(each, which)):
         collision = ElementTree.SubElement(link, "collision")
         add_origin(collision, shape.rotation, shape.center)
         geometry = ElementTree.SubElement(collision, "geometry")

@@ -33,7 +33,7 @@ BODIES = Format(
 # Version 2 has surfaces; bodies without surfaces are written as version 1, which an older loewner can read.
 WITH_SURFACES, WITHOUT = 2, 1
 
-COVERINGS = ("convex", "hull", "decomposition", "solid", "swept")
+COVERINGS = ("convex", "hull", "decomposition", "solid", "cover", "swept")
 
 
 def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None) -> None:

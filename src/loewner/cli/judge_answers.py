@@ -38,12 +38,7 @@ TOLERANCE = 1e-6
 # Wrong answers that are printed.
 SHOWN = 10
 
-EXAMPLES = """examples:
-  loewner judge --answers said.csv cup.stl spoon.stl                      what another program said of two meshes
-  loewner judge --answers said.csv parts/*.npz --tolerance 1e-4           many bodies, named in the table
-  loewner judge --answers said.json a.npz b.npz --program wrong.py         also write the worst one as a program
-
-table: a .csv file with a header, or a .json file with a list of objects.
+TABLE = """--answers: a .csv file with a header, or a .json file with a list of objects.
   body_a, body_b         names of the files without their endings; not needed for two bodies, A and B
   pose_a, pose_b         "x y z", "x y z qw qx qy qz", or the 16 numbers of a matrix, row by row; default: the origin
   colliding              true or false, 1 or 0
@@ -52,26 +47,12 @@ table: a .csv file with a header, or a .json file with a list of objects.
   normal                 "x y z", from A to B
   At least one of the last six; an empty cell, null or NaN is no answer. In a .csv file, commas separate columns, and
   spaces the numbers in a cell.
-
-exit status: 0 nothing is proven wrong, 1 an answer is, 2 error
 """
-
-
-def add(commands: Any) -> None:
-    """Add the command."""
-    judge = inputs.command(commands, "judge", "which answers of another program are proven wrong", EXAMPLES)
-    judge.add_argument("files", metavar="BODY", type=Path, nargs="+", help="saved bodies (.npz) or meshes")
-    judge.add_argument("--answers", type=Path, metavar="TABLE", required=True, help="answers (.csv or .json)")
-    judge.add_argument("--meshes", choices=inputs.MODELS, help="how meshes are taken (surface)")
-    judge.add_argument("--tolerance", type=float, metavar="M", help="error that is allowed [m] (1e-6)")
-    judge.add_argument("--json", action="store_true", help="print JSON")
-    add_options(judge)
-    judge.set_defaults(run=run)
 
 
 def add_options(judge: Any) -> None:
     """Add the options that only tables of answers have."""
-    judge.add_argument("--scale", type=float, default=1.0, help="factor for all lengths of meshes (1)")
+    judge.add_argument("--scale", type=float, help="factor for all lengths of meshes (1)")
     judge.add_argument("--program", type=Path, metavar="FILE", help="write the worst answer about hulls as a program")
 
 
@@ -108,11 +89,18 @@ def run(options: argparse.Namespace) -> int:
 
 def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
     """Load the bodies by the names of their files without endings."""
+    if not options.files:
+        raise InputError("FILE: expected one or more bodies with --answers, found none")
     names = [path.stem for path in options.files]
     for name in names:
         if names.count(name) > 1 and len(names) > 2:
             raise InputError(f"expected files with different names, found two of {name}")
-    of_meshes = {"model": options.meshes or "surface", "usual_model": "surface", "hull": False, "scale": options.scale}
+    of_meshes = {
+        "model": options.meshes or "surface",
+        "usual_model": "surface",
+        "hull": False,
+        "scale": 1.0 if options.scale is None else options.scale,
+    }
     taken = argparse.Namespace(**of_meshes, **dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
     made = [
         loewner.Body.load(path) if path.suffix.lower() == ".npz" else inputs.from_mesh(path, taken)

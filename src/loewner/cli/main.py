@@ -2,8 +2,8 @@
 
 The exit status is 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or configurations); 2
 for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check --method certified``,
-``loewner plan``, ``clash`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ. The status stays
-the same if the program that reads the output ends before it has read all (``| head``).
+``plan``, ``clash``, ``cover``, ``judge`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ. The
+status stays the same if the program that reads the output ends before it has read all (``| head``).
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from loewner.cli import (
     clash,
     clearance,
     compile,
+    cover,
     fit,
     info,
-    judge_answers,
+    judge,
     paper,
     plan,
     report,
@@ -109,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     ):
         parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    of_bodies, of_robots = (fit, check, clearance, judge_answers), (robot, clash, plan, verify, audit, swept)
+    of_bodies, of_robots = (fit, check, clearance, judge), (robot, clash, cover, plan, verify, audit, swept)
     for command in (*of_bodies, *of_robots, report, view, compile, info, paper):
         command.add(commands)
     return parser

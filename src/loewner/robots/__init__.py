@@ -6,8 +6,9 @@ queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges` pro
 `sampling` guesses it. `written_proofs` writes proofs that other programs verify.
 """
 
-from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401 - it answers methods of Robot
-from loewner.robots import swept as _swept  # noqa: F401 - likewise
+from loewner.robots import covers as _covers  # noqa: F401 - it answers methods of Robot, and so do the next two
+from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401
+from loewner.robots import swept as _swept  # noqa: F401
 from loewner.robots.approaches import ClosestApproach
 from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker

@@ -1,4 +1,4 @@
-"""Write robots for other programs, as URDF and SRDF."""
+"""Write robots for other programs, as URDF with SRDF and as MJCF."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._matrices import image, in_frame, product
 from loewner._plausible import FARTHEST_LIMIT, told_to
+from loewner._rotations import quaternions_of
 from loewner._validate import Floats
 from loewner.bodies import packed_of
-from loewner.bodies.exports import add_collisions, add_origin, enlarged, numbers, save_texts, text_of
+from loewner.bodies.exports import add_collisions, add_geoms, add_origin, enlarged, numbers, save_texts, text_of
 from loewner.bodies.kinds import Mesh
 from loewner.errors import InputError, LoewnerError
 from loewner.robots.link_meshes import hull_or_solid
@@ -45,8 +46,11 @@ class _Joint(NamedTuple):
     mimic: tuple[str, float, float] | None
 
 
-def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
-    """Write the meshes of a robot beside a URDF, then the URDF, and an SRDF of the same stem."""
+def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> None:
+    """Write the meshes of a robot beside a URDF, then the URDF, and an SRDF of the same stem.
+
+    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
+    """
     semantics = path.with_suffix(".srdf")
     if path.suffix.lower() in (".srdf", SUFFIX):
         raise InputError(f"path: expected the path of a URDF, found {path}, which is read as another format")
@@ -54,7 +58,7 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str) -> None:
     listed = robot.disabled_pairs if robot._lists_pairs else robot.adjacent_pairs
     bare = [link for link in robot.link_names if link not in robot.bodies]
     top = _top(robot, needed=len(robot.bodies) > 1 and not listed and not bare)
-    urdf, meshes = _description(robot, top, path, mesh_prefix)
+    urdf, meshes = _description(robot, top, path, mesh_prefix, wider)
     try:
         with told_to([]):
             described = read_urdf(path, urdf)
@@ -87,7 +91,9 @@ def _expect_plain_names(stem: str, robot: Any) -> None:
             )
 
 
-def _description(robot: Any, top: str | None, path: Path, mesh_prefix: str) -> tuple[str, dict[Path, str]]:
+def _description(
+    robot: Any, top: str | None, path: Path, mesh_prefix: str, wider: float
+) -> tuple[str, dict[Path, str]]:
     """Return the text of the URDF, with the root link `top` if it is not None, and the contents of its mesh files."""
     root = ElementTree.Element("robot", name=robot.name)
     meshes: dict[Path, str] = {}
@@ -96,7 +102,7 @@ def _description(robot: Any, top: str | None, path: Path, mesh_prefix: str) -> t
     for name in robot.link_names:
         link = ElementTree.SubElement(root, "link", name=name)
         if name in robot.bodies:
-            meshes |= _shapes(link, robot, path, mesh_prefix)
+            meshes |= _shapes(link, robot, path, mesh_prefix, wider)
     joints = list(_joints(robot, top))
     places = {name: k for k, name in enumerate(robot.joint_names)}
     for joint in sorted(joints, key=lambda joint: places.get(joint.name, len(places))):
@@ -120,7 +126,7 @@ def _unused(name: str, taken: Any) -> str:
     return name
 
 
-def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str) -> dict[Path, str]:
+def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str, wider: float) -> dict[Path, str]:
     """Add the shapes of a link; return the contents of mesh files."""
     name = link.attrib["name"]
     packed = packed_of(robot.bodies[name])
@@ -131,7 +137,7 @@ def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str)
             "polytopes around such pieces"
         )
     try:
-        return add_collisions(link, packed, path, None, mesh_prefix, _stays_solid)
+        return add_collisions(link, packed, path, None, mesh_prefix, _stays_solid, wider)
     except InputError as error:
         raise InputError(f"link {name!r}: {error}") from None
 
@@ -246,6 +252,54 @@ def _add_joint(root: ElementTree.Element, joint: _Joint) -> None:
         ElementTree.SubElement(
             element, "mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset])
         )
+
+
+# -- MJCF -----------------------------------------------------------------------------------------
+
+
+def mjcf_text(robot: Any, wider: float) -> str:
+    """Write a robot as MJCF: its shapes, its joints of one value, and the pairs that need no check as excluded.
+
+    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
+    """
+    root = ElementTree.Element("mujoco", model=robot.name)
+    # Links without shapes need some mass, since MuJoCo refuses to move bodies without any.
+    ElementTree.SubElement(root, "compiler", angle="radian", boundmass="1e-3", boundinertia="1e-6")
+    asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
+    contact, equality = (ElementTree.SubElement(root, name) for name in ("contact", "equality"))
+    above = {joint.child: joint for joint in _joints(robot, None)}
+    made: dict[str, ElementTree.Element] = {}
+    for name in robot.link_names:
+        joint = above.get(name)
+        if name == "world" and joint is None and name not in robot.bodies:
+            made[name] = world  # MuJoCo's own name for it
+            continue
+        body = made[name] = ElementTree.SubElement(made[joint.parent] if joint else world, "body", name=name)
+        T = joint.pose if joint else constant_pose(robot.tree.constants[robot.link_names.index(name)])
+        body.set("pos", numbers(T[:3, 3]))
+        body.set("quat", numbers(quaternions_of(T[None, :3, :3])[0]))
+        if joint is not None and joint.kind != "fixed":
+            _add_mjcf_joint(body, equality, joint)
+        if name in robot.bodies:
+            add_geoms(body, asset, packed_of(robot.bodies[name]), wider=wider)
+    for a, b in sorted(robot._usually_skipped):
+        ElementTree.SubElement(contact, "exclude", body1=a, body2=b)
+    return text_of(root)
+
+
+def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, joint: _Joint) -> None:
+    if joint.kind in ("planar", "floating"):
+        raise InputError(f"expected joints of one value, found the {joint.kind} joint {joint.name!r}")
+    kind = "slide" if joint.kind == "prismatic" else "hinge"
+    made = ElementTree.SubElement(body, "joint", name=joint.name, type=kind, axis=numbers(joint.axis))
+    ends = joint.limits["lower"], joint.limits["upper"]
+    if all(map(math.isfinite, ends)):
+        made.set("range", numbers(ends))
+        made.set("limited", "true")
+    if joint.mimic is not None:
+        other, multiplier, offset = joint.mimic
+        follows = numbers([offset, multiplier, 0.0, 0.0, 0.0])
+        ElementTree.SubElement(equality, "joint", joint1=joint.name, joint2=other, polycoef=follows)
 
 
 # -- SRDF -----------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +47,9 @@ from loewner.robots.watch import LARGEST_VALUE, Watch
 from loewner.robots.xacro_files import SUFFIX, expanded, refuse_unused
 from loewner.scenes import Scene
 
+if TYPE_CHECKING:
+    from loewner.coverage import CoverReport
+
 # Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
 QUATERNION_TOLERANCE = 1e-6
 
@@ -59,8 +62,8 @@ MANY_LINKS = 30
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
 
-# How `Robot.prove_pairs` and `free_range` are answered: `pair_ranges`, which is above this module, puts its functions
-# here.
+# How `Robot.prove_pairs`, `free_range` and the methods on covers are answered: `pair_ranges`, `covers` and
+# `cover_files`, which are above this module, put their functions here.
 answers: dict[str, Callable[..., object]] = {}
 
 
@@ -1207,6 +1210,187 @@ class Robot(KeepsReadOnly):
                 self, joints, about, pairs=pairs, margin=margin, limits=limits, scene=scene, boxes=boxes
             ),
         )
+
+    def cover(
+        self,
+        kind: Literal["spheres", "capsules", "boxes", "ellipsoids"] = "spheres",
+        *,
+        n: int | None = None,
+        protrusion: float | None = None,
+        progress: Progress | None = None,
+    ) -> Robot:
+        """Replace the body of each link by a union of simple shapes that is proven to contain it.
+
+        Shapes that stick out of links can meet where the links never do, and a planner would then find no path. Such
+        pairs are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added to
+        `disabled_pairs`; the others stay checked, and a warning lists the pairs that always meet.
+
+        Parameters
+        ----------
+        kind : {"spheres", "capsules", "boxes", "ellipsoids"}
+            As for `Body.cover`.
+        n : int, optional
+            The largest number of shapes of the whole robot. All links then have the same bound on how far shapes stick
+            out. This takes several times as long as a given `protrusion`.
+        protrusion : float, optional
+            The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of links.
+
+        Returns
+        -------
+        Robot
+            The same tree. The `covering` of each body states how far it sticks out.
+
+        Raises
+        ------
+        InputError
+            If `n` and `protrusion` are both given, the robot has no bodies, or no cover has at most `n` shapes. As for
+            `Body.cover`.
+
+        Warns
+        -----
+        UserWarning
+            If shapes of links that may collide meet in all configurations that were tried.
+
+        See Also
+        --------
+        save_cover : Writes the shapes for a planner.
+        covered_by : Judges any other model.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> cover = robot.cover("boxes", protrusion=0.05)
+        >>> {report.outcome for report in robot.covered_by(cover).values()}
+        {'covered'}
+        """
+        return cast("Robot", answers["cover"](self, kind, n=n, protrusion=protrusion, progress=progress))
+
+    def covered_by(
+        self, model: Robot, *, tolerance: float | None = None, progress: Progress | None = None
+    ) -> dict[str, CoverReport]:
+        """Prove for each link whether the body of the same link of another robot contains it, or where it does not.
+
+        Parameters
+        ----------
+        model : Robot
+            A robot with links of the same names and frames, such as `with_cover` returns.
+        tolerance : float, optional
+            As for `Body.covered_by` [m].
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of links.
+
+        Returns
+        -------
+        dict
+            Link name to `CoverReport`, for each link of this robot that has a body. A link without a body in the model
+            is uncovered, with an infinite depth.
+
+        Raises
+        ------
+        InputError
+            If `model` is not a robot. As for `Body.covered_by`.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> robot.covered_by(robot)["cart"].outcome
+        'covered'
+        """
+        return cast("dict[str, CoverReport]", answers["covered_by"](self, model, tolerance, progress))
+
+    def with_cover(
+        self,
+        path: str | os.PathLike[str],
+        format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
+    ) -> Robot:
+        """Return the same robot with the bodies of links from a file, for instance spheres of a planner.
+
+        The pairs that the file ignores become the `disabled_pairs`, instead of the robot's own; a file without rules
+        on pairs leaves them as they are. docs/howto/covers.md lists the formats.
+
+        Parameters
+        ----------
+        path : path
+            A configuration of cuRobo, or the file of its spheres, or an XRDF; a URDF of VAMP or foam with spheres; a
+            JSON file of pyroki's or foam's spheres; any URDF, with the SRDF of the same stem if there is one; an MJCF
+            file whose bodies have the names of the links; or a scene whose bodies have these names and poses in the
+            frames of the links.
+        format : str, optional
+            The program for which the file was made. Default: by the suffix and the keys. The numbers of "curobo",
+            "vamp", "foam" and "pyroki" are rounded to float32, as these programs do.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        FileError
+            If the file is missing or malformed, or has no shapes; the message gives the place.
+        UnknownNameError
+            If the file has shapes of a link that the robot does not have, or there is no such format.
+        InputError
+            If the suffix does not determine the format.
+        MissingExtraError
+            If PyYAML or MuJoCo is needed and not installed.
+
+        Warns
+        -----
+        UserWarning
+            If the file has spheres that are disabled or unused, or keys that are not read; if links have no shapes.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from loewner import Robot
+        >>> ball = "[{center: [0, 0, 0], radius: 0.5}]"
+        >>> text = f"collision_spheres: {{rail: {ball}, cart: {ball}, forearm: {ball}}}"
+        >>> _ = Path("balls.yml").write_text(text)
+        >>> Robot.from_urdf("arm.urdf").with_cover("balls.yml").bodies["cart"]
+        Body(sphere, 0 vertices)
+        """
+        return cast("Robot", answers["with_cover"](self, path, format))
+
+    def save_cover(
+        self,
+        path: str | os.PathLike[str],
+        format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
+    ) -> None:
+        """Write the bodies of links, and the pairs that need no check, for a planner.
+
+        The shapes in the file contain the bodies of this robot: numbers are rounded outwards to float32 for programs
+        that use it, and shapes whose angles are rounded are 1 nm larger on each side. `with_cover` reads the file, so
+        that `covered_by` can prove it. Existing files are replaced.
+
+        Parameters
+        ----------
+        path : path
+        format : str, optional
+            "curobo": the keys of a configuration for spheres and pairs (.yml). "vamp" and "foam": a URDF of spheres,
+            with an SRDF of the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``. "urdf": as
+            `to_urdf`, where a capsule becomes a cylinder and two spheres. "mjcf": a model for MuJoCo. "scene": bodies
+            in the frames of links (.yaml). Default: by the suffix.
+
+        Raises
+        ------
+        InputError
+            If the format has other shapes only, or the suffix does not determine the format. As for
+            `to_urdf`.
+        UnknownNameError
+            If there is no such format.
+        FileError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> Robot.from_urdf("arm.urdf").cover("boxes", protrusion=0.05).save_cover("boxes.urdf")
+        """
+        answers["save_cover"](self, path, format)
 
     def link_pairs(self, pairs: Iterable[Pair], name: str = "pairs") -> frozenset[Pair]:
         """Check pairs of two different links of this robot, and sort each by name.

@@ -1,0 +1,451 @@
+"""Fit few convex elements that hold a whole body and stick out of it little (docs/design/covers.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._kernels import columns
+from loewner._low_discrepancy import points as even_points
+from loewner._matrices import lengths
+from loewner._validate import Bools, Floats, Ints, Progress
+from loewner.bodies.boxes import least_box_axes
+from loewner.bodies.cover_proofs import OCTANTS, Target, excess_of, first_failures, prove
+from loewner.bodies.elements import Elements
+from loewner.bodies.pack import Packed, as_one, moved
+from loewner.bodies.primitives import primitives
+from loewner.bodies.sensed import ball_pieces, box_pieces
+from loewner.bodies.triangulated import of_piece
+from loewner.errors import GeometryError, InputError
+from loewner.fits import mvce
+from loewner.triangles import halved, longest_edges, unit_normals
+
+# Points of the surface, corners, and points of the inside that balls have to hold at first.
+SURFACE, CORNERS, INSIDE = 6000, 1500, 500
+
+# Candidates for the centers of balls.
+CANDIDATES = 2500
+
+# Steps of the local search for the fewest balls; its rounds, in which points that the proof misses are added, and more
+# rounds until there is a proof; and in each round, steps in which balls are added for such points.
+STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
+
+# Pairs of centers that are tried as axes of capsules, and the least depth of an axis relative to its ends; points of an
+# axis at which its depth is measured.
+PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
+
+# Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 3 % by which
+# the protrusion grows until the number is proven to suffice.
+HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
+
+# Largest edge of the cells of clusters, relative to the size of the body; and about their largest number.
+CELL, MOST_CELLS = 0.04, 20_000
+
+# Half the edge of the cubes that are added where the proof fails, relative to the same size.
+AROUND = 0.005
+
+# Boxes and ellipsoids grow by this share of the size, so that decimals of their axes are precise enough.
+WRITTEN = 1e-6
+
+# Share of the protrusion that is kept for the gaps between the points.
+RESERVE = 0.04
+
+# Numbers are multiples of the largest coordinate's power of two times this, so that they are the same in float32.
+GRID = 2.0**-22
+
+# The least protrusion, relative to the size of the body, and the most elements.
+LEAST_PROTRUSION, MOST = 1e-4, 4096
+
+
+def grid_of(target: Target) -> float:
+    """Return the step of the numbers of a fit [m], a power of two."""
+    return float(2.0 ** np.ceil(np.log2(2.0 * (target.reach + target.size)))) * GRID
+
+
+class Candidates:
+    """Candidates for balls or capsules that hold a body, and the points that they have to hold.
+
+    A ball around a point at the depth d in the body, with the radius d + e, sticks out by no more than e. If the point
+    moves away from the nearest point of the surface, the ball grows to contain the old one, so that only points of the
+    medial axis count, which have several nearest points. A capsule is a union of balls: d is the least depth of its
+    axis.
+    """
+
+    def __init__(self, target: Target, capsules: bool) -> None:
+        self.target, self.grid = target, grid_of(target)
+        triangles = target.boundary.triangles
+        a, b, c = triangles.transpose(1, 0, 2)
+        ends = np.cumsum(lengths(np.cross(b - a, c - a)))
+        where = even_points(SURFACE, 3)
+        at = np.minimum(np.searchsorted(ends, where[:, 0] * ends[-1]), len(triangles) - 1)
+        u, v = where[:, 1], where[:, 2]
+        turned = u + v > 1
+        u, v = np.where(turned, 1 - u, u)[:, None], np.where(turned, 1 - v, v)[:, None]
+        surface = a[at] + u * (b[at] - a[at]) + v * (c[at] - a[at])
+        corners = np.unique(triangles.reshape(-1, 3), axis=0)
+        corners = corners[:: -(-len(corners) // CORNERS)]
+        inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
+        inside = inside[target.holds(inside)][:INSIDE]
+        self.points = np.concatenate([surface, corners, inside])
+        middles = [(target.low / 2 + target.high / 2)[None], surface]
+        if target.solids:
+            normals = unit_normals(triangles)[at]
+            middles = [middles[0], self._medial(surface, -normals), inside, surface[::20]]
+        centers = np.concatenate(middles)
+        centers = centers[:: -(-len(centers) // CANDIDATES)]
+        self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
+        self.far = np.empty((len(self.points), 0), dtype=np.float32)
+        self.add_candidates(centers, np.zeros((1, 3)))
+        if capsules:
+            self._add_segments()
+
+    def _add_segments(self) -> None:
+        """Join pairs of centers by segments, and keep those along which the depth falls little."""
+        pairs = (even_points(PAIRS, 2) * len(self.centers)).astype(np.int64)
+        p, q = self.centers[pairs[:, 0]], self.centers[pairs[:, 1]]
+        # Half of the segments are shorter.
+        q = np.where((np.arange(PAIRS) % 2 == 0)[:, None], p + (q - p) / 4, q)
+        shares = np.linspace(0.0, 1.0, 9)
+        depth = np.min([-self.target.far(p + share * (q - p)) for share in shares], axis=0)
+        least = np.minimum(self.depth[pairs[:, 0]], self.depth[pairs[:, 1]])
+        best = np.argsort(-(lengths(q - p) * (depth >= FALL * least)), kind="stable")[: CANDIDATES // 2]
+        self.add_candidates((p + q)[best] / 2, (q - p)[best] / 2)
+
+    def _medial(self, points: Floats, inward: Floats) -> Floats:
+        """Find the centers of the largest balls in the body that touch its surface at points, by halving."""
+        low, high = np.zeros(len(points)), np.full(len(points), self.target.size)
+        slack = 1e-3 * self.target.size / 10
+        for _ in range(14):
+            middle = (low + high) / 2
+            touches = -self.target.far(points + middle[:, None] * inward) >= middle - slack
+            low, high = np.where(touches, middle, low), np.where(touches, high, middle)
+        return points + low[:, None] * inward
+
+    def _far(self, points: Floats, first: int = 0) -> Floats:
+        """Compute the distances of points, in rows, from the axes of the candidates from the first one on."""
+        centers, axes = self.centers[first:], self.axes[first:]
+        squared = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1) - 2 * points @ centers.T
+        long = np.flatnonzero(axes.any(axis=1))
+        if len(long):
+            size = (axes[long] ** 2).sum(axis=1)
+            along = points @ axes[long].T - (centers[long] * axes[long]).sum(axis=1)
+            share = np.clip(along / size, -1.0, 1.0)
+            squared[:, long] += share * (share * size - 2 * along)
+        return np.asarray(np.sqrt(np.maximum(squared, 0.0)), dtype=np.float32)
+
+    def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
+        """Choose few candidates whose balls hold all points, greedily and then by exchanges.
+
+        Points that are missed again and again get weight, which leads the search out of local minima (Gao, Weise and
+        Li: An efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
+        """
+        holds = self.far <= (self.depth + (1 - reserve) * protrusion).astype(np.float32)
+        if not holds.any(axis=1).all():
+            # Points that no ball holds get candidates of their own.
+            missed = self.points[~holds.any(axis=1)]
+            self.add_candidates(missed, np.zeros((1, 3)))
+            return self.chosen(protrusion, steps, start, reserve)
+        found = _greedy(holds, start)
+        return _exchanged(holds, found, steps)
+
+    def add_candidates(self, centers: Floats, axes: Floats) -> None:
+        """Add balls, or capsules whose axes have the given halves."""
+        centers = np.rint(centers / self.grid) * self.grid
+        axes = np.broadcast_to(np.rint(axes / self.grid) * self.grid, centers.shape)
+        depth, parts = np.full(len(centers), np.inf), 1 if not axes.any() else AXIS_POINTS
+        for share in np.linspace(-1.0, 1.0, 2 * parts + 1)[1::2]:
+            depth = np.minimum(depth, -self.target.far(centers + share * axes))
+        first = len(self.centers)
+        self.centers, self.axes = np.concatenate([self.centers, centers]), np.concatenate([self.axes, axes])
+        self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
+        self.far = np.concatenate([self.far, self._far(self.points, first)], axis=1)
+
+    def add_points(self, points: Floats) -> None:
+        """Add points that have to be held."""
+        self.points = np.concatenate([self.points, points])
+        self.far = np.concatenate([self.far, self._far(points)])
+
+    def made(self, chosen: Ints, protrusion: float) -> Packed:
+        """Make a body of chosen candidates, whose radii are rounded down."""
+        radii = np.floor((self.depth[chosen] + protrusion) / self.grid - 1e-6) * self.grid
+        centers, axes = self.centers[chosen], self.axes[chosen]
+        plain = ~axes.any(axis=1)
+        bodies = [Packed.of(ball_pieces(centers[plain], radii[plain]))] if plain.any() else []
+        for center, axis, radius in zip(centers[~plain], axes[~plain], radii[~plain], strict=True):
+            length = float(lengths(axis))
+            turn = np.linalg.qr(np.column_stack([axis / length, np.eye(3)]))[0]
+            along = turn[:, 0] * np.sign(turn[:, 0] @ axis)
+            turn = np.column_stack([turn[:, 1], np.cross(along, turn[:, 1]), along])
+            bodies.append(_placed(primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, length]])),
+                                  turn, center))  # fmt: skip
+        return as_one(bodies) if len(bodies) > 1 else bodies[0]
+
+    def proven(self, protrusion: float, steps: int, most: int | None = None) -> Packed | None:
+        """Choose balls that are proven to hold the body; None if that takes more than `most`."""
+        chosen, best, packed = None, None, None
+        for round_ in range(ROUNDS + MORE_ROUNDS):
+            # Without a proof, balls have to hold points with more room to spare.
+            reserve = RESERVE * 1.5 ** max(0, round_ - ROUNDS + 1)
+            chosen = trial = self.chosen(protrusion, steps, chosen, reserve)
+            for _ in range(REPAIRS):
+                if best is not None and len(trial) >= best or most is not None and len(trial) > most:
+                    break
+                made = self.made(trial, protrusion)
+                missed = first_failures(self.target, made, protrusion)
+                if len(missed) == 0:
+                    best, packed = len(trial), made
+                    break
+                self.add_points(missed)
+                trial = self.chosen(protrusion, 0, trial, reserve)
+            if packed is not None and (most is not None or round_ >= ROUNDS - 1):
+                return packed
+            if most is not None and round_ >= 1 and len(chosen) > most:
+                return None
+        return packed
+
+
+def _greedy(holds: Bools, start: Ints | None) -> Ints:
+    """Take the candidate that holds most of the points that are left, until none is left."""
+    left = np.ones(len(holds), dtype=bool)
+    counts = holds.sum(axis=0, dtype=np.int32)
+    found = []
+    for k in start.tolist() if start is not None else ():
+        if counts[k] > 0:
+            gone = left & holds[:, k]
+            counts -= holds[gone].sum(axis=0, dtype=np.int32)
+            left &= ~gone
+            found.append(k)
+    while left.any():
+        k = int(counts.argmax())
+        gone = left & holds[:, k]
+        counts -= holds[gone].sum(axis=0, dtype=np.int32)
+        left &= ~gone
+        found.append(k)
+    return np.array(found, dtype=np.int64)
+
+
+def _exchanged(holds: Bools, found: Ints, steps: int) -> Ints:
+    """Replace candidates, to hold all points with fewer."""
+    columns = [np.flatnonzero(column) for column in np.ascontiguousarray(holds.T)]
+    chosen, best = found.tolist(), found
+    # How many balls hold a point, and the sum of their numbers, which is the number of a single one.
+    count, holder = np.zeros(len(holds), dtype=np.int64), np.zeros(len(holds), dtype=np.int64)
+    weight, last = np.ones(len(holds)), np.full(len(columns), -10)
+
+    def change(k: int, by: int, step: int) -> None:
+        count[columns[k]] += by
+        holder[columns[k]] += by * k
+        last[k] = step
+
+    def drop(step: int, waits: int) -> None:
+        single = count == 1
+        loss = np.bincount(holder[single], weight[single], len(columns))[chosen]
+        loss[last[chosen] > step - waits] += 1e9
+        change(chosen.pop(int(loss.argmin())), -1, step)
+
+    for k in chosen:
+        change(k, 1, -10)
+    for step in range(steps):
+        while count.all():
+            best = np.array(chosen, dtype=np.int64)
+            if len(chosen) == 1:
+                return best
+            drop(step, 0)
+        if len(chosen) > 1:
+            drop(step, 3)
+        left = np.flatnonzero(count == 0)
+        able = np.flatnonzero(holds[left[step * 7919 % len(left)]])
+        gain = weight[left] @ holds[np.ix_(left, able)]
+        gain[last[able] == step] = -1.0
+        chosen.append(int(able[gain.argmax()]))
+        change(chosen[-1], 1, step)
+        weight[count == 0] += 1.0
+    return best
+
+
+def _round(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
+    """Fit spheres or capsules."""
+    fit = Candidates(target, kind == "capsules")
+    report(10, 100)
+    if protrusion is not None:
+        found = fit.proven(protrusion, STEPS)
+        if found is None:
+            raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
+        return found
+    assert n is not None
+    low, high = LEAST_PROTRUSION * target.size, target.size
+    for step in range(HALVINGS):
+        middle = float(np.sqrt(low * high)) if low * 4 < high else (low + high) / 2
+        reached = len(fit.chosen(middle, FEW_STEPS)) <= n
+        low, high = (low, middle) if reached else (middle, high)
+        report(10 + 3 * step, 100)
+    for _ in range(GROWTHS):
+        found = fit.proven(high, STEPS, n)
+        if found is not None:
+            return found
+        high *= 1.03
+    raise GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
+
+
+class _Clusters:
+    """Cells of a body in clusters, each with an element around it; the one that sticks out most is divided."""
+
+    def __init__(self, target: Target, kind: str, protrusion: float | None) -> None:
+        self.target, self.kind = target, kind
+        cells = target.triangles
+        for _ in range(20):
+            length, edge = longest_edges(cells)
+            long = length > target.size * CELL
+            if not long.any() or len(cells) > MOST_CELLS:
+                break
+            cells = np.concatenate([cells[~long], halved(cells[long], edge[long])])
+        # Triangles, and cubes of the inside that do not reach the surface, as eight corners.
+        step = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
+        counts = np.maximum(1, np.ceil((target.high - target.low) / step)).astype(np.int64)
+        lattice = target.low + (np.indices(counts).reshape(3, -1).T + 0.5) * (target.high - target.low) / counts
+        lattice = lattice[target.holds(lattice)]
+        half = np.minimum(step / 2, -target.depths(lattice) / np.sqrt(3.0))
+        inside = lattice[:, None] + OCTANTS * half[:, None, None]
+        corners = np.concatenate([cells[:, [0, 1, 2, 0, 1, 2, 0, 1]], inside])
+        self.points, cells_of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        self.cells = cells_of.reshape(-1, 8)
+        self.middles = np.concatenate([cells.mean(axis=1), lattice])
+        # Added for rounding, and for numbers that are written to files.
+        self.spare = WRITTEN * (target.reach + target.size) + float(target.radius.max())
+        self.clusters = [np.arange(len(self.cells))]
+        self.elements = [self.element(self.clusters[0])]
+        self.excess = [self.sticks(self.elements[0])]
+
+    def element(self, cluster: Ints) -> Packed:
+        """Fit an element around cells."""
+        used = np.zeros(len(self.points), dtype=bool)
+        used[self.cells[cluster]] = True
+        points = self.points[used]
+        if self.kind == "ellipsoids":
+            try:
+                ball = mvce(points, tol=1e-2).ellipsoid
+                axes, turn, center = ball.semi_axes, ball.rotation, ball.center
+                least = self.spare + 1e-3 * axes.max()
+            except GeometryError:  # flat
+                turn, half, center = _box(points)
+                axes, least = np.sqrt(3.0) * half, 1e-2 * half.max() + self.spare
+            return _placed(
+                primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None]), turn, center
+            )
+        turn, half, center = _box(points)
+        half = np.maximum(half + self.spare, 1e-3 * half.max())
+        return _placed(Packed.of(box_pieces(-half[None], half[None])), turn, center)
+
+    def sticks(self, element: Packed) -> float:
+        """Estimate how far an element sticks out, from points of its surface."""
+        vertices, triangles = of_piece(element, 0)
+        return float(self.target.below(np.concatenate([vertices, vertices[triangles].mean(axis=1)])).max())
+
+    def divide(self, k: int) -> None:
+        """Halve a cluster across one of its axes, so that the parts' elements have the least volume."""
+        cluster = self.clusters[k]
+        away = self.middles[cluster] - self.middles[cluster].mean(axis=0)
+        turn = np.linalg.eigh(away.T @ away)[1]
+        best = None
+        for axis in turn.T:
+            height = away @ axis
+            cut = height <= height.min() + np.ptp(height) / 2
+            if cut.all() or not cut.any():
+                continue
+            parts = [cluster[cut], cluster[~cut]]
+            made = [self.element(part) for part in parts]
+            volume = sum(abs(float(np.linalg.det(element.outer_factor[0]))) for element in made)
+            if best is None or volume < best[0]:
+                best = volume, parts, made
+        if best is None:
+            raise GeometryError(f"{self.kind}: expected cells that can be divided, found one; use a larger protrusion")
+        self.clusters[k : k + 1], self.elements[k : k + 1] = best[1], best[2]
+        self.excess[k : k + 1] = [self.sticks(element) for element in best[2]]
+
+    def hold(self, points: Floats) -> None:
+        """Add small cubes around points to the clusters nearest to them."""
+        first, corner = len(self.cells), len(self.points) + np.arange(8 * len(points))
+        around = points[:, None] + OCTANTS * (AROUND * self.target.size)
+        self.points = np.concatenate([self.points, around.reshape(-1, 3)])
+        self.cells = np.concatenate([self.cells, corner.reshape(-1, 8)])
+        self.middles = np.concatenate([self.middles, points])
+        off = [lengths(self.middles[cluster][None] - points[:, None]).min(axis=1) for cluster in self.clusters]
+        nearest = np.argmin(off, axis=0)
+        for k in np.unique(nearest).tolist():
+            self.clusters[k] = np.append(self.clusters[k], first + np.flatnonzero(nearest == k))
+            self.elements[k] = self.element(self.clusters[k])
+            self.excess[k] = self.sticks(self.elements[k])
+
+
+def _box(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the axes, half edges and center of a box around points that has little area."""
+    turn = least_box_axes(np.ascontiguousarray(points.T[:, None, :]))
+    if np.linalg.det(turn) < 0:
+        turn = turn * [1.0, 1.0, -1.0]
+    turned = points @ turn
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return turn, (high - low) / 2, turn @ (low / 2 + high / 2)
+
+
+def _placed(packed: Packed, turn: Floats, center: Floats) -> Packed:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn, center
+    return moved(packed, T)
+
+
+def _others(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
+    """Fit boxes or ellipsoids by dividing clusters of cells."""
+    fit = _Clusters(target, kind, protrusion)
+    limit = 0.0 if protrusion is None else 0.98 * protrusion
+    for _ in range(ROUNDS + GROWTHS):
+        while len(fit.elements) < (MOST if n is None else n) and max(fit.excess) > limit:
+            fit.divide(int(np.argmax(fit.excess)))
+            done = len(fit.elements) / n if n is not None else limit / max(max(fit.excess), limit)
+            report(int(5 + 70 * done), 100)
+        packed = as_one(fit.elements)
+        missed = first_failures(target, packed, max(fit.excess) if protrusion is None else protrusion)
+        if len(missed):
+            fit.hold(missed[:: max(1, len(missed) // 60)])
+            continue
+        if protrusion is None:
+            return packed
+        sticks = excess_of(target, packed, Elements(packed), 0.005 * protrusion)[1]
+        if sticks <= protrusion:
+            return packed
+        if len(fit.elements) >= MOST:
+            break
+        limit *= 0.95
+        fit.divide(int(np.argmax(fit.excess)))
+    asked = (
+        f"n: expected a number of {kind} that suffices, found {n}"
+        if protrusion is None
+        else (f"protrusion: expected one that {kind} reach, found {protrusion:g} m")
+    )
+    raise GeometryError(f"{asked}, and no proof")
+
+
+def cover(
+    packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress | None
+) -> tuple[Packed, float]:
+    """Fit elements of a kind to a body, and bound how far they stick out; see `Body.cover`."""
+    target, share = Target(packed), 0
+
+    def report(done: int, total: int) -> None:
+        nonlocal share
+        share = max(share, min(done, 95))
+        if progress is not None:
+            progress(share, total)
+
+    if protrusion is not None and protrusion < LEAST_PROTRUSION * target.size:
+        raise InputError(
+            f"protrusion: expected at least {LEAST_PROTRUSION * target.size:.3g} m, 1e-4 of the body's diagonal, "
+            f"found {protrusion:g}"
+        )
+    report(0, 100)
+    fit = _round if kind in ("spheres", "capsules") else _others
+    found = fit(target, kind, n, protrusion, report)
+    proof = prove(packed, found, None)
+    if proof.outcome != "covered":
+        raise GeometryError(f"cover: expected a proof that the {kind} hold the body, found {proof.outcome}")
+    if progress is not None:
+        progress(100, 100)
+    return found, proof.excess[1]

@@ -1,0 +1,684 @@
+"""Prove that a model of convex elements holds a whole body, inside included, or find a point that it leaves out.
+
+docs/containment.md states the three outcomes and derives the margins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from loewner._kernels import columns
+from loewner._kernels.tolerances import FACE_WIDTH
+from loewner._matrices import dot, lengths
+from loewner._validate import Bools, Floats, Ints, Progress
+from loewner.bodies.elements import HEIGHT_ROUNDINGS, Elements
+from loewner.bodies.kinds import CURVED, ball
+from loewner.bodies.pack import Packed
+from loewner.bodies.triangulated import of_piece
+from loewner.coverage import CoverReport
+from loewner.polytopes import Polytope
+from loewner.protrusion import Solid, protrusions
+from loewner.triangles import halved
+
+# Cells of the body are halved down to this share of its diagonal.
+RESOLUTION = 1e-4
+
+# Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving; there are few.
+CELL_ROUNDINGS = 256 * 2.0**-53
+
+# Limits on the number of cells that are halved at a time, on pairs of cells and elements formed at a time, and on cells
+# at which a hole smaller than the tolerance is looked for, over this number of halvings.
+WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 2_000_000, 128, 60
+
+# The search for the largest distance ends when the bound is this near to a distance that was found, as a ratio.
+RELATIVE = 0.01
+
+# Halvings of triangles that are partly inside other pieces.
+TRIMS = 8
+
+# Circumscribed polytopes are larger by this factor than their computed corners.
+OUTWARD = 1 + 1e-12
+
+# Divisions of the ball in whose corners points of curved elements are tried.
+DIVISIONS = 2
+
+# Inradius of the polygons of cylinders and cones.
+_POLYGON = (CURVED[columns.CONE].inradii or (1.0,))[0]
+
+OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+
+
+@dataclass
+class _Part:
+    """A piece of the body: triangles of its boundary, or of a polytope around it if the piece is curved."""
+
+    triangles: Floats
+    solid: bool  # the inside counts
+    convex: bool
+    radius: float  # of the ball around each point of the triangles
+    slack: float  # the piece sticks out of its triangles by at most this
+    gap: float = 0.0  # and the triangles stick out of the piece
+    inner: Floats | None = None  # triangles in a curved piece, with corners on its surface
+
+
+class Target:
+    """A body that is to be covered, as triangles and solids.
+
+    Parameters
+    ----------
+    packed : Packed
+        The pieces of one body.
+    """
+
+    def __init__(self, packed: Packed) -> None:
+        self.packed = packed
+        self.parts = [_part(packed, i) for i in range(len(packed.layout))]
+        self.triangles, self.owner = self.surface([part.triangles for part in self.parts])
+        self.curved = np.array([part.inner is not None for part in self.parts])
+        # All points of `own` belong to the body, and its areas are measured.
+        self.own = self.surface([part.triangles if part.inner is None else part.inner for part in self.parts])
+        self.radius, self.slack, self.gap = (
+            np.array([getattr(part, name) for part in self.parts]) for name in ("radius", "slack", "gap")
+        )
+        corners = self.triangles.reshape(-1, 3)
+        self.low, self.high = corners.min(axis=0), corners.max(axis=0)
+        self.size = float(lengths(self.high - self.low)) + 2.0 * float(self.radius.max())
+        self.reach = float(np.abs(corners).max())
+        convex = [part.triangles for part in self.parts if part.convex]
+        self.solids = [Solid(np.concatenate(convex), True)] if convex else []
+        self.solids += [Solid(part.triangles, True) for part in self.parts if part.solid and not part.convex]
+        closed = all(part.solid for part in self.parts)
+        self.whole = self.solids[0] if closed and len(self.solids) == 1 else Solid(self.triangles, closed)
+        self.boundary = self._boundary()
+        self.open = [Solid(part.triangles, False) for part in self.parts if not part.solid]
+
+    def cube(self) -> Floats:
+        """Return the center and half edge of a cube around the body."""
+        return np.append(self.low / 2 + self.high / 2, float((self.high - self.low).max()) / 2 * (1 + 1e-9))
+
+    @staticmethod
+    def surface(of_parts: list[Floats]) -> tuple[Floats, Ints]:
+        """Join the triangles of parts, and number them by part."""
+        return np.concatenate(of_parts), np.repeat(np.arange(len(of_parts)), [len(part) for part in of_parts])
+
+    def below(self, points: Floats) -> Floats:
+        """Bound from below the distances of points from the body, negative in a solid."""
+        found = self.depths(points)
+        for surface in self.open:
+            found = np.minimum(found, surface.signed_distances(points)[0] - surface.rounding)
+        return np.asarray(found - self.radius.max())
+
+    def holds(self, points: Floats) -> Bools:
+        """Return whether points are certainly in a solid of the body."""
+        if not self.solids:
+            return np.zeros(len(points), dtype=bool)
+        clear = 4 * max(solid.rounding for solid in self.solids) + 2 * float(self.gap.max())
+        return np.asarray(self.depths(points) < -clear)
+
+    def depths(self, points: Floats) -> Floats:
+        """Bound from below the distances of points from the triangles of all solids, negative if in one of them."""
+        found = np.full(len(points), np.inf)
+        for solid in self.solids:
+            found = np.minimum(found, solid.signed_distances(points)[0] - solid.rounding)
+        return found
+
+    def far(self, points: Floats) -> Floats:
+        """Bound from above the distances of points from the body, negative inside: there, of balls in the body."""
+        distances = self.boundary.signed_distances(points)[0]
+        if self.boundary is not self.whole and self.whole.closed:
+            clear = np.flatnonzero(distances > self.whole.rounding)
+            distances[clear[self.whole.winding_numbers(points[clear]) != 0]] *= -1
+        return np.asarray(distances + self.whole.rounding - self.radius.min() + self.gap.max())
+
+    def _boundary(self) -> Solid:
+        """Leave out parts of triangles that are in the interior of a convex piece: they are not in the boundary."""
+        convex = [k for k, part in enumerate(self.parts) if part.convex]
+        if len(convex) < 2 or not self.whole.closed:
+            return self.whole
+        cells, owner = self.triangles, self.owner
+        boxes = [(part.triangles.min(axis=(0, 1)), part.triangles.max(axis=(0, 1))) for part in self.parts]
+        pieces = {k: Solid(self.parts[k].triangles, True) for k in convex}
+        rest = []
+        for step in range(TRIMS + 1):
+            inside, meets = np.zeros(len(cells), dtype=bool), np.zeros(len(cells), dtype=bool)
+            for k in convex:
+                low, high = cells.min(axis=1), cells.max(axis=1)
+                near = (owner != k) & ~inside & (high > boxes[k][0]).all(axis=1) & (low < boxes[k][1]).all(axis=1)
+                asked = np.flatnonzero(near)
+                if len(asked) == 0:
+                    continue
+                corners, back = np.unique(cells[asked].reshape(-1, 3), axis=0, return_inverse=True)
+                slack = 2 * (pieces[k].rounding + self.parts[k].slack)
+                deep = (pieces[k].signed_distances(corners)[0] < -slack)[back.reshape(-1, 3)]
+                inside[asked[deep.all(axis=1)]] = True
+                meets[asked[deep.any(axis=1)]] = True
+            split = meets & ~inside
+            if step == TRIMS or len(cells) > WORK:
+                split[:] = False
+            rest.append(cells[~inside & ~split])
+            edges = cells[split] - np.roll(cells[split], -1, axis=1)
+            cells, owner = halved(cells[split], dot(edges, edges).argmax(axis=1)), np.tile(owner[split], 2)
+            if len(cells) == 0:
+                break
+        kept = np.concatenate(rest)
+        return Solid(kept, False) if len(kept) < len(self.triangles) or len(rest) > 1 else self.whole
+
+
+def _part(packed: Packed, i: int) -> _Part:
+    row, kind = packed.layout[i], int(packed.layout[i, columns.KIND])
+    vertices, triangles = of_piece(packed, i)
+    if kind <= columns.SURFACE:
+        return _Part(vertices[triangles], kind == columns.SOLID, False, float(packed.frames[i, 0]), 0.0)
+    if kind == columns.POLYTOPE:
+        planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
+        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, planes))
+    hull, center, shrink = _around(packed, i)
+    slack = _stray(hull.vertices, np.column_stack([hull.normals, hull.offsets]))
+    gap = (1 - shrink) * float(lengths(hull.vertices - center).max())
+    inner = center + (vertices - center) / OUTWARD
+    return _Part(hull.vertices[hull.simplices], True, True, 0.0, slack, gap, inner[triangles])
+
+
+def _stray(hull_points: Floats, planes: Floats) -> float:
+    """Bound how far the hull of points is outside of its own triangles, which are flat only up to rounding.
+
+    Seen from the middle c, a point y of the hull is beyond the plane of a triangle by at most the width within which
+    `polytopes` accepts the corners of a face, times |y - c| over the plane's height over c.
+    """
+    middle = hull_points.mean(axis=0)
+    reach = float(lengths(hull_points - middle).max())
+    over = float((planes[:, 3] - planes[:, :3] @ middle).min())
+    return (2 * FACE_WIDTH * reach + HEIGHT_ROUNDINGS * float(np.abs(hull_points).max())) * reach / over
+
+
+def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
+    """Make a polytope around a curved piece, and a center and factor that shrink its points into the piece."""
+    kind, frame = CURVED[int(packed.layout[i, columns.KIND])], packed.frames[i]
+    radius, center, factor = frame[0], frame[1:4], frame[4:].reshape(3, 3)
+    unit, triangles = kind.mesh()
+    if kind.mesh is ball:
+        a, b, c = unit[triangles].transpose(1, 0, 2)
+        normals = np.cross(b - a, c - a)
+        inradius = float((dot(normals, a) / lengths(normals)).min())
+    else:
+        inradius = _POLYGON
+    if kind.core is not None:
+        half = kind.core * factor[:, 2]
+        around = unit * (radius * OUTWARD / inradius)
+        return Polytope.from_points(np.concatenate([center + half + around, center - half + around])), center, inradius
+    # A cone whose polygon is made wider is in the cone only if it shrinks twice as much.
+    unit = unit / ([inradius, inradius, 1.0] if not kind.is_ball else inradius)
+    shrink = inradius / (2 - inradius) if kind.inradii is not None else inradius
+    return Polytope.from_points(center + OUTWARD * unit @ factor.T), center, shrink
+
+
+@dataclass
+class _Cells:
+    """Triangles or cubes with the pairs of a cell and an element that it may meet, in the order of the cells."""
+
+    shape: Floats  # (k, 3, 3) corners of triangles, or (k, 4) centers and half edges of cubes
+    owner: Ints
+    area: Floats
+    cell: Ints
+    element: Ints
+
+    def take(self, keep: Bools, pairs: Bools) -> _Cells:
+        place = np.cumsum(keep) - 1
+        pairs = pairs & keep[self.cell]
+        return _Cells(self.shape[keep], self.owner[keep], self.area[keep], place[self.cell[pairs]], self.element[pairs])
+
+    def middles(self) -> tuple[Floats, Floats]:
+        """Return centers, and radii of balls that hold the cells."""
+        if self.shape.ndim == 2:
+            return self.shape[:, :3], np.sqrt(3.0) * (1 + 1e-12) * self.shape[:, 3]
+        middle = self.shape.mean(axis=1)
+        return middle, lengths(self.shape - middle[:, None]).max(axis=1) * (1 + 1e-12)
+
+    def corner(self, cells: Ints, k: int) -> Floats:
+        if self.shape.ndim == 2:
+            return np.asarray(self.shape[cells, :3] + self.shape[cells, 3:] * OCTANTS[k])
+        return np.asarray(self.shape[cells, k])
+
+    def parts(self) -> _Cells:
+        """Halve triangles across their longest edges, and cubes in all three directions."""
+        n = len(self.shape)
+        if self.shape.ndim == 2:
+            half = self.shape[:, 3:] / 2
+            made = np.concatenate([np.hstack([self.shape[:, :3] + half * way, half]) for way in OCTANTS])
+            count = 8
+        else:
+            edges = self.shape - np.roll(self.shape, -1, axis=1)
+            made, count = halved(self.shape, dot(edges, edges).argmax(axis=1)), 2
+        cell = np.concatenate([self.cell + k * n for k in range(count)])
+        return _Cells(
+            made, np.tile(self.owner, count), np.tile(self.area / count, count), cell, np.tile(self.element, count)
+        )
+
+    @classmethod
+    def joined(cls, some_cells: list[_Cells]) -> _Cells:
+        first = np.cumsum([0, *(len(cells.shape) for cells in some_cells)])
+        return cls(
+            np.concatenate([c.shape for c in some_cells]),
+            np.concatenate([c.owner for c in some_cells]),
+            np.concatenate([c.area for c in some_cells]),
+            np.concatenate([c.cell + k for c, k in zip(some_cells, first, strict=False)]),
+            np.concatenate([c.element for c in some_cells]),
+        )
+
+
+class _Proof:
+    """The search over the cells of one body and one model."""
+
+    def __init__(self, target: Target, model: Elements, tolerance: float) -> None:
+        self.target, self.model, self.tolerance = target, model, tolerance
+        ends = np.abs(model.center).max(initial=0.0) if len(model) else 0.0
+        # Corners of cells, which are rounded at each halving.
+        self.cells = CELL_ROUNDINGS * (target.reach + float(ends))
+        self.witness: Floats | None = None
+        self.deepest = 0.0
+        self.outside: list[Floats] = []
+
+    def within(self, points: Floats, element: Ints, radius: float) -> Bools:
+        """Return whether balls about stored points are in elements."""
+        model = self.model
+        margin = np.where(model.exact[element] & (radius == 0), 0.0, model.rounding[element])
+        return np.asarray(model.heights(points, element) <= -(margin + radius))
+
+    def wholes(self) -> Bools:
+        """Return the parts whose corners are all in one element, or that are equal to one."""
+        target, model = self.target, self.model
+        packed, found = target.packed, np.zeros(len(target.parts), dtype=bool)
+        kinds, frames = packed.layout[:, columns.KIND], packed.frames
+        for i, part in enumerate(target.parts):
+            kind, left = int(kinds[i]), np.arange(len(model))
+            equal = (model.kind == kind) & (kind > columns.POLYTOPE)
+            equal &= (model.radius == frames[i, 0]) & (model.center == frames[i, 1:4]).all(axis=1)
+            equal &= (model.factor.reshape(-1, 9) == frames[i, 4:]).all(axis=1)
+            if kind in (columns.POINT, columns.SEGMENT):
+                far = frames[i, 4:].reshape(3, 3)[:, 2] * (kind == columns.SEGMENT)
+                corners, radius = frames[i, 1:4] + np.array([far, -far]), float(frames[i, 0]) + self.cells
+            elif kind > columns.POLYTOPE:
+                corners, radius = part.triangles.reshape(-1, 3), part.slack
+            else:
+                row = packed.layout[i]
+                corners, radius = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], part.radius
+                equal = np.array([np.array_equal(corners, model.hulls[j].vertices) if j in model.hulls else False
+                                  for j in range(len(model))])  # fmt: skip
+            left = left[self.within(np.broadcast_to(corners[0], (len(left), 3)), left, radius)]
+            found[i] = bool(equal.any()) or any(
+                self.within(corners, np.full(len(corners), element), radius).all() for element in left.tolist()
+            )
+        return found
+
+    def look(self, cells: _Cells, first: bool, inside: bool) -> tuple[_Cells, Floats, Bools, Bools, Bools]:
+        """Examine cells.
+
+        Returns
+        -------
+        cells : _Cells
+            The cells that are in no single element, with the elements that they may meet.
+        height : ndarray
+            The least height of each remaining cell's center.
+        outside : ndarray of bool
+            Which remaining cells are outside of every element.
+        flush : ndarray of bool
+            Which remaining cells are in the boundary of an element except for rounding, as their parts are, too.
+        settled : ndarray of bool
+            Which of the given cells are in one element.
+        """
+        target, model = self.target, self.model
+        middle, reach = cells.middles()
+        radius = np.zeros(len(middle)) if inside else target.radius[cells.owner]
+        slack = np.zeros(len(middle)) if inside else target.slack[cells.owner]
+        below = radius + slack
+        c, e = cells.cell, cells.element
+        height = model.heights(middle[c], e)
+        margin = model.rounding[e] + self.cells
+        meets = height <= (reach + radius)[c] + margin
+        least = np.full(len(middle), np.inf)
+        np.minimum.at(least, c, height)
+        outside = np.ones(len(middle), dtype=bool)
+        outside[c[meets]] = False
+        needed = margin
+        if first:
+            # Corners as they are stored, and no rounding of cells.
+            needed = np.where(model.exact[e] & (below == 0)[c], 0.0, model.rounding[e])
+        # The center of a convex cell in a convex element is in it, up to rounding.
+        blur = margin + 2 * slack[c]
+        left = np.flatnonzero(meets & (height <= blur))
+        most = np.full(len(left), -np.inf)
+        for k in range(8 if inside else 3):
+            most = np.maximum(most, model.heights(cells.corner(c[left], k), e[left]) + below[c[left]])
+            near = most <= blur[left]
+            left, most = left[near], most[near]
+        settled, flush = np.zeros(len(middle), dtype=bool), np.zeros(len(middle), dtype=bool)
+        settled[c[left[most <= -needed[left]]]] = True
+        # The center of a cell that lies in the boundary of an element is there, too.
+        flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
+        rest = ~settled
+        return cells.take(rest, meets), least[rest], outside[rest], flush[rest], settled
+
+    def note(self, points: Floats, depth: Floats) -> None:
+        """Keep the point of the body that is deepest outside by some measure, if it is deeper than the known one."""
+        if len(depth) == 0 or not depth.max() > self.deepest:
+            return
+        point, n = points[depth.argmax()], len(self.model)
+        below = self.model.below(np.repeat(point[None], n, axis=0), np.arange(n)) - self.model.rounding
+        if below.min() - self.cells > self.deepest:
+            self.deepest, self.witness = float(below.min() - self.cells), point.copy()
+
+    def paired(self, shape: Floats, owner: Ints, area: Floats) -> Iterator[_Cells]:
+        """Pair cells with all elements, a limited number at a time."""
+        count = len(self.model)
+        each = max(1, AT_ONCE // count)
+        for k in range(0, max(len(shape), 1), each):
+            n = len(shape[k : k + each])
+            cell, element = np.repeat(np.arange(n), count), np.tile(np.arange(count), n)
+            yield _Cells(shape[k : k + each], owner[k : k + each], area[k : k + each], cell, element)
+
+    def surface(
+        self, triangles: Floats, owner: Ints, report: Progress, *, own: bool = True
+    ) -> tuple[float, float, _Cells | None]:
+        """Halve triangles that are in no single element.
+
+        Parameters
+        ----------
+        triangles, owner : ndarray, shapes (t, 3, 3) and (t,)
+        report : callable
+            Receives the settled percentage of the area.
+        own : bool
+            Whether the points of the triangles belong to the body, so that one outside proves that it is not covered.
+
+        Returns
+        -------
+        covered, outside : float
+            Areas that are proven to be in the model, and outside of it.
+        rest : _Cells or None
+            Cells that are not settled.
+        """
+        covered, outside, area = 0.0, 0.0, _areas(triangles)
+        total = max(float(area.sum()), 1e-300)
+        cells: Iterable[_Cells] = self.paired(triangles, owner, area)
+        first, rest = True, list[_Cells]()
+        while True:
+            made = []
+            for some_cells in cells:
+                found, least, out, flush, settled = self.look(some_cells, first, inside=False)
+                covered += float(some_cells.area[settled].sum())
+                middle, reach = found.middles()
+                every = np.ones(len(found.cell), dtype=bool)
+                if own:
+                    outside += float(found.area[out].sum())
+                    self.outside.append(middle[out])
+                    self.note(middle, least)
+                    if first:
+                        self._corners(found)
+                done = flush | (2 * reach <= self.tolerance) | (out & (not own))
+                rest.append(found.take(done & ~(out & own), every))
+                made.append(found.take(~done & ~out, every))
+            first = False
+            report(int(100 * min(1.0, (covered + outside) / total)), 100)
+            halves = _Cells.joined(made)
+            if len(halves.shape) > WORK:
+                rest.append(halves)
+            if not 0 < len(halves.shape) <= WORK:
+                left = _Cells.joined(rest)
+                return covered, outside, left if len(left.shape) else None
+            cells = [halves.parts()]
+
+    def _corners(self, cells: _Cells) -> None:
+        """Try the corners of stored triangles, where the deepest points often are."""
+        for k in range(3):
+            points = cells.shape[:, k]
+            least = np.full(len(points), np.inf)
+            np.minimum.at(least, cells.cell, self.model.heights(points[cells.cell], cells.element))
+            self.note(points, least)
+
+    def inside(self) -> _Cells | None:
+        """Look for holes in the inside, given that the surface is covered; return cells that are not settled.
+
+        In a hole, the least height has a local maximum. A cell without one is settled if it is in one element, if it is
+        outside of the body, or if one direction leads away from all elements that may be nearest to a point of it.
+        """
+        target, model = self.target, self.model
+        if not target.solids:
+            return None
+        cells, rest = next(self.paired(np.array([target.cube()]), np.zeros(1, dtype=np.int64), np.zeros(1))), []
+        while len(cells.shape):
+            cells, least, _, flush, _ = self.look(cells, first=False, inside=True)
+            centers, reach = cells.middles()
+            # Heights at the center, and by how much they may differ elsewhere in the cell.
+            height = model.heights(centers[cells.cell], cells.element)
+            active = height <= (least + 2 * reach)[cells.cell] + model.rounding[cells.element] + self.cells
+            away = model.face_one_way(centers, reach + self.cells, cells.cell[active], cells.element[active])
+            away &= np.isfinite(least)
+            asked = np.flatnonzero(~away)
+            depth = np.full(len(away), np.inf)
+            depth[asked] = target.depths(centers[asked])
+            keep = depth <= reach + target.radius.max()
+            chosen = np.flatnonzero(keep & (least > 0))
+            chosen = chosen[target.holds(centers[chosen])]
+            self.note(centers[chosen], least[chosen])
+            self.outside.append(centers[chosen])
+            if self.witness is not None:
+                return None
+            done = keep & (flush | (2 * reach <= self.tolerance))
+            rest.append(cells.take(done, active))
+            cells = cells.take(keep & ~done, active)
+            if len(cells.shape) * 8 > WORK:
+                rest.append(cells)
+                break
+            cells = cells.parts()
+        left = _Cells.joined(rest)
+        return left if len(left.shape) else None
+
+    def dive(self, cells: _Cells, inside: bool) -> None:
+        """Look for a hole that is smaller than the tolerance, where points are nearest to being outside."""
+        for _ in range(LOOKS):
+            if len(cells.shape) == 0 or self.witness is not None:
+                return
+            cells, least, _, flush, _ = self.look(cells.parts(), first=False, inside=inside)
+            chosen = np.flatnonzero(least > 0)
+            centers = cells.middles()[0]
+            if inside:
+                chosen = chosen[self.target.holds(centers[chosen])]
+            self.note(centers[chosen], least[chosen])
+            keep = np.zeros(len(least), dtype=bool)
+            keep[np.argsort(np.where(flush, np.inf, -least), kind="stable")[:LOOKED_INTO]] = True
+            keep &= ~flush
+            cells = cells.take(keep, np.ones(len(cells.cell), dtype=bool))
+
+    def depth(self, whole: Bools, holes: _Cells | None) -> float:
+        """Bound the largest distance of a point of the body from the model, from above.
+
+        If no hole was found in the inside, the distance is greatest on the surface or in a cell that is not settled.
+        """
+        target, (triangles, owner) = self.target, self.target.own
+        left = ~whole[owner]
+        bound = self._deepest(triangles[left], owner[left], self.tolerance, inside=False)
+        if self.model.plain and self.witness is None:
+            if holes is not None:
+                middle, reach = holes.middles()
+                far = np.full(len(middle), np.inf)
+                np.minimum.at(far, holes.cell, self.model.distances(middle[holes.cell], holes.element))
+                bound = max(bound, float((far + reach).max()))
+        elif target.solids:
+            # The inside takes more cells of one size: it is known to a third of a percent of the body's size.
+            least = max(self.tolerance, target.size / 300)
+            cube = np.array([target.cube()])
+            bound = max(bound, self._deepest(cube, np.zeros(1, dtype=np.int64), least, inside=True))
+        return bound + float(target.gap.max())
+
+    def _deepest(self, shape: Floats, owner: Ints, least: float, inside: bool) -> float:
+        """Bound the largest distance of a point of cells from the model, to 1 % or to `least`."""
+        target, model, bound, work = self.target, self.model, 0.0, 0
+        waiting: Iterable[_Cells] = self.paired(shape, owner, np.zeros(len(shape)))
+        plain = inside and model.plain
+        while True:
+            made: list[_Cells] = []
+            for cells in waiting:
+                middle, reach = cells.middles()
+                radius = np.zeros(len(middle)) if inside else target.radius[cells.owner]
+                c, e = cells.cell, cells.element
+                height, distance = model.heights(middle[c], e), model.distances(middle[c], e)
+                far = np.full(len(middle), np.inf)
+                np.minimum.at(far, c, distance)
+                most = far + reach + radius
+                # An element that is farther than another one everywhere in the cell does not count.
+                near = height <= (far + 2 * reach)[c] + self.cells
+                if inside:
+                    ask = np.flatnonzero(most > self.deepest + least)
+                    deep = target.depths(middle[ask])
+                    most[ask[deep > reach[ask] + target.radius.max()]] = 0.0
+                    held = ask[deep < 0]
+                    held = held[target.holds(middle[held])]
+                    self.note(middle[held], far[held])
+                    if plain:
+                        away = model.face_one_way(middle, reach + self.cells, c[near], e[near])
+                        most[away] = 0.0
+                else:
+                    self.note(middle, far)
+                    worst = np.max([model.distances(cells.corner(c, k), e) for k in range(3)], axis=0)
+                    best = np.full(len(middle), np.inf)
+                    np.minimum.at(best, c, worst)
+                    most = np.minimum(most, best + radius)
+                enough = max(self.deepest * (1 + RELATIVE), self.deepest + least)
+                kept = cells.take(most > enough, near)
+                work += len(kept.shape)
+                settled = most <= enough if work <= WORK else np.ones(len(most), dtype=bool)
+                bound = max(bound, float(most[settled].max(initial=0.0)))
+                if work <= WORK:
+                    made.append(kept.parts())
+            if sum(len(cells.shape) for cells in made) == 0:
+                return bound + self.cells
+            waiting = [_Cells.joined(made)]
+
+
+def _areas(triangles: Floats) -> Floats:
+    a, b, c = triangles.transpose(1, 0, 2)
+    return np.asarray(lengths(np.cross(b - a, c - a)) / 2)
+
+
+def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float) -> tuple[float, float]:
+    """Bound how far the elements of a model stick out of a body.
+
+    A ball around a point that is at the depth d in the body sticks out by no more than its radius less d; a capsule is
+    a union of balls. Other elements, and those for which this bound is not near the distance of a point that was found,
+    are replaced by polytopes around them, which `protrusion` bounds.
+    """
+    n, ways = len(model), ball(DIVISIONS)[0]
+    upper, points = np.full(n, np.inf), []
+    round_ = np.flatnonzero((model.kind == columns.POINT) | (model.kind == columns.SEGMENT))
+    if len(round_):
+        upper[round_] = _round_excess(target, model, round_, tolerance)
+    hulls: dict[int, Polytope] = dict(model.hulls)
+    for i in range(n):
+        if i in hulls:
+            points.append(hulls[i].vertices)
+        elif model.sigma[i] > 0:
+            hulls[i], center, _ = _around(packed, i)
+            points.append(center + (of_piece(packed, i)[0] - center) / OUTWARD)
+        else:
+            ends = [model.axis[i], -model.axis[i]] if model.kind[i] == columns.SEGMENT else [np.zeros(3)]
+            points += [model.center[i] + end + ways * (model.radius[i] * (1 - 1e-12)) for end in ends]
+    lower = max(0.0, float(target.below(np.concatenate(points)).max()))
+    near = max(lower * (1 + RELATIVE), lower + tolerance)
+    open_ = [i for i in range(n) if upper[i] > near]
+    if open_:
+        chosen = [hulls[i] if i in hulls else _around(packed, i)[0] for i in open_]
+        reached = protrusions(chosen, target.whole, together=True)
+        bounds = np.maximum(reached.bounds - target.radius.min(), 0.0) + target.gap.max()
+        upper[open_] = np.minimum(upper[open_], bounds)
+        flat = [k for k, i in enumerate(open_) if i in model.hulls and reached.found[k] > 0]
+        if flat:
+            lower = max(lower, float(target.below(reached.points[flat]).max()))
+    return lower, max(lower, float(np.maximum(upper, 0.0).max()))
+
+
+def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float) -> Floats:
+    """Bound by how much balls and capsules stick out: the distances of their axes from the body, plus the radius."""
+    bound = np.full(len(these), -np.inf)
+    owner = np.arange(len(these))
+    axis = model.axis[these] * (model.kind[these] == columns.SEGMENT)[:, None]
+    low, high = np.full(len(these), -1.0), np.full(len(these), 1.0)
+    best = np.full(len(these), -np.inf)
+    for _ in range(20):
+        middle = (low + high) / 2
+        signed = target.far(model.center[these[owner]] + middle[:, None] * axis[owner])
+        np.maximum.at(best, owner, signed)
+        most = signed + (high - low) / 2 * lengths(axis[owner]) * (1 + 1e-12)
+        done = most <= best[owner] + tolerance / 2
+        np.maximum.at(bound, owner[done], most[done])
+        owner, low, middle, high = owner[~done], low[~done], middle[~done], high[~done]
+        if len(owner) == 0:
+            break
+        owner, low, high = np.tile(owner, 2), np.concatenate([low, middle]), np.concatenate([middle, high])
+    else:
+        np.maximum.at(bound, owner, np.inf)
+    return np.asarray(bound + model.radius[these] + model.rounding[these])
+
+
+def prove(
+    packed: Packed, model: Packed, tolerance: float | None, progress: Progress | None = None, *, excess: bool = True
+) -> CoverReport:
+    """Prove that a model covers a body, or that it does not; see `Body.covered_by`."""
+    elements, target = Elements(model), Target(packed)
+    length = RESOLUTION * target.size if tolerance is None else tolerance
+    proof = _Proof(target, elements, length)
+
+    def report(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done * 6 // 10, total)
+
+    whole = proof.wholes()
+    triangles, owner = target.own
+    left = ~whole[owner]
+    covered, outside, rest = proof.surface(triangles[left], owner[left], report)
+    undecided = 0.0 if rest is None else float(rest.area.sum())
+    covered += float(_areas(triangles[~left]).sum())
+    if rest is not None and proof.witness is None:
+        proof.dive(rest, inside=False)
+    around = target.curved & ~whole
+    if proof.witness is None and around.any():
+        # Curved pieces are covered if polytopes around them are.
+        these = around[target.owner]
+        _, _, more = proof.surface(target.triangles[these], target.owner[these], lambda done, total: None, own=False)
+        found = [cells for cells in (rest, more) if cells is not None]
+        rest = _Cells.joined(found) if found else None
+    holes = None
+    if proof.witness is None and not whole.all():
+        holes = proof.inside()
+        if holes is not None and proof.witness is None:
+            proof.dive(holes, inside=True)
+    if progress is not None:
+        progress(80, 100)
+    covers = proof.witness is None and rest is None and holes is None
+    depth, share = (0.0, 0.0), (0.0, 0.0)
+    if not covers:
+        upper = proof.depth(whole, holes)
+        depth = (proof.deepest, max(upper, proof.deepest))
+        total = covered + outside + undecided
+        share = (outside / total, (outside + undecided) / total) if total > 0 else share
+    outcome = "covered" if covers else "undecided" if proof.witness is None else "uncovered"
+    sticks = excess_of(target, model, elements, length) if excess else (0.0, float("inf"))
+    if progress is not None:
+        progress(100, 100)
+    return CoverReport(outcome, share, depth, proof.witness, sticks)
+
+
+def first_failures(target: Target, model: Packed, protrusion: float) -> Floats:
+    """Return points at which a model fails to cover a body, or fails to be proven to; none if it covers."""
+    proof = _Proof(target, Elements(model), 0.02 * protrusion)
+    whole = proof.wholes()
+    triangles, owner = target.triangles, target.owner
+    left = ~whole[owner]
+    _, _, rest = proof.surface(triangles[left], owner[left], lambda done, total: None)
+    missed = [*proof.outside, rest.middles()[0] if rest is not None else np.empty((0, 3))]
+    points = np.concatenate(missed)
+    if len(points) == 0 and not whole.all():
+        holes = proof.inside()
+        points = np.concatenate([*proof.outside, np.empty((0, 3)) if holes is None else holes.middles()[0]])
+    return points[:: max(1, len(points) // 1000)]

@@ -1,0 +1,298 @@
+"""Convex pieces as functions that are at most zero inside, for many pairs of a point and a piece at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._kernels import columns
+from loewner._matrices import dot, lengths, product, singular_values
+from loewner._validate import Bools, Floats, Ints
+from loewner.bodies.kinds import KIND_NAMES
+from loewner.bodies.pack import Packed
+from loewner.coverage import distances_from
+from loewner.errors import GeometryError, InputError
+from loewner.polytopes import Polytope
+
+# Roundings in a height, relative to the size of the element (docs/containment.md).
+HEIGHT_ROUNDINGS = 64 * 2.0**-53
+
+# Number of products of points and planes formed at a time.
+AT_ONCE = 1_000_000
+
+# Steps of the search for a direction that leads away from all elements, and the least product that counts.
+FACING_STEPS, FACING = 8, 1e-6
+
+# Steps of Newton's method for the point of an ellipsoid that is nearest to a point.
+NEAREST_STEPS = 24
+
+
+class Elements:
+    """The convex pieces of a body, as convex functions of points, called heights.
+
+    A height is at most zero inside the piece and positive outside, and two points' heights differ by no more than the
+    points' distance. Outside, the height is therefore a lower bound on the distance. For a ball or a capsule, it is the
+    signed distance; for a polytope, the largest signed distance from a face's plane; for an ellipsoid, a cylinder or a
+    cone, the gauge of the unit shape, minus 1 and times the smallest semi-axis.
+
+    Parameters
+    ----------
+    packed : Packed
+        The pieces of one body.
+    name : str
+        For messages.
+
+    Attributes
+    ----------
+    kind : ndarray of int, shape (n,)
+    rounding : ndarray, shape (n,)
+        Bounds on the errors of heights that decide whether a point is inside; docs/containment.md derives them.
+    exact : ndarray of bool, shape (n,)
+        Whether the sign of the heights of stored points has no error, as for boxes along the axes.
+    plain : bool
+        Whether all elements are balls, capsules and boxes. The way to the nearest point of such an element is a
+        combination of the directions that `face_one_way` considers.
+    """
+
+    def __init__(self, packed: Packed, name: str = "model") -> None:
+        self.kind = packed.layout[:, columns.KIND]
+        flat = np.flatnonzero(self.kind < columns.POLYTOPE)
+        if len(flat):
+            found = KIND_NAMES[int(self.kind[flat[0]])]
+            raise InputError(f"{name}: expected convex pieces, found a {found} as piece {flat[0]}; see Body.from_mesh")
+        n = len(self.kind)
+        self.radius, self.center = packed.frames[:, 0].copy(), packed.frames[:, 1:4].copy()
+        self.factor = packed.frames[:, 4:].reshape(n, 3, 3).copy()
+        self.axis = np.ascontiguousarray(self.factor[:, :, 2])
+        self.rounding, self.exact = np.empty(n), np.zeros(n, dtype=bool)
+        self.hulls: dict[int, Polytope] = {}
+        round_ = (self.kind == columns.POINT) | (self.kind == columns.SEGMENT)
+        far = np.where(self.kind == columns.SEGMENT, lengths(self.axis), 0.0)
+        self.rounding[round_] = HEIGHT_ROUNDINGS * (self.radius + far)[round_]
+        self._take_gauges()
+        self._take_planes(packed)
+        self.kinds = np.unique(self.kind).tolist()
+        boxes = all(_right_angled(hull.normals) for hull in self.hulls.values())
+        self.plain = boxes and set(self.kinds) <= {columns.POINT, columns.SEGMENT, columns.POLYTOPE}
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def _take_gauges(self) -> None:
+        """Prepare ellipsoids, cylinders and cones."""
+        these = np.flatnonzero(np.isin(self.kind, (columns.ELLIPSOID, columns.CYLINDER, columns.CONE)))
+        self.inverse, self.sigma = np.zeros_like(self.factor), np.zeros(len(self.kind))
+        if len(these) == 0:
+            return
+        self.inverse[these] = np.linalg.inv(self.factor[these])
+        self.sigma[these] = singular_values(self.factor[these])[:, -1]
+        # The gauge of a point is wrong by the roundings of the inverse and of its product.
+        spread = product(np.abs(self.inverse[these]), np.abs(self.factor[these]))
+        turned = np.sqrt((spread * spread).sum(axis=(1, 2)))
+        self.sigma[these] *= 1 - HEIGHT_ROUNDINGS
+        self.rounding[these] = HEIGHT_ROUNDINGS * self.sigma[these] * turned
+
+    def _take_planes(self, packed: Packed) -> None:
+        """Prepare polytopes: each simplex of the surface counts with the plane that is least far inside its corners.
+
+        By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
+        """
+        rows: dict[int, Floats] = {}
+        for i in np.flatnonzero(self.kind == columns.POLYTOPE).tolist():
+            row = packed.layout[i]
+            vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+            planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
+            triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
+            heights = product(vertices, planes[:, :3].T)
+            least, face = np.empty(len(triangles)), np.empty(len(triangles), dtype=np.int64)
+            each = max(1, AT_ONCE // len(planes))
+            for k in range(0, len(triangles), each):
+                low = heights[triangles[k : k + each]].min(axis=1)
+                below = low - planes[:, 3]
+                face[k : k + each] = below.argmax(axis=1)
+                least[k : k + each] = np.take_along_axis(low, face[k : k + each, None], axis=1)[:, 0]
+            used, place = np.unique(face, return_inverse=True)
+            offsets = np.full(len(used), np.inf)
+            np.minimum.at(offsets, place, least)
+            middle = vertices.mean(axis=0)
+            self.center[i] = middle
+            if not (offsets - product(planes[used, :3], middle[:, None])[:, 0] > 0).all():
+                raise GeometryError(f"piece {i}: expected a polytope with an interior, found one that is too flat")
+            most = heights[:, used].max(axis=0)
+            rows[i] = np.column_stack([planes[used, :3], offsets])
+            along = np.abs(planes[used, :3])
+            self.exact[i] = bool(((along == 0) | (along == 1)).all() and (most == offsets).all())
+            self.rounding[i] = HEIGHT_ROUNDINGS * np.abs(vertices).max() + (most - offsets).max()
+            self.hulls[i] = Polytope(vertices, planes[:, :3], planes[:, 3], triangles, face)
+        most_planes = max((len(row) for row in rows.values()), default=0)
+        self.planes = np.zeros((len(self.kind), most_planes, 4))
+        for i, row in rows.items():
+            self.planes[i] = np.resize(row, (most_planes, 4))
+
+    def heights(self, points: Floats, element: Ints) -> Floats:
+        """Compute the height of each point, shape (m, 3), for its element, shape (m,)."""
+        if len(self.kinds) == 1:
+            return self._heights(self.kinds[0], points, element)
+        found = np.empty(len(points))
+        kinds = self.kind[element]
+        for kind in self.kinds:
+            these = np.flatnonzero(kinds == kind)
+            found[these] = self._heights(kind, points[these], element[these])
+        return found
+
+    def _heights(self, kind: int, points: Floats, element: Ints) -> Floats:
+        if kind == columns.POLYTOPE:
+            found = np.empty(len(points))
+            each = max(1, AT_ONCE // self.planes.shape[1])
+            for k in range(0, len(points), each):
+                planes = self.planes[element[k : k + each]]
+                found[k : k + each] = (dot(points[k : k + each, None], planes[:, :, :3]) - planes[:, :, 3]).max(axis=1)
+            return found
+        arm = points - self.center[element]
+        if kind == columns.SEGMENT:
+            axis = self.axis[element]
+            arm = arm - np.clip(dot(arm, axis) / dot(axis, axis), -1.0, 1.0)[:, None] * axis
+        if kind in (columns.POINT, columns.SEGMENT):
+            return np.asarray(lengths(arm) - self.radius[element])
+        return np.asarray(self.sigma[element] * (_gauge(kind, dot(self.inverse[element], arm[:, None])) - 1.0))
+
+    def distances(self, points: Floats, element: Ints) -> Floats:
+        """Compute upper bounds on the distances of points from their elements, 0 inside."""
+        found = np.maximum(self.heights(points, element), 0.0)
+        kinds = self.kind[element]
+        for i in np.unique(element[kinds == columns.POLYTOPE]).tolist():
+            mine = np.flatnonzero((element == i) & (found > 0))
+            if len(mine):
+                hull = self.hulls[i]
+                found[mine] = distances_from(points[mine], hull, float(self.rounding[i])) + self.rounding[i]
+        these = np.flatnonzero((self.sigma[element] > 0) & (found > 0))
+        if len(these):
+            x, e = points[these], element[these]
+            near = self._near(x - self.center[e], e)
+            share = np.ones(len(e))
+            for kind in (columns.ELLIPSOID, columns.CYLINDER, columns.CONE):
+                its = np.flatnonzero(self.kind[e] == kind)
+                if len(its):
+                    # A convex function that is below zero at the center is at most zero at this share of the way.
+                    center = 1.0 - float(_gauge(kind, np.zeros((1, 3)))[0])
+                    above = np.maximum(_gauge(kind, dot(self.inverse[e[its]], near[its, None])) - 1.0, 0.0)
+                    share[its] = center / (center + above)
+            found[these] = lengths(x - self.center[e] - share[:, None] * near) + self.rounding[e]
+        return found
+
+    def below(self, points: Floats, element: Ints) -> Floats:
+        """Compute lower bounds on the distances of points from their elements, at least as good as heights."""
+        found = self.heights(points, element)
+        kinds = self.kind[element]
+        these = np.flatnonzero(kinds == columns.POLYTOPE)
+        if len(these):
+            far = self.distances(points[these], element[these]) - 3 * self.rounding[element[these]]
+            found[these] = np.where(found[these] > 0, np.maximum(found[these], far), found[these])
+        these = np.flatnonzero((self.sigma[element] > 0) & (found > 0))
+        if len(these):
+            # The plane across the way to a near point touches the element at its support.
+            e = element[these]
+            arm = points[these] - self.center[e]
+            way = arm - self._near(arm, e)
+            length = lengths(way)
+            way /= np.where(length > 0, length, 1.0)[:, None]
+            turned = dot(self.factor[e].transpose(0, 2, 1), way[:, None])
+            across, up = np.hypot(turned[:, 0], turned[:, 1]), turned[:, 2]
+            support = np.where(self.kind[e] == columns.ELLIPSOID, lengths(turned), across + np.abs(up))
+            support = np.where(self.kind[e] == columns.CONE, np.maximum(across - up, up), support)
+            found[these] = np.maximum(found[these], dot(way, arm) - support - self.rounding[e])
+        return found
+
+    def _near(self, arm: Floats, element: Ints) -> Floats:
+        """Compute points of the elements near to points outside, relative to the elements' centers."""
+        unit = dot(self.inverse[element], arm[:, None])
+        kinds = self.kind[element]
+        squares = (self.factor[element] ** 2).sum(axis=1)
+        # The nearest point of an ellipsoid with semi-axes a is where (a y / (a² + t))² sums to 1, with y = a unit.
+        t = np.zeros(len(arm))
+        for _ in range(NEAREST_STEPS):
+            terms = squares * unit / (squares + t[:, None])
+            value, slope = (terms**2).sum(axis=1) - 1.0, (2.0 * terms**2 / (squares + t[:, None])).sum(axis=1)
+            t += np.where(value > 0, value / slope, 0.0)
+        near = squares * unit / (squares + t[:, None])
+        across = np.maximum(np.hypot(unit[:, 0], unit[:, 1]), 1.0)
+        clipped = np.column_stack([unit[:, :2] / across[:, None], np.clip(unit[:, 2], -1.0, 1.0)])
+        near = np.where((kinds == columns.CYLINDER)[:, None], clipped, near)
+        near = np.where((kinds == columns.CONE)[:, None], unit, near)
+        return dot(self.factor[element], near[:, None])
+
+    def face_one_way(self, middles: Floats, reach: Floats, cell: Ints, element: Ints) -> Bools:
+        """Return whether one direction leads away from all elements listed for a cell, at each of its points.
+
+        Parameters
+        ----------
+        middles, reach : ndarray, shapes (k, 3) and (k,)
+            Balls that hold the cells.
+        cell, element : ndarray of int, shape (m,)
+            Pairs of a cell and an element.
+
+        Returns
+        -------
+        ndarray of bool, shape (k,)
+            If true, the least of the listed elements' heights has no local maximum above zero in the cell.
+        """
+        rows, slacks, owners = [], [], []
+        answers = np.ones(len(middles), dtype=bool)
+        kinds = self.kind[element]
+        for kind in self.kinds:
+            these = np.flatnonzero(kinds == kind)
+            its, e = cell[these], element[these]
+            arm, far = middles[its] - self.center[e], reach[its]
+            if kind == columns.POINT:
+                made = [(arm, far, its)]
+            elif kind == columns.SEGMENT:
+                made = [(arm - self.axis[e], far, its), (arm + self.axis[e], far, its)]
+            elif kind == columns.ELLIPSOID:
+                unit, size = dot(self.inverse[e], arm[:, None]), self.sigma[e]
+                gradient = dot(self.inverse[e].transpose(0, 2, 1), unit[:, None]) * (size * size)[:, None]
+                made = [(gradient, far, its)]
+            elif kind == columns.POLYTOPE:
+                planes = self.planes[e]
+                above = dot(middles[its][:, None], planes[:, :, :3]) - planes[:, :, 3] > -(far * (1 + 1e-9))[:, None]
+                pair, face = np.nonzero(above)
+                made = [(planes[pair, face, :3], np.zeros(len(pair)), its[pair])]
+            else:
+                answers[its] = False
+                continue
+            for row, slack, owner in made:
+                rows.append(row)
+                slacks.append(slack)
+                owners.append(owner)
+        if not rows:
+            return answers
+        row, slack, owner = np.concatenate(rows), np.concatenate(slacks), np.concatenate(owners)
+        size = lengths(row)
+        unit = row / np.where(size > 0, size, 1.0)[:, None]
+        share = np.where(size > 0, slack / np.where(size > 0, size, 1.0), np.inf) + FACING
+        way = np.zeros((len(middles), 3))
+        np.add.at(way, owner, unit)
+        for _ in range(FACING_STEPS):
+            length = lengths(way)
+            way /= np.where(length > 0, length, 1.0)[:, None]
+            excess = dot(unit, way[owner]) - share
+            least = np.full(len(middles), np.inf)
+            np.minimum.at(least, owner, excess)
+            worst = np.flatnonzero((excess == least[owner]) & (least[owner] <= 0))
+            if len(worst) == 0:
+                break
+            way[owner[worst]] += unit[worst]
+        return np.asarray(answers & (least > 0))
+
+
+def _right_angled(normals: Floats) -> bool:
+    return len(normals) == 6 and bool((np.abs(np.abs(product(normals, normals.T)) - 0.5) > 0.5 - 1e-9).all())
+
+
+def _gauge(kind: int, unit: Floats) -> Floats:
+    """Compute gauges of the unit ball or cylinder; for the cone, a convex function with gradients of length 1."""
+    if kind == columns.ELLIPSOID:
+        return lengths(unit)
+    across, up = np.hypot(unit[:, 0], unit[:, 1]), unit[:, 2]
+    if kind == columns.CYLINDER:
+        return np.asarray(np.maximum(across, np.abs(up)))
+    # The apex is at height 1, and the base of radius 1 at height -1.
+    return np.asarray(1.0 + np.maximum(-1.0 - up, (2.0 * across + up - 1.0) / np.sqrt(5.0)))

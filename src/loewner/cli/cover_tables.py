@@ -1,0 +1,135 @@
+"""Print how a robot's links are covered by shapes, and return the exit status."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import plots
+from loewner.bodies import packed_of
+from loewner.bodies.triangulated import of_pieces
+from loewner.cli.inputs import numbers
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
+from loewner.coverage import CoverReport
+from loewner.errors import FileError
+
+DRAWN = (".png", ".svg")
+STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
+
+
+def refuse_other_pictures(picture: Path | None) -> None:
+    """Refuse the name of a picture of another kind, before any work."""
+    if picture is not None and picture.suffix.lower() not in DRAWN:
+        raise FileError(f"--picture: expected a .png or .svg file, found {picture}")
+
+
+def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> dict[str, CoverReport]:
+    """Judge a model with a progress bar."""
+    with progress_bar() as progress:
+        task = progress.add_task("proofs", total=len(robot.bodies))
+        return robot.covered_by(
+            model, tolerance=tolerance, progress=lambda done, total: progress.update(task, completed=done, total=total)
+        )
+
+
+def print_reports(
+    robot: loewner.Robot,
+    model: loewner.Robot,
+    reports: Mapping[str, CoverReport],
+    more: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Print a row for each link, with more columns if they are given."""
+    more = more or {}
+    where = any(report.witness is not None for report in reports.values())
+    heads = ["link", "shapes", "outcome", "uncovered", "up to", *(["at, m"] if where else []), "sticks out", *more]
+    table = new_table(*heads, title=f"{robot.name}: {len(robot.bodies)} links with bodies")
+    for number, (link, report) in enumerate(reports.items()):
+        shapes = len(model.bodies[link].pieces) if link in model.bodies else 0
+        witness = [] if not where else ["-" if report.witness is None else numbers(report.witness)]
+        table.add_row(
+            link, str(shapes), report.outcome, _percent(report.uncovered_share), _millimetres(report.depth), *witness,
+            _millimetres(report.excess), *(column[number] for column in more.values()),
+        )  # fmt: skip
+    print_table(table)
+    counts = {name: sum(report.outcome == name for report in reports.values()) for name in STATUS}
+    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    largest = max(report.excess[1] for report in reports.values())
+    if any(report.outcome == "uncovered" for report in reports.values()):
+        area = {link: _area(body) for link, body in robot.bodies.items()}
+        ends = [
+            sum(reports[link].uncovered_share[k] * area[link] for link in area) / sum(area.values()) for k in (0, 1)
+        ]
+        print(f"{_percent((ends[0], ends[1]))} of the surface of all links is outside")
+    print(
+        f"{told} of {len(reports)} links; {sum(len(body.pieces) for body in model.bodies.values())} shapes, "
+        f"which stick out by up to {_number(1e3 * largest, np.ceil)} mm"
+    )
+
+
+def _area(body: loewner.Body) -> float:
+    """The area of the surfaces of all pieces."""
+    corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed_of(body))])
+    return (
+        float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()) / 2
+    )
+
+
+def _percent(share: tuple[float, float]) -> str:
+    return _interval(share, 100.0, "%")
+
+
+def _millimetres(length: tuple[float, float]) -> str:
+    return _interval(length, 1e3, "mm")
+
+
+def _interval(ends: tuple[float, float], factor: float, unit: str) -> str:
+    """Write bounds with three digits, rounded outwards; as one number if they agree."""
+    low, high = _number(factor * ends[0], np.floor), _number(factor * ends[1], np.ceil)
+    return f"{low} {unit}" if low == high else f"{low} .. {high} {unit}"
+
+
+def _number(x: float, rounded: Callable[[float], float]) -> str:
+    if x == 0 or not np.isfinite(x):
+        return f"{x:g}"
+    step = 10.0 ** (np.floor(np.log10(abs(x))) - 2)
+    return f"{rounded(x / step) * step:.4g}"
+
+
+def entry(report: CoverReport, shapes: int) -> dict[str, Any]:
+    """A report as JSON has it; null for a distance that is infinite."""
+
+    def ends(pair: tuple[float, float]) -> list[float | None]:
+        return [end if np.isfinite(end) else None for end in pair]
+
+    return {
+        "shapes": shapes,
+        "outcome": report.outcome,
+        "uncovered_share": ends(report.uncovered_share),
+        "depth": ends(report.depth),
+        "witness": None if report.witness is None else report.witness.tolist(),
+        "excess": ends(report.excess),
+    }
+
+
+def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
+    """All reports as JSON has them."""
+    return {
+        link: entry(report, len(model.bodies[link].pieces) if link in model.bodies else 0)
+        for link, report in reports.items()
+    }
+
+
+def draw(robot: loewner.Robot, model: loewner.Robot, picture: Path | None) -> None:
+    """Draw a picture if one was requested."""
+    if picture is not None:
+        plots.save(plots.cover(robot, model), picture)
+
+
+def status(reports: Mapping[str, CoverReport]) -> int:
+    """Return the exit status: 0 if all links are covered, 1 if one is not, 3 if one is undecided."""
+    outcomes = {report.outcome for report in reports.values()}
+    return next(STATUS[name] for name in ("uncovered", "undecided", "covered") if name in outcomes)

@@ -1,0 +1,155 @@
+"""Cover the links of robots by simple shapes, and judge such models of others, link by link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from loewner import _validate
+from loewner._plausible import warn
+from loewner._validate import Floats, Named, Pair, Progress
+from loewner.bodies import Body
+from loewner.coverage import CoverReport
+from loewner.errors import InputError
+from loewner.robots.checker import CollisionChecker
+from loewner.robots.robot import Robot, answers
+
+Kind = Literal["spheres", "capsules", "boxes", "ellipsoids"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+# How far shapes may stick out of links by default [m].
+USUAL = 0.02
+
+# Configurations in which pairs are searched that only the shapes of a cover bring into contact: such a pair that meets
+# in one of a hundred configurations is missed once in thirty thousand robots.
+TRIED = 1000
+
+# Boxes of configurations for the proofs that these pairs never collide; most pairs take some thousands.
+BOXES = 200_000
+
+# For a number of shapes: the range of protrusions [m] that is searched, the first one, and the number of steps; and the
+# share of the number that is enough. Numbers of shapes fall about as the protrusion to the power of -1.25.
+LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
+
+
+def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
+    """Answer `Robot.cover`, which has the defaults."""
+    _validate.callback(progress, "progress")
+    if not self.bodies:
+        raise InputError("expected a robot with bodies, found one without")
+    if n is None:
+        bodies = _covered(self, kind, USUAL if protrusion is None else protrusion, progress, 0, 1)
+    elif protrusion is not None:
+        raise InputError("n: expected none with protrusion, found both")
+    else:
+        bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), progress)
+    made = with_bodies(self, bodies)
+    found = new_contacts(self, made)
+    pairs = [pair for pair, _, _ in found]
+    rows = self.prove_pairs(pairs, boxes=BOXES).with_verdict("NEVER") if pairs else ()
+    never = frozenset(row.names for row in rows)
+    always = [f"{a} and {b}" for (a, b), _, share in found if share == 1.0 and (a, b) not in never]
+    if always:
+        warn(
+            f"shapes of links that may collide meet in all of {TRIED} configurations, so no motion of this cover is "
+            f"free: {', '.join(always)}; take a smaller protrusion"
+        )
+    return made.disabling(exempt_pairs(made) | never)
+
+
+def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
+    """Return the same robot with other bodies and, if they are given, other exempt pairs instead of its rules."""
+    made = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
+    return made if ignored is None else replace(made, disabled_pairs=ignored, _ruled=True)
+
+
+def exempt_pairs(robot: Robot) -> frozenset[Pair]:
+    """Return the pairs of links that a checker of this robot does not check by default."""
+    return robot._usually_skipped
+
+
+def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
+    """Return the exempt pairs of a robot with rules on pairs; None for one without."""
+    return robot.disabled_pairs if robot._lists_pairs else None
+
+
+def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
+    """Find the pairs that meet in some configurations with another robot's bodies, but not with a robot's own.
+
+    Each pair comes with the share of random configurations in which this is so, and the share in which the other
+    robot's bodies meet at all.
+    """
+    Q = robot.random_configurations(TRIED)
+    theirs = CollisionChecker(model)
+    meets = theirs.collide_by_pair(Q)
+    ours = CollisionChecker(with_bodies(robot, robot.bodies, exempt_pairs(model)))
+    known = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
+    none = np.zeros(TRIED, dtype=bool)
+    shares = [
+        ((min(pair), max(pair)), float((hits & ~known.get(pair, none)).mean()), float(hits.mean()))
+        for pair, hits in zip(theirs.checked_pairs, meets.T, strict=True)
+    ]
+    return [row for row in shares if row[1] > 0]
+
+
+def _covered(
+    robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
+) -> dict[str, Body]:
+    """Cover all links; of all steps, some were done before."""
+    made = {}
+    for number, (link, body) in enumerate(robot.bodies.items(), 1):
+        made[link] = body.cover(kind, protrusion=protrusion)
+        if progress is not None:
+            progress(before * len(robot.bodies) + number, steps * len(robot.bodies))
+    return made
+
+
+def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
+    """Cover all links with at most n shapes, and with most of them, which stick out of all links by one length."""
+    low, high, best, protrusion = LEAST, LARGEST, None, FIRST
+    for step in range(STEPS):
+        if n < len(robot.bodies):
+            break
+        made = _covered(robot, kind, protrusion, progress, step, STEPS)
+        count = sum(len(body.pieces) for body in made.values())
+        if count > n:
+            low = protrusion
+        else:
+            high, best = protrusion, made
+            if count >= ENOUGH * n:
+                break
+        guess = protrusion * (count / (0.96 * n)) ** POWER
+        protrusion = guess if low < guess < high else float(np.sqrt(low * high))
+    if best is None:
+        raise InputError(f"n: expected more shapes for {len(robot.bodies)} links, found {n}")
+    if progress is not None:
+        progress(STEPS * len(robot.bodies), STEPS * len(robot.bodies))
+    return best
+
+
+def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Progress | None) -> dict[str, CoverReport]:
+    """Answer `Robot.covered_by`, which has the defaults."""
+    if not isinstance(model, Robot):
+        raise InputError(f"model: expected loewner.Robot, found {type(model).__name__}")
+    _validate.callback(progress, "progress")
+    found = {}
+    for number, (link, body) in enumerate(self.bodies.items(), 1):
+        if link in model.bodies:
+            found[link] = body.covered_by(model.bodies[link], tolerance=tolerance)
+        else:
+            found[link] = CoverReport("uncovered", (1.0, 1.0), (np.inf, np.inf), _point_of(body), (0.0, 0.0))
+        if progress is not None:
+            progress(number, len(self.bodies))
+    return found
+
+
+def _point_of(body: Body) -> Floats:
+    """Return a point of a body."""
+    vertices = body.pieces[0].vertices
+    return np.array(body.inner.center[0] if vertices is None else vertices[0])
+
+
+answers |= {"cover": cover, "covered_by": covered_by}

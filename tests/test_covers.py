@@ -1,0 +1,270 @@
+"""Models that provably hold a body: the three outcomes, each hole found and none invented, and fits of elements."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from loewner import Body, CoverReport, InputError, UnknownNameError
+
+ANNULUS = trimesh.creation.annulus(0.03, 0.04, 0.1)
+BOX = Body.box([0.2, 0.1, 0.1])
+
+
+def turned(seed: int, shift: float = 0.05) -> np.ndarray:
+    """Make a random pose."""
+    rng = np.random.default_rng(seed)
+    T = np.eye(4)
+    T[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    T[:3, 0] *= np.linalg.det(T[:3, :3])
+    T[:3, 3] = rng.normal(size=3) * shift
+    return T
+
+
+def in_balls(points: np.ndarray, body: Body) -> np.ndarray:
+    """Whether points are in a body of balls, in float64."""
+    centers, radii = body.outer.center, body.outer.semi_axes[:, 0]
+    return (np.linalg.norm(points[:, None] - centers, axis=2) <= radii * (1 + 1e-12)).any(axis=1)
+
+
+def outside_in_fractions(point: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> bool:
+    """Whether a point is outside of all balls, in exact arithmetic."""
+    x = [Fraction(float(v)) for v in point]
+    for center, radius in zip(centers, radii, strict=True):
+        far = sum((a - Fraction(float(b))) ** 2 for a, b in zip(x, center, strict=True))
+        if far <= Fraction(float(radius)) ** 2:
+            return False
+    return True
+
+
+def points_of_hull(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Random convex combinations, some of them near the corners and the edges."""
+    weights = rng.dirichlet(np.full(len(points), 0.2), size=count)
+    return weights @ points
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.02, 0.4))
+@settings(max_examples=25, deadline=None)
+def test_outcomes_of_balls_are_true(seed: int, count: int, radius: float):
+    """Random hulls and balls: samples of a covered body are inside, and witnesses are outside in exact arithmetic."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(8, 3)) * 0.1
+    body = Body.from_points(points)
+    centers, radii = rng.normal(size=(count, 3)) * 0.1, radius * rng.uniform(0.5, 1.0, count)
+    report = body.covered_by(Body.spheres(centers, radii), tolerance=0.005)
+    samples = points_of_hull(points, 20_000, rng)
+    held = in_balls(samples, Body.spheres(centers, radii))
+    if report.outcome == "covered":
+        assert held.all()
+        assert report.depth == (0.0, 0.0)
+        assert report.uncovered_share == (0.0, 0.0)
+    if report.outcome == "uncovered":
+        assert outside_in_fractions(report.witness, centers, radii)
+        planes = body.pieces[0]
+        assert (planes.normals @ report.witness <= planes.offsets + 1e-12).all()
+    depth = (np.linalg.norm(samples[:, None] - centers, axis=2) - radii).min(axis=1).max()
+    assert depth <= report.depth[1] + 1e-9
+    assert report.depth[0] <= report.depth[1]
+
+
+@pytest.mark.slow("bounds on depths in cones and cylinders take many cells")
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("kind", ["capsule", "box", "ellipsoid", "cylinder", "cone", "sphere", "hull"])
+def test_elements_hold_what_they_are_said_to(seed: int, kind: str):
+    """A body is in a larger copy of itself and not in a smaller one, for each kind of element and any pose."""
+    rng = np.random.default_rng(seed)
+    a, b, c = rng.uniform(0.05, 0.3, 3)
+    points = rng.normal(size=(12, 3)) * 0.1
+    make = {
+        "capsule": lambda s: Body.capsule(a * s, b * s),
+        "box": lambda s: Body.box([a * s, b * s, c * s]),
+        "ellipsoid": lambda s: Body.ellipsoid([a * s, b * s, c * s]),
+        "cylinder": lambda s: Body.cylinder(a * s, b * s),
+        "cone": lambda s: Body.cone(a * s, b * s),
+        "sphere": lambda s: Body.sphere(a * s),
+        "hull": lambda s: Body.from_points((points - points.mean(axis=0)) * s),
+    }[kind]
+    T = turned(seed)
+    body = make(1.0).transformed(T)
+    # A circumscribed polytope stands for a curved piece; it is at most 0.7 % larger.
+    assert body.covered_by(make(1.01).transformed(T), tolerance=0.005).outcome == "covered"
+    assert body.covered_by(body).outcome == "covered"
+    small = body.covered_by(make(0.97).transformed(T), tolerance=0.005)
+    assert small.outcome == "uncovered"
+    assert small.depth[0] > 0
+
+
+def test_two_balls_around_a_box():
+    """A known answer: two balls hold a box, and smaller ones leave out its corners, by a depth in closed form."""
+    centers = np.array([[-0.05, 0, 0], [0.05, 0, 0]])
+    report = BOX.covered_by(Body.spheres(centers, 0.1))
+    assert report.outcome == "covered"
+    assert report.witness is None
+    assert report.excess[0] == pytest.approx(0.05, abs=1e-4)
+    assert report.excess[1] == pytest.approx(0.05, abs=1e-4)
+    report = BOX.covered_by(Body.spheres(centers, 0.08))
+    depth = np.sqrt(3) * 0.05 - 0.08
+    assert report.outcome == "uncovered"
+    assert report.depth[0] == pytest.approx(depth, rel=0.01)
+    assert report.depth[1] >= depth * (1 - 1e-9)
+    assert outside_in_fractions(report.witness, centers, np.full(2, 0.08))
+
+
+def test_share_is_that_of_samples():
+    """The share of the surface that is outside agrees with samples, to three digits."""
+    centers, radius = np.array([[0.0, 0.01, -0.03], [0.0, -0.01, 0.03]]), 0.042
+    report = Body.from_surface(ANNULUS).covered_by(Body.spheres(centers, radius))
+    points = ANNULUS.sample(400_000, seed=0)
+    share = 1 - in_balls(points, Body.spheres(centers, radius)).mean()
+    low, high = report.uncovered_share
+    assert high - low < 1e-3
+    assert low - 3e-3 < share < high + 3e-3
+
+
+def test_radius_short_by_a_rounding_of_single_precision():
+    """Around a cube the ball is exact: a radius shorter by 2⁻²⁴ is found, one longer by 2⁻⁴⁰ covers."""
+    cube, radius = Body.box([0.1, 0.1, 0.1]), np.sqrt(3) * 0.05
+    assert cube.covered_by(Body.sphere(radius * (1 + 2.0**-40))).outcome == "covered"
+    report = cube.covered_by(Body.sphere(radius * (1 - 2.0**-24)))
+    assert report.outcome == "uncovered"
+    assert outside_in_fractions(report.witness, np.zeros((1, 3)), [radius * (1 - 2.0**-24)])
+    assert cube.covered_by(Body.sphere(radius)).outcome != "uncovered"
+
+
+@pytest.mark.slow("cells along a seam down to the tolerance")
+def test_boxes_that_share_a_face_are_not_accused():
+    """Boxes that share faces cover without a gap: never "uncovered"; moved apart by 1 µm, they leave a hole."""
+    halves = [[-0.05, 0, 0], [0.05, 0, 0]]
+    assert BOX.covered_by(Body.boxes(halves, 0.1), tolerance=1e-3).outcome in ("covered", "undecided")
+    assert BOX.covered_by(Body.boxes(halves, 0.1 + 1e-4)).outcome == "covered"
+    apart = BOX.covered_by(Body.boxes([[-0.05, 0, 0], [0.05 + 1e-6, 0, 0]], 0.1))
+    assert apart.outcome == "uncovered"
+    assert 0 < apart.witness[0] < 1e-6
+    assert 0 < apart.depth[0] <= 0.5e-6
+
+
+def test_eight_boxes_with_a_common_corner():
+    """Eight boxes that overlap cover a larger box, although its middle is in all of their seams."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.05
+    assert Body.box([0.2, 0.2, 0.2]).covered_by(Body.boxes(corners, 0.101)).outcome == "covered"
+
+
+@pytest.mark.parametrize("solid", [True, False])
+def test_a_hole_inside(solid: bool):
+    """Balls along a sphere's surface leave a hole in the middle of a solid; without an inside there is none."""
+    mesh = trimesh.creation.icosphere(3, radius=0.1)
+    body = Body.from_surface(mesh, solid=solid)
+    centers = trimesh.creation.icosphere(2).vertices * 0.09
+    shell = Body.spheres(centers, 0.03)
+    report = body.covered_by(shell)
+    assert report.outcome == ("uncovered" if solid else "covered")
+    if solid:
+        assert np.linalg.norm(report.witness) < 0.06
+        assert report.depth[0] == pytest.approx(0.06, rel=0.02)
+        assert report.depth[1] >= 0.06 * (1 - 1e-6)
+        assert body.covered_by(Body.union([shell, Body.sphere(0.07)])).outcome == "covered"
+        # Between the balls the hole goes on beyond this radius.
+        pierced = body.covered_by(Body.union([shell, Body.sphere(0.0605)]))
+        assert pierced.outcome == "uncovered"
+        assert 0.0605 < np.linalg.norm(pierced.witness) < 0.07
+
+
+def test_a_cavity_is_no_part_of_the_body():
+    """What is inside a cavity need not be covered."""
+    outer, inner = trimesh.creation.icosphere(3, radius=0.1), trimesh.creation.icosphere(3, radius=0.07)
+    inner.invert()
+    shell = Body.from_surface(trimesh.util.concatenate([outer, inner]))
+    centers = trimesh.creation.icosphere(2).vertices * 0.085
+    assert shell.covered_by(Body.spheres(centers, 0.035)).outcome == "covered"
+
+
+def test_excess_of_elements_that_stick_out():
+    """The excess of each kind of element over a box is known in closed form."""
+    for model, excess in (
+        (Body.box([0.22, 0.1, 0.1]), 0.01),
+        (Body.capsule(0.08, 0.4), 0.2 + 0.08 - 0.05),
+        (Body.ellipsoid([0.3, 0.1, 0.1]), 0.2),
+        (Body.cylinder(0.2, 0.3), np.hypot(0.15, 0.1)),
+    ):
+        report = BOX.covered_by(model)
+        assert report.excess[0] <= excess * (1 + 1e-9)
+        assert excess * (1 - 1e-9) <= report.excess[1] <= excess * 1.05 + 1e-3
+
+
+@pytest.mark.slow("fits of spheres and capsules repeat a search and a proof")
+@pytest.mark.parametrize("kind", ["spheres", "capsules", "boxes", "ellipsoids"])
+def test_covers_by_number(kind: str):
+    """A cover has at most n elements, is proven by another call, holds samples, and sticks out as it states."""
+    body = Body.from_surface(ANNULUS)
+    cover = body.cover(kind, n=6)
+    assert len(cover.pieces) <= 6
+    report = body.covered_by(cover)
+    assert report.outcome == "covered"
+    assert report.excess[0] <= cover.covering.max_protrusion == pytest.approx(report.excess[1])
+    assert cover.covering.exact
+    assert cover.covering.max_uncovered == 0.0
+    assert cover.covering.kind == "cover"
+    if kind == "spheres":
+        assert in_balls(ANNULUS.sample(100_000, seed=1), cover).all()
+
+
+@pytest.mark.slow("two fits of spheres")
+def test_covers_by_protrusion():
+    """Spheres stick out by at most the protrusion, and take no more of them if more is allowed."""
+    counts = []
+    for protrusion in (0.012, 0.03):
+        cover = BOX.cover("spheres", protrusion=protrusion)
+        assert cover.covering.max_protrusion <= protrusion
+        counts.append(len(cover.pieces))
+        samples = np.random.default_rng(0).uniform(-0.5, 0.5, (100_000, 3)) * [0.2, 0.1, 0.1]
+        assert in_balls(samples, cover).all()
+        numbers = np.concatenate([cover.outer.center.ravel(), cover.outer.semi_axes[:, 0]])
+        assert (numbers == numbers.astype(np.float32)).all()
+    assert counts[0] > counts[1]
+
+
+@pytest.mark.slow("a fit of spheres")
+def test_spheres_of_an_open_surface():
+    """A surface without an inside is held by spheres about its points."""
+    triangle = Body.from_surface((np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2]])))
+    cover = triangle.cover(protrusion=0.02)
+    assert cover.covering.max_protrusion <= 0.02
+    assert triangle.covered_by(cover).outcome == "covered"
+
+
+def test_progress_and_saved_covers(tmp_path):
+    """The share that is reported never falls and ends complete; a cover is saved with its covering."""
+    shares: list[float] = []
+    cover = BOX.cover("boxes", n=2, progress=lambda done, total: shares.append(done / total))
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    shares.clear()
+    BOX.covered_by(cover, progress=lambda done, total: shares.append(done / total))
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    cover.save(tmp_path / "cover.npz")
+    assert Body.load(tmp_path / "cover.npz").covering.max_protrusion == cover.covering.max_protrusion
+
+
+def test_bad_input():
+    """Each argument that is wrong is named."""
+    with pytest.raises(InputError, match=r"model: expected loewner\.Body"):
+        BOX.covered_by([])
+    with pytest.raises(InputError, match="model: expected convex pieces, found a solid"):
+        BOX.covered_by(Body.from_surface(ANNULUS))
+    with pytest.raises(InputError, match="tolerance"):
+        BOX.covered_by(BOX, tolerance=0.0)
+    with pytest.raises(InputError, match="n, protrusion: expected one of the two, found none"):
+        BOX.cover()
+    with pytest.raises(InputError, match="n, protrusion: expected one of the two, found both"):
+        BOX.cover(n=3, protrusion=0.1)
+    with pytest.raises(UnknownNameError, match="kind"):
+        BOX.cover("cones", n=3)
+    with pytest.raises(InputError, match="n: expected"):
+        BOX.cover(n=0)
+    with pytest.raises(InputError, match="protrusion: expected at least"):
+        BOX.cover(protrusion=1e-7)
+    assert isinstance(BOX.covered_by(BOX), CoverReport)
