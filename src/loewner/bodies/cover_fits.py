@@ -33,6 +33,9 @@ STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 # axis at which its depth is measured.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
+# Limits on the steps of the local search for each ball, and on the points that one step compares.
+STEPS_EACH, SEEN = 50, 500
+
 # Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 3 % by which
 # the protrusion grows until the number is proven to suffice.
 HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
@@ -244,7 +247,7 @@ def _exchanged(holds: Bools, found: Ints, steps: int) -> Ints:
 
     for k in chosen:
         change(k, 1, -10)
-    for step in range(steps):
+    for step in range(min(steps, STEPS_EACH * len(chosen))):
         while count.all():
             best = np.array(chosen, dtype=np.int64)
             if len(chosen) == 1:
@@ -254,6 +257,7 @@ def _exchanged(holds: Bools, found: Ints, steps: int) -> Ints:
             drop(step, 3)
         left = np.flatnonzero(count == 0)
         able = np.flatnonzero(holds[left[step * 7919 % len(left)]])
+        left = left[:: -(-len(left) // SEEN)]
         gain = weight[left] @ holds[np.ix_(left, able)]
         gain[last[able] == step] = -1.0
         chosen.append(int(able[gain.argmax()]))
