@@ -264,7 +264,6 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot check",
         " clash",
         " cover",
-        " judge",
         " plan",
         " verify",
         " audit",
