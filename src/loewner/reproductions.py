@@ -16,7 +16,7 @@ from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError
 from loewner.judging import PARTS, POINT, Finding, Judgement, judge_answers
 
-# Answers of another program, by the names of arguments of `judge_answers`.
+# Answers of another program, by the names of arguments of `judging.judge_answers`.
 Answers = Mapping[str, Any]
 
 # Decimals to which corners are rounded, in the order in which this is tried.
@@ -101,7 +101,7 @@ def reproduction(
     tolerance: float = 1e-6,
     engine: Callable[[Floats, Floats], Answers] | None = None,
 ) -> str:
-    """Write a program of a page that proves an answer to be wrong, by `fractions` of Python's standard library alone.
+    """Write a program of a page that proves an answer to be wrong, by ```fractions``` of Python's standard library alone.
 
     It contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof of each
     part that is wrong: a plane between the bodies, two of their points, or a surface around the differences of their
@@ -114,7 +114,7 @@ def reproduction(
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Poses; translation in metres. None is the identity.
     colliding, distance, depth, witness_a, witness_b, normal, tolerance
-        One answer, as for `judge_answers`.
+        One answer, as for `judging.judge_answers`.
     engine : callable, optional
         Called as engine(corners_a, corners_b) with arrays of shapes (n, 3); returns the other program's answers about
         these hulls at the same poses, in a dict with names of parts as keys. As long as the worst part remains wrong in
@@ -128,7 +128,7 @@ def reproduction(
     Raises
     ------
     PoseError, InputError
-        As for `judge_answers`; and if a body is not one polytope, or nothing is proven wrong.
+        As for `judging.judge_answers`; and if a body is not one polytope, or nothing is proven wrong.
 
     Examples
     --------

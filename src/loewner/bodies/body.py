@@ -926,7 +926,7 @@ class Body(_Bodies):
             The largest number of elements; the elements stick out as little as the search achieves.
         protrusion : float, optional
             The largest distance by which an element may stick out of the body, in metres; the number of elements is as
-            small as the search achieves. Give either `n` or `protrusion`.
+            small as the search achieves. Give either `n` or ```protrusion```.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
@@ -934,13 +934,13 @@ class Body(_Bodies):
         -------
         Body
             One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
-            `protrusion` if that was given. Centers and radii of spheres are multiples of a power of two, so that
+            ```protrusion``` if that was given. Centers and radii of spheres are multiples of a power of two, so that
             float32 and the decimals in files hold the same numbers.
 
         Raises
         ------
         InputError
-            If not exactly one of `n` and `protrusion` is given, or it is out of range: at least one element, and at
+            If not exactly one of `n` and ```protrusion``` is given, or it is out of range: at least one element, and at
             least 1e-4 of the body's diagonal.
         GeometryError
             If no such elements are found.

@@ -1231,7 +1231,7 @@ class Robot(KeepsReadOnly):
             As for `Body.cover`.
         n : int, optional
             The largest number of shapes of the whole robot. All links then have the same bound on how far shapes stick
-            out. This takes several times as long as a given `protrusion`.
+            out. This takes several times as long as a given ``protrusion``.
         protrusion : float, optional
             The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
         progress : callable, optional
@@ -1245,7 +1245,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If `n` and `protrusion` are both given, the robot has no bodies, or no cover has at most `n` shapes. As for
+            If `n` and ``protrusion`` are both given, the robot has no bodies, or no cover has at most `n` shapes. As for
             `Body.cover`.
 
         Warns
