@@ -101,7 +101,7 @@ def reproduction(
     tolerance: float = 1e-6,
     engine: Callable[[Floats, Floats], Answers] | None = None,
 ) -> str:
-    """Write a program of a page that proves an answer to be wrong, by ```fractions``` of Python's standard library alone.
+    """Write a program of a page that proves an answer to be wrong, by fractions of Python's standard library alone.
 
     It contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof of each
     part that is wrong: a plane between the bodies, two of their points, or a surface around the differences of their
