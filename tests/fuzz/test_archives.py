@@ -500,7 +500,7 @@ REFUSED = {
     "a flat layout": (lambda a: a.update(layout=a["layout"].ravel()), "layout: expected shape"),
     "four frames": (lambda a: a.update(frames=np.zeros((4, 13))), "frames: expected shape"),
     "covering of three": (_set("covering", ["hull", "True", "0"]), "covering: expected six"),
-    "covering of no kind": (_set("covering", ["cover", "True", "0.0", "nan", "8"]), "covering: expected a kind"),
+    "covering of no kind": (_set("covering", ["covers", "True", "0.0", "nan", "8"]), "covering: expected a kind"),
     "covering without a number": (_set("covering", ["hull", "True", "x", "nan", "8"]), "covering: expected numbers"),
     "negative covering": (_set("covering", ["hull", "True", "-1.0", "nan", "8"]), "covering: expected a length"),
     "covering of numbers": (_set("covering", np.arange(5)), "covering.npy: expected short text"),

@@ -38,6 +38,9 @@ OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
+# Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
+STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
+
 # Squares of lengths below this have lost some or all digits: dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 

@@ -18,12 +18,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from loewner import _validate
 from loewner._files import named_by_content, replacing
 from loewner._kernels import columns
-from loewner._rotations import to_rpy
+from loewner._rotations import quaternions_of, to_rpy
 from loewner._validate import Floats
 from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
@@ -110,7 +109,7 @@ def add_geoms(
         half = {"box": [0.5] * 3, "cylinder": [1.0, 0.5], "capsule": [1.0, 0.5]}.get(shape.kind, 1.0)
         geom.set("size", numbers(np.multiply(shape.sizes, half)))
         geom.set("pos", numbers(shape.center))
-        geom.set("quat", numbers(np.roll(Rotation.from_matrix(shape.rotation).as_quat(), 1)))
+        geom.set("quat", numbers(quaternions_of(shape.rotation)))
 
 
 def _is_small(vertices: Floats, triangles: Any, number: int) -> bool:

@@ -1245,8 +1245,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If `n` and ``protrusion`` are both given, the robot has no bodies, or no cover has at most `n` shapes. As for
-            `Body.cover`.
+            If `n` and ``protrusion`` are both given, the robot has no bodies, or no cover has at most `n` shapes. As
+            for `Body.cover`.
 
         Warns
         -----

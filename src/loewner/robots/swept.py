@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate, meshes
 from loewner._kernels import columns
-from loewner._kernels.robots.motion_bounds import UPWARD
+from loewner._kernels.tolerances import STRETCH
 from loewner._matrices import dot, image, lengths, principal_axes, product
 from loewner._native import entries
 from loewner._threads import in_shares
@@ -210,7 +210,7 @@ def _parts(body: int, name: str, packed: Packed, tolerance: float) -> Iterator[_
             sides = image(axes, vertices)
             ends = np.stack([sides.min(axis=0), sides.max(axis=0)]) + ROUNDINGS * np.abs(sides).max() * _SIGNS
             corners = image(axes.T, ends[_CORNERS, np.arange(3)])
-            yield _Part(body, vertices, corners, UPWARD * near, UPWARD * out)
+            yield _Part(body, vertices, corners, (1.0 + STRETCH) * near, (1.0 + STRETCH) * out)
 
 
 _SIGNS = np.array([[-1.0], [1.0]])

@@ -20,7 +20,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import BALL, FIXED, FLOATING, PLANAR, PRISMATIC
 from loewner._kernels.elementary import arc_sine
 from loewner._kernels.pieces.pack import motion_tables_of, problem_of
-from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.tolerances import STRETCH, UNIT_ROUNDOFF
 
 # Rounding of a position by forward kinematics, for each joint of the chain, in units of the chain's length.
 JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 64, certified.md B24
@@ -38,8 +38,6 @@ TURN = 1.5  # derived 1.42, certified.md B26
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 64, certified.md B27
 NORM_SHARE = 16.0  # derived 6.2, certified.md B28
 
-# Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
-STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
 UPWARD = 1.0 + STRETCH
 
 SMALLEST_TURN = 1e-15  # rad; more than the error of an angle between two equal quaternions
