@@ -268,3 +268,21 @@ def test_bad_input():
     with pytest.raises(InputError, match="protrusion: expected at least"):
         BOX.cover(protrusion=1e-7)
     assert isinstance(BOX.covered_by(BOX), CoverReport)
+
+
+def test_a_plate_shaped_hole_is_found():
+    """Elements that do not meet a cell in the middle of a hole may be the nearest ones there."""
+    low = [[-1.1, -1.1, -1.1], [0.56, -1.1, -1.1], [-1.1, -1.1, -1.1], [-1.1, 0.3, -1.1], [-1.1] * 3, [-1.1, -1.1, 0.3]]
+    high = [[0.44, 1.1, 1.1], [1.1] * 3, [1.1, -0.3, 1.1], [1.1] * 3, [1.1, 1.1, -0.3], [1.1] * 3]
+    model = Body.boxes((np.array(low) + high) / 2, np.subtract(high, low))
+    found = Body.box([2, 2, 2]).covered_by(model)
+    assert found.outcome == "uncovered"
+    assert (np.abs(found.witness - [0.5, 0, 0]) < [0.06, 0.3, 0.3]).all()
+    assert found.depth[0] <= 0.06 <= found.depth[1]
+
+
+def test_a_thick_surface_is_not_its_corners():
+    """A surface with a radius is not held by the hull of its corners."""
+    box = trimesh.creation.box((2, 2, 2))
+    thick = Body.from_surface(box, radius=0.5, solid=False)
+    assert thick.covered_by(Body.box([2, 2, 2])).outcome != "covered"

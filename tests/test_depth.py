@@ -6,7 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loewner import Body, CollisionChecker, InputError, PoseError, Scene, collide
+from loewner import Body, CollisionChecker, GeometryError, InputError, PoseError, Scene, collide
 from loewner.depth import SeenSpace, points_of
 from mechanisms import ball, box, joint, link, robot
 
@@ -192,6 +192,23 @@ def test_the_robot_can_leave_its_own_cells():
         assert around.collide([-2.0, 0.0])
     with pytest.raises(InputError, match="checker, q: expected both or none"):
         space.body(checker)
+
+
+def test_space_outside_the_grid_is_closed():
+    """The body has a layer of cells around the grid, unless the caller leaves it open."""
+    space = SeenSpace([-0.5, -0.5, 0.5], (4, 4, 4), 0.25)
+    space.age[:] = 0
+    ball = Body.sphere(0.01)
+    places = np.stack([at(0, 0, 1.0), at(0, 0, 1.6), at(-0.6, 0, 1.0), at(0.6, 0.6, 0.4), at(0, 0, 2.0)])
+    assert collide(space.body(), None, ball, places).tolist() == [False, True, True, True, False]
+    with pytest.raises(GeometryError, match="occupied"):
+        space.body(closed=False)
+
+
+def test_depths_in_millimetres_cause_a_warning():
+    """Floats in millimetres would make cells behind things seen."""
+    with pytest.warns(UserWarning, match="are they in millimetres"):
+        points_of(np.full((4, 4), 1500.0), K)
 
 
 # -- bad input ------------------------------------------------------------------------------------

@@ -75,6 +75,15 @@ def test_thresholds(tmp_path, negate):
     assert [hits(open_ones, x, 2.25) for x in (-0.75, -0.25, 0.25)] == [True, False, False]
 
 
+def test_a_threshold_that_frees_unknown_cells_causes_a_warning(tmp_path):
+    """ROS writes the grey 205 for unknown cells, which Nav2's usual threshold makes free."""
+    path = written(tmp_path, [[BLACK, GREY, WHITE]])
+    path.write_text(path.read_text().replace("0.196", "0.25"))
+    with pytest.warns(UserWarning, match="makes the grey 205 free"):
+        grid = read_map(path)
+    assert not grid.unknown.any()
+
+
 def test_scale_has_no_unknown_cells(tmp_path):
     """In the mode scale, all values that are not free are occupied."""
     path = written(tmp_path, [[BLACK, GREY, WHITE]], more="mode: scale\n")

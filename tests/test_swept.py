@@ -267,6 +267,24 @@ def test_files_hold_the_body(tmp_path, capsys):
     assert "expected a .stl or .npz file" in capsys.readouterr().err
 
 
+def test_the_command_names_values_that_the_file_lacks(tmp_path, capsys):
+    """As the audit does: the body is of the robot's default for a joint without a column."""
+    (tmp_path / "r.urdf").write_text(
+        """<robot name="r"><link name="a"/><link name="b"><collision><geometry><box size="0.4 0.1 0.1"/></geometry>
+        </collision></link><link name="c"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+        <joint name="j1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+        <limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+        <joint name="j2" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
+        <limit lower="-2" upper="2" velocity="1" effort="1"/></joint></robot>"""
+    )
+    (tmp_path / "m.csv").write_text("time,j1\n0,0\n0.5,0.3\n1,1\n")
+    words = ["swept", str(tmp_path / "r.urdf"), str(tmp_path / "m.csv"), "--tolerance", "0.05"]
+    assert cli.main([*words, "-o", str(tmp_path / "a.npz")]) == 0
+    out = capsys.readouterr().out
+    assert "curve     linear between the points of the file" in out
+    assert "assumed   j2 = 0: the file has no values of it" in out
+
+
 def test_stl_files_are_of_bodies_that_triangles_bound(tmp_path):
     """Surfaces with a radius are refused, and other suffixes."""
     with pytest.raises(InputError, match="with a radius"):

@@ -13,11 +13,15 @@ import numpy as np
 
 from loewner import _files, _validate
 from loewner._nodes import YamlNode, read_yaml
+from loewner._plausible import warn
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import FileError, MissingExtraError, installing
 
 # Largest files, and an image's largest number of pixels.
 LARGEST_YAML, LARGEST_IMAGE, MOST_PIXELS = 1_000_000, 500_000_000, 400_000_000
+
+# The grey of unknown cells in the files that ROS writes.
+UNKNOWN_GREY = 205
 
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
 REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
@@ -72,6 +76,11 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         raise values["mode"].error(f"expected trinary or scale, found {mode!r}")
     grey, most = _grey(file.parent / values["image"].text())
     share = (grey if negate else most - grey) / most
+    if most == 255 and not negate and (grey == UNKNOWN_GREY).any() and free > (255 - UNKNOWN_GREY) / 255:
+        warn(
+            f"{file}: free_thresh {free:g} makes the grey {UNKNOWN_GREY} free, which map servers write for unknown "
+            "cells; give a free_thresh of 0.196 if these cells are unknown"
+        )
     # The first row of an image is the farthest along y.
     filled, empty = ((test[::-1].T).copy() for test in (share >= occupied, share < free))
     if mode == "scale":  # between the thresholds are costs, not unknown cells

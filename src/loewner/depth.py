@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
+from loewner._plausible import warn
 from loewner._validate import Bools, Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import InputError
@@ -21,6 +22,9 @@ ROUNDING = 1e-9
 
 # Focal lengths in pixels, and offsets: beyond them, the matrix is none of a camera.
 SMALLEST, LARGEST = 1e-3, 1e9
+
+# A camera that sees this far, in metres, is probably one that counts millimetres.
+FARTHEST = 100.0
 
 # Bytes per corner of a cell in a call of `see`.
 BYTES = 200
@@ -106,7 +110,7 @@ class SeenSpace:
     >>> space
     SeenSpace(20 x 20 x 20 cells of 0.1 m, 522 seen)
     >>> len(space.body().pieces)
-    456
+    540
     """
 
     def __init__(self, low: ArrayLike, shape: Any, size: float) -> None:
@@ -181,7 +185,14 @@ class SeenSpace:
         """
         self.age[self.age > _validate.whole_number(older_than, "older_than", 0)] = -1
 
-    def body(self, checker: CollisionChecker | None = None, q: ArrayLike | None = None, *, clear: float = 0.03) -> Body:
+    def body(
+        self,
+        checker: CollisionChecker | None = None,
+        q: ArrayLike | None = None,
+        *,
+        clear: float = 0.03,
+        closed: bool = True,
+    ) -> Body:
         """Make a body of the unknown cells.
 
         Parameters
@@ -192,6 +203,8 @@ class SeenSpace:
             The robot's configuration.
         clear : float
             Cells that come within this distance of the robot are left out, and some up to a cell's diagonal farther.
+        closed : bool
+            Put a layer of cells around the grid. Otherwise the space outside is free, although it is unseen.
 
         Returns
         -------
@@ -205,7 +218,9 @@ class SeenSpace:
         InputError
             If only one of `checker` and `q` is given, or as for `off_the_robot`.
         """
-        cells = self.unknown
+        cells, low = self.unknown, self._low
+        if _validate.flag(closed, "closed"):
+            cells, low = np.pad(cells, 1, constant_values=True), low - self._size
         if (checker is None) != (q is None):
             raise InputError("checker, q: expected both or none, found one")
         if checker is not None and q is not None:
@@ -213,8 +228,9 @@ class SeenSpace:
                 raise InputError(f"checker: expected a CollisionChecker, found {_validate.short(checker)}")
             reach = _validate.positive_scalar(clear, "clear", zero=True) + np.sqrt(0.75) * self._size
             where = np.nonzero(cells)
-            cells[where] = checker.off_the_robot(self.centers[where], q, clear=reach, mask=True)
-        return Body.from_voxels(cells, self._size, origin=self._low)
+            centers = low + self._size * (np.stack(where, axis=-1) + 0.5)
+            cells[where] = checker.off_the_robot(centers, q, clear=reach, mask=True)
+        return Body.from_voxels(cells, self._size, origin=low)
 
 
 def _depths(image: ArrayLike) -> Floats:
@@ -225,6 +241,9 @@ def _depths(image: ArrayLike) -> Floats:
             "image: expected floating-point depths in metres with two axes, found "
             f"{kind} of shape {_validate.shape_text(depths.shape)}"
         )
+    echoes = depths[np.isfinite(depths) & (depths > 0.0)]
+    if len(echoes) and float(np.median(echoes)) > FARTHEST:
+        warn(f"image: half of the depths are above {FARTHEST:g} m; are they in millimetres?")
     return depths
 
 

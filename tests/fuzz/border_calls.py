@@ -808,7 +808,11 @@ CALLS: dict[str, Call] = {
     "Body.transformed": Call(on(cube, "transformed"), {"T": pose(1.0)}),
     "Body.covered_by": Call(
         on(cube, "covered_by"),
-        {"model": arg(lambda: Body.box([4.0, 4, 4])), "tolerance": positive(0.125, NONE), "progress": callback()},
+        {
+            "model": arg(lambda: Body.box([4.0, 4, 4], "Body")),
+            "tolerance": positive(0.125, NONE),
+            "progress": callback(),
+        },
     ),
     "Body.cover": Call(
         on(cube, "cover"),
@@ -1340,7 +1344,8 @@ CALLS: dict[str, Call] = {
     "depth.SeenSpace.see": Call(on(seen_space, "see"), IMAGE),
     "depth.SeenSpace.forget": Call(on(seen_space, "forget"), {"older_than": count(1, "0")}),
     "depth.SeenSpace.body": Call(
-        on(seen_space, "body"), {"checker": arg(checker_in_time), "q": ONE, "clear": positive(0.125, ZERO)}
+        on(seen_space, "body"),
+        {"checker": arg(checker_in_time), "q": ONE, "clear": positive(0.125, ZERO), "closed": flag()},
     ),
     "CollisionChecker.joint_error": Call(
         on(checker, "joint_error"),

@@ -308,7 +308,7 @@ class _Proof:
                 equal = np.array([np.array_equal(corners, model.hulls[j].vertices) if j in model.hulls else False
                                   for j in range(len(model))])  # fmt: skip
             left = left[self.within(np.broadcast_to(corners[0], (len(left), 3)), left, radius)]
-            found[i] = bool(equal.any()) or any(
+            found[i] = (part.radius == 0.0 and bool(equal.any())) or any(
                 self.within(corners, np.full(len(corners), element), radius).all() for element in left.tolist()
             )
         return found
@@ -319,7 +319,8 @@ class _Proof:
         Returns
         -------
         cells : _Cells
-            The cells that are in no single element, with the elements that they may meet.
+            The cells that are in no single element, with the elements that they may meet; inside, with all elements
+            whose height may be the least one at a point of the cell.
         height : ndarray
             The least height of each remaining cell's center.
         outside : ndarray of bool
@@ -359,7 +360,9 @@ class _Proof:
         # The center of a cell that lies in the boundary of an element is there, too.
         flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
         rest = ~settled
-        return cells.take(rest, meets), least[rest], outside[rest], flush[rest], settled
+        # In a hole, an element may have the least height at a point of a cell that it does not meet.
+        kept = height <= (least + 2 * reach)[c] + margin if inside else meets
+        return cells.take(rest, kept), least[rest], outside[rest], flush[rest], settled
 
     def note(self, points: Floats, depth: Floats) -> None:
         """Keep the point of the body that is deepest outside by some measure, if it is deeper than the known one."""

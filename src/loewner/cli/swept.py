@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import meshes
+from loewner import meshes, planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
 from loewner.cli.output import FREE, progress_bar
@@ -85,4 +85,22 @@ def _run(options: argparse.Namespace) -> int:
             raise FileError(f"{options.out}: expected the body that was written, found another one when reading it")
     print(f"{options.out}  {len(body.pieces)} pieces")
     print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
+    for given in parts:
+        print(f"curve     {_described(given, options)}")
+        for column, value in assumed_in(given).items():
+            print(f"assumed   {column} = {value:.9g}: the file has no values of it (--others)")
     return FREE
+
+
+def assumed_in(given: Any) -> dict[str, float]:
+    """Return the values that a file does not have, and that keep the robot's defaults."""
+    if not isinstance(given, planners.ControllerPoints):
+        return {}
+    values = dict(zip(given.names or (), given.positions[0].tolist(), strict=False))
+    return {column: values[column] for column in given.origin.assumed}
+
+
+def _described(given: Any, options: argparse.Namespace) -> str:
+    if isinstance(given, planners.ControllerPoints):
+        return f"{trajectories.controller_of(given)} between the points of the file"
+    return "straight between the configurations of the file"
