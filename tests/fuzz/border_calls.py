@@ -809,7 +809,7 @@ CALLS: dict[str, Call] = {
     "Body.covered_by": Call(
         on(cube, "covered_by"),
         {
-            "model": arg(lambda: Body.box([4.0, 4, 4], "Body")),
+            "model": arg(lambda: Body.box([4.0, 4, 4]), "Body"),
             "tolerance": positive(0.125, NONE),
             "progress": callback(),
         },
