@@ -598,3 +598,27 @@ def test_pinocchio_reads_the_urdf_of_vamp(model, tmp_path):
 def test_bounds_are_shown_outwards(ends, text):
     """Bounds with three digits contain the bounds with all digits."""
     assert _interval(ends, 1e3, "mm") == text
+
+
+def test_an_empty_list_of_ignored_pairs_is_a_rule(tmp_path):
+    """The model then checks all pairs, adjacent ones as well; without the key, the robot's own rules hold."""
+    robot = Robot.from_links(
+        {name: Body.sphere(0.1) for name in "abc"},
+        [Joint("j", "revolute", "a", "b", lower=-1, upper=1), Joint("k", "revolute", "b", "c", lower=-1, upper=1)],
+    )
+    spheres = "collision_spheres:\n" + "".join(f"  {x}:\n  - {{center: [0, 0, 0], radius: 0.11}}\n" for x in "abc")
+    exempted = {}
+    for tail in ("", "self_collision_ignore: {}\n", "self_collision_ignore: {a: [b]}\n"):
+        (tmp_path / "m.yml").write_text(spheres + tail)
+        exempted[tail] = sorted(covers.exempt_pairs(robot.with_cover(tmp_path / "m.yml")))
+    assert list(exempted.values()) == [[("a", "b"), ("b", "c")], [], [("a", "b")]]
+
+
+def test_polytopes_in_mjcf_hold_after_single_precision(tmp_path):
+    """MuJoCo keeps corners as float32, so they are written farther out; a robot that checks all pairs still does."""
+    body = Body.from_points(np.random.default_rng(0).normal(size=(6, 3)) * 0.2)
+    robot = Robot.from_links({"a": body, "b": Body.sphere(0.1)}, [Joint("j", "revolute", "a", "b")], disabled=[])
+    robot.save_cover(tmp_path / "o.xml", "mjcf")
+    back = robot.with_cover(tmp_path / "o.xml")
+    assert robot.covered_by(back)["a"].outcome == "covered"
+    assert covers.exempt_pairs(back) == covers.exempt_pairs(robot) == frozenset()

@@ -82,3 +82,25 @@ def test_bad_input(polygon, height, text):
     """Each error names what was expected and what was found."""
     with pytest.raises(InputError, match=text):
         Robot.footprint(polygon, height=height)
+
+
+def test_a_thin_spike_on_a_large_platform_stays():
+    """No part is dropped because it is small beside the whole."""
+    spike = [[0, 0], [100, 0], [100, 49.999925], [100.1, 50], [100, 50.000075], [100, 100], [0, 100]]
+    body = Robot.footprint(spike, height=1.0).bodies["footprint"]
+    assert collide(Body.sphere(0.04), at(100.05, 50, 0.5), body, None)
+
+
+@pytest.mark.parametrize(
+    "polygon",
+    [
+        [[0, 0], [1, 0], [1, 0.5], [3, 0.5], [1, 0.5], [1, 1], [0, 1]],
+        [[-1, 0], [3, 0], [0, -1], [-2, 1]],
+        [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],
+        [[0, 0], [2, 2], [0, 2], [2, 0]],
+    ],
+)
+def test_sides_that_meet_are_refused(polygon):
+    """Antennas without a width, crossings, and corners on other sides."""
+    with pytest.raises(InputError, match="polygon: expected"):
+        Robot.footprint(polygon, height=1.0)

@@ -333,8 +333,8 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
         else:
             model.bodies[link] = body
     ignored = keys.pop("self_collision_ignore", None)
-    if ignored is not None and not ignored.empty:
-        model.ignored = _pairs(ignored.mapping(None))
+    if ignored is not None:  # an empty list is a rule, too: all pairs are checked
+        model.ignored = frozenset() if ignored.empty else _pairs(ignored.mapping(None))
     margins = keys.pop("self_collision_buffer", None)
     if margins is not None and not margins.empty and any(each.number() for each in margins.mapping(None).values()):
         model.notes.append("self_collision_buffer, which enlarges spheres only where links are checked with each other")

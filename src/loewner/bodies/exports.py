@@ -22,6 +22,7 @@ import numpy as np
 from loewner import _validate
 from loewner._files import named_by_content, replacing
 from loewner._kernels import columns
+from loewner._matrices import dot, lengths
 from loewner._rotations import quaternions_of, to_rpy
 from loewner._validate import Floats
 from loewner.bodies.kinds import CURVED, Mesh, ball
@@ -44,6 +45,13 @@ SMALLEST = 1e-14
 
 # Polytopes around curved shapes are enlarged by this for the rounding of their corners.
 OUTWARD = 1 + 1e-12
+
+
+# Roundings of corners in single precision, relative to the largest coordinate, and in the axes of their inertia.
+SINGLE = 2.0**-20
+
+# A mesh is convex if no corner is above a face by more than this share of the largest coordinate.
+FLAT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +78,32 @@ class Shape:
     mesh: Mesh | None = None
 
     def wider(self, by: float) -> Shape:
-        """Return the shape enlarged on each side, unless it is a mesh or a sphere, whose numbers no pose rounds."""
-        if not by or self.kind in ("mesh", "sphere"):
+        """Return the shape enlarged on each side, unless it is a solid or a sphere, whose numbers no pose rounds.
+
+        Corners of a convex mesh go outwards by as much again as MuJoCo's single precision may move them.
+        """
+        if not by or self.kind == "sphere":
             return self
+        if self.mesh is not None:
+            return replace(self, mesh=_wider_mesh(*self.mesh, by))
         sides = {"box": (2, 2, 2), "cylinder": (1, 2), "capsule": (1, 0)}.get(self.kind, (1, 1, 1))
         return replace(self, sizes=tuple(size + side * by for size, side in zip(self.sizes, sides, strict=True)))
+
+
+def _wider_mesh(vertices: Floats, triangles: Any, by: float) -> Mesh:
+    """Scale a convex mesh so that each face moves outwards; other meshes stay as they are."""
+    middle = vertices.mean(axis=0)
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    normals = np.cross(b - a, c - a)
+    wide = lengths(normals) > 0.0
+    normals, a = normals[wide] / lengths(normals)[wide, None], a[wide]
+    heights = dot(normals, a - middle)
+    size = float(np.abs(vertices).max())
+    above = (vertices @ normals.T - dot(normals, a)).max()
+    if not (heights.min() > 0.0 and above <= FLAT * size):
+        return vertices, triangles
+    share = (by + SINGLE * size) / float(heights.min())
+    return middle + (1.0 + share) * (vertices - middle), triangles
 
 
 def mjcf_text(packed: Packed, name: str, which: str | None) -> str:

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
+from loewner._matrices import dot, lengths
 from loewner._validate import Floats, Named
 from loewner.bodies import Body
-from loewner.errors import InputError, UnknownNameError
+from loewner.errors import GeometryError, InputError, UnknownNameError
 from loewner.mesh_files import parts
 from loewner.robots.links import checked_mimic, unit_axis
 from loewner.robots.srdf import Semantics
@@ -231,10 +232,14 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
     top = _validate.positive_scalar(height, "height")
     x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
     area = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2.0
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
+    x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
     if len(corners) < 3 or not area > FLAT * float(np.square(np.ptp(corners, axis=0)).sum()):
         raise InputError(
             f"polygon: expected at least three corners around an area, found {len(corners)} around {area:g} m²"
         )
+    if not _is_simple(corners):
+        raise InputError("polygon: expected one that does not cross itself, found one whose sides meet")
     flat, ring = np.column_stack([corners, np.zeros(len(corners))]), np.arange(len(corners))
     triangles = parts.cut(flat, ring, np.array([len(ring)]), lambda text, place: None, str)
     a, b, c = (np.column_stack([x, y])[triangles[:, k]] for k in range(3))
@@ -244,9 +249,40 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
     sides = np.roll(corners, -1, axis=0) - corners
     turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
     is_convex = (turns >= 0.0).all() or (turns <= 0.0).all()
-    pieces = [ring] if is_convex else list(triangles[areas > FLAT * area])
+    pieces = [ring] if is_convex else list(triangles[areas > 0.0])
     lifted = np.array([0.0, 0.0, top])
-    return Body.from_pieces([np.concatenate([flat[piece], flat[piece] + lifted]) for piece in pieces])
+    try:
+        return Body.from_pieces([np.concatenate([flat[piece], flat[piece] + lifted]) for piece in pieces])
+    except GeometryError as error:
+        raise InputError(f"polygon: expected parts with some width, found one that is too thin ({error})") from error
+
+
+def _is_simple(corners: Floats) -> bool:
+    """Return whether the sides of a polygon meet only at common corners; to come near counts as meeting."""
+    ends, size = np.roll(corners, -1, axis=0), float(np.ptp(corners, axis=0).max())
+    sides, count = ends - corners, len(corners)
+    before = np.roll(sides, 1, axis=0)
+    back = np.abs(sides[:, 0] * before[:, 1] - sides[:, 1] * before[:, 0]) <= FLAT * lengths(sides) * lengths(before)
+    if (back & (dot(sides, before) <= 0.0)).any():
+        return False
+    for k in range(count):
+        others = np.setdiff1d(np.arange(count), [k - 1 if k else count - 1, k, (k + 1) % count])
+        one, way = corners[k], sides[k]
+        to_start, to_end = corners[others] - one, ends[others] - one
+        across = [way[0] * to[:, 1] - way[1] * to[:, 0] for to in (to_start, to_end)]
+        back_to = one - corners[others], ends[k] - corners[others]
+        over = [sides[others, 0] * to[:, 1] - sides[others, 1] * to[:, 0] for to in back_to]
+        near = FLAT * size * np.maximum(float(lengths(way)), lengths(sides[others]))
+        apart = np.minimum(*across) > near
+        apart |= np.maximum(*across) < -near
+        apart |= np.minimum(*over) > near
+        apart |= np.maximum(*over) < -near
+        # Sides in one line are apart if their extents along it are.
+        along = [dot(to, way) for to in (to_start, to_end)]
+        apart |= (np.maximum(*along) < -near) | (np.minimum(*along) > float(dot(way, way)) + near)
+        if not apart.all():
+            return False
+    return True
 
 
 def with_body(

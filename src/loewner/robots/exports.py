@@ -265,6 +265,8 @@ def mjcf_text(robot: Any, wider: float) -> str:
     root = ElementTree.Element("mujoco", model=robot.name)
     # Links without shapes need some mass, since MuJoCo refuses to move bodies without any.
     ElementTree.SubElement(root, "compiler", angle="radian", boundmass="1e-3", boundinertia="1e-6")
+    # Parents and children are checked as well, unless they are among the excluded pairs.
+    ElementTree.SubElement(ElementTree.SubElement(root, "option"), "flag", filterparent="disable")
     asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
     contact, equality = (ElementTree.SubElement(root, name) for name in ("contact", "equality"))
     above = {joint.child: joint for joint in _joints(robot, None)}

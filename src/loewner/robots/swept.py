@@ -291,6 +291,10 @@ def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
     if len(vertices) <= FEW:
         return vertices, ROUNDINGS * size  # the hull leaves out points within rounding of its faces
     chosen = np.unique(product(vertices, (_WAYS / np.ptp(vertices, axis=0)).T).argmax(axis=0)).tolist()
+    middle = vertices[chosen].mean(axis=0)
+    _, _, axes = np.linalg.svd(vertices[chosen] - middle)
+    across = np.abs((vertices - middle) @ axes[2])  # the extreme ones may lie in a plane, as the rim of a lid does
+    chosen = sorted({*chosen, int(across.argmax())})
     while True:
         away = distances_from(vertices, Polytope.from_points(vertices[chosen]), ROUNDINGS * size)
         farthest = int(away.argmax())
