@@ -381,7 +381,7 @@ def _names(node: Any) -> Collection[str]:
 
 def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
     """Write the keys of a configuration that describe spheres and pairs; cuRobo reads the spheres from such a file."""
-    quoted = {link: json.dumps(link) for link in robot.link_names}
+    quoted = {link: json.dumps(link, ensure_ascii=False) for link in robot.link_names}
     lines = ["collision_link_names:", *(f"- {quoted[link]}" for link in balls), "collision_sphere_buffer: 0.0"]
     lines.append("collision_spheres:")
     for link, found in balls.items():

@@ -85,7 +85,8 @@ class CoverReport:
         "undecided": neither is proven; some cells of the size of the tolerance are in no single element.
     uncovered_share : tuple of float
         Bounds on the share of the area of the body's surface that is outside the model. The surfaces of all pieces
-        count, also where they are inside other pieces; a circumscribed polytope stands for a curved piece.
+        count, also where they are inside other pieces. For a curved piece, the area of a polytope inside it is
+        measured, with corners on its surface; points without triangles, as of a cloud, have no area: then (0, 1).
     depth : tuple of float
         Bounds on the largest distance of a point of the body from the model, in metres.
     witness : ndarray, shape (3,), or None

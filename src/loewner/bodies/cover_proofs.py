@@ -664,7 +664,7 @@ def prove(
         upper = proof.depth(whole, holes)
         depth = (proof.deepest, max(upper, proof.deepest))
         total = covered + outside + undecided
-        share = (outside / total, (outside + undecided) / total) if total > 0 else share
+        share = (outside / total, (outside + undecided) / total) if total > 0 else (0.0, 1.0)  # a cloud has no area
     outcome = "covered" if covers else "undecided" if proof.witness is None else "uncovered"
     sticks = excess_of(target, model, elements, length) if excess else (0.0, float("inf"))
     if progress is not None:
