@@ -624,3 +624,14 @@ def test_polytopes_in_mjcf_hold_after_single_precision(tmp_path):
     back = robot.with_cover(tmp_path / "o.xml")
     assert robot.covered_by(back)["a"].outcome == "covered"
     assert covers.exempt_pairs(back) == covers.exempt_pairs(robot) == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("center", "radius"), [("[0, 0, 0]", "1.0e-60"), ("[0, 0, 0]", "1.0e39"), ("[1.0e39, 0, 0]", "1")]
+)
+def test_numbers_beyond_single_precision_name_file_and_link(tmp_path, center, radius):
+    """cuRobo would have infinities or spheres of nothing."""
+    robot = Robot.from_links({"a": Body.sphere(0.1)}, [])
+    (tmp_path / "m.yml").write_text(f"collision_spheres:\n  a:\n  - {{center: {center}, radius: {radius}}}\n")
+    with pytest.raises(FileError, match=r"m.yml: link 'a': expected spheres that float32 can express"):
+        robot.with_cover(tmp_path / "m.yml")

@@ -74,6 +74,7 @@ def test_a_base_goes_through_a_door(tmp_path):
         ([[0, 0], [1, 0], [2, 0]], 1.0, "polygon: expected at least three corners around an area"),
         ([[0, 0], [2, 2], [2, 0], [0, 1]], 1.0, "polygon: expected one that does not cross itself"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], 1.0, "polygon: expected shape"),
+        (np.zeros((5001, 2)), 1.0, "polygon: expected at most 5000 corners, found 5001"),
         (BOX, 0.0, "height"),
         (BOX, np.nan, "height"),
     ],

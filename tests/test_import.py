@@ -127,6 +127,10 @@ LATE = (
     "_ptx",
     "_gradients",
     "bodies.files",
+    "bodies.exports",
+    "bodies.cover_fits",
+    "bodies.cover_proofs",
+    "robots.exports",
     "mesh_files.gltf",
     "mesh_files.dae",
 )

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 import loewner
 from checker_oracle import random_robot, robot_of, simple_bodies
-from families import translation
+from families import rotations, translation
 from loewner import Body, CollisionChecker, GeometryError, InputError, Robot, Scene, UnknownNameError, cli, planners
 from loewner._native import entries
 from loewner.robots import swept
@@ -243,6 +243,22 @@ def test_mutant_with_half_the_growth_refuses_its_own_hulls(tmp_path, monkeypatch
     monkeypatch.setattr(swept, "OCTAHEDRON", swept.OCTAHEDRON / 2)
     with pytest.raises(GeometryError, match="falls short"):
         written(tmp_path, TURNTABLE).swept([[0.0], [2.5]], tolerance=0.05)
+
+
+def test_lids_and_flat_cones_are_swept(tmp_path):
+    """Their extreme points lie in the plane of the rim, and the apex comes as well."""
+    turns = rotations(np.random.default_rng(0), 8)
+    angles = np.linspace(0, 2 * np.pi, 30, endpoint=False)
+    rim = np.stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), 0 * angles], axis=1)
+    lid = np.concatenate([rim, [[0, 0, 0.03]]])
+    for turn in turns:
+        T = np.eye(4)
+        T[:3, :3] = turn
+        for body in (Body.from_points(lid @ turn.T), Body.cone(0.3, 0.03).transformed(T)):
+            robot = loewner.Robot.from_links(
+                {"base": None, "lid": body}, [loewner.Joint("turn", "revolute", "base", "lid", lower=-2, upper=2)]
+            )
+            assert robot.swept([[0.0], [0.5]], tolerance=0.05).covering.exact
 
 
 # -- files ------------------------------------------------------------------------------------

@@ -24,12 +24,10 @@ from loewner._nodes import Node, read_json, read_yaml, some
 from loewner._plausible import told_to, warn
 from loewner._validate import Floats, Pair
 from loewner.bodies import Body, packed_of
-from loewner.bodies.exports import save_text
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.errors import FileError, InputError
 from loewner.robots import Robot
 from loewner.robots.covers import exempt_pairs, listed_pairs, with_bodies
-from loewner.robots.exports import mjcf_text, save_urdf
 from loewner.robots.robot import answers
 from loewner.scene_files import load_scene, save_scene
 from loewner.scenes import Scene
@@ -92,7 +90,10 @@ class Model:
 def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> Robot:
     """Answer `Robot.with_cover`."""
     file = _validate.path(path, "path")
-    model = read_model(file, format)
+    try:
+        model = read_model(file, format)
+    except InputError as error:  # about a number that the file has, and that no sphere can have
+        raise FileError(f"{shown(file)}: {error}") from error
     alien = [link for link in model.bodies if link not in self.link_names]
     if alien:
         raise _validate.unknown_name(f"{shown(file)}: link", alien[0], self.link_names)
@@ -122,6 +123,9 @@ def _told(notes: list[str]) -> str:
 
 def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> None:
     """Answer `Robot.save_cover`."""
+    from loewner.bodies.exports import save_text
+    from loewner.robots.exports import mjcf_text, save_urdf
+
     file = _validate.path(path, "path")
     chosen = format_of(file, format)
     if not self.bodies:
@@ -194,7 +198,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
     model = Model(dict(robot.bodies), listed_pairs(robot))
     if chosen in OF_SPHERES:
         for link, body in model.bodies.items():
-            model.bodies[link] = _body(*_spheres_of(body, link, chosen))
+            model.bodies[link] = _body(*_spheres_of(body, link, chosen), link)
     return model
 
 
@@ -224,9 +228,13 @@ def _moved(body: Body, T: Floats) -> Body:
 # -- spheres --------------------------------------------------------------------------------------
 
 
-def _body(centers: Floats, radii: Floats) -> Body:
+def _body(centers: Floats, radii: Floats, link: str) -> Body:
     """Make the body of spheres as a program in float32 has them."""
-    return Body.spheres(*(np.float32(values).astype(float) for values in (centers, radii)))
+    with np.errstate(over="ignore", under="ignore"):
+        single = [np.float32(values).astype(float) for values in (centers, radii)]
+    if not (np.isfinite(single[0]).all() and np.isfinite(single[1]).all() and (single[1] > 0.0).all()):
+        raise InputError(f"link {link!r}: expected spheres that float32 can express, found others")
+    return Body.spheres(*single)
 
 
 def _rounded(balls: _Balls) -> _Balls:
@@ -268,7 +276,7 @@ def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Bod
             disabled += 1
     if disabled:
         model.notes.append(f"{disabled} disabled spheres (radius of 0 or less) of {link!r}")
-    return _body(np.array(centers), np.array(radii)) if centers else None
+    return _body(np.array(centers), np.array(radii), link) if centers else None
 
 
 def _pairs(ignored: Mapping[str, Node]) -> frozenset[Pair]:
@@ -417,7 +425,7 @@ def _read_pyroki(keys: dict[str, Any], file: Path) -> Model:
         if len(solid) < len(radii):
             model.notes.append(f"{len(radii) - len(solid)} spheres with a radius of 0 or less of {link!r}")
         if solid:
-            model.bodies[link] = _body(np.array(centers)[solid], np.array(radii)[solid])
+            model.bodies[link] = _body(np.array(centers)[solid], np.array(radii)[solid], link)
     beside = _pairs_file(file)
     if beside.is_file():
         listed = read_json(read_regular(beside, "pairs of links", MOST_BYTES), beside, "pairs of links")
@@ -454,7 +462,7 @@ def _read_foam(keys: dict[str, Any], file: Path) -> Model:
         if len(solid) < len(balls):
             model.notes.append(f"{len(balls) - len(solid)} spheres with a radius of 0 or less of {name!r}")
         if solid:
-            body = _body(np.array([center for center, _ in solid]), np.array([radius for _, radius in solid]))
+            body = _body(np.array([center for center, _ in solid]), np.array([radius for _, radius in solid]), name)
             found.setdefault(link, []).append(body)
     model.bodies |= {link: bodies[0] if len(bodies) == 1 else Body.union(bodies) for link, bodies in found.items()}
     return model

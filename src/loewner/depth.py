@@ -134,7 +134,10 @@ class SeenSpace:
     @property
     def centers(self) -> Floats:
         """Centers of the cells, shape (p, q, r, 3)."""
-        return np.asarray(self._low + self._size * (np.moveaxis(np.indices(self.age.shape), 0, -1) + 0.5))
+        return self._middles(self._low, np.moveaxis(np.indices(self.age.shape), 0, -1))
+
+    def _middles(self, low: Floats, cells: Ints) -> Floats:
+        return np.asarray(low + self._size * (cells + 0.5))
 
     def see(self, image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> None:
         """Add the cells in front of a depth image.
@@ -228,7 +231,7 @@ class SeenSpace:
                 raise InputError(f"checker: expected a CollisionChecker, found {_validate.short(checker)}")
             reach = _validate.positive_scalar(clear, "clear", zero=True) + np.sqrt(0.75) * self._size
             where = np.nonzero(cells)
-            centers = low + self._size * (np.stack(where, axis=-1) + 0.5)
+            centers = self._middles(low, np.stack(where, axis=-1))
             cells[where] = checker.off_the_robot(centers, q, clear=reach, mask=True)
         return Body.from_voxels(cells, self._size, origin=low)
 

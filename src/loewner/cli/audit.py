@@ -279,8 +279,7 @@ def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, A
     sources = {column: origin.sources[column] for column in origin.stated}
     stated = {"stated": origin.stated, "stated_in": sources} if origin.stated else {}
     carried = {"carried": given.carried} if given.carried else {}
-    values = dict(zip(given.names or (), given.positions[0].tolist(), strict=False))
-    assumed = {"assumed": {column: values[column] for column in origin.assumed}} if origin.assumed else {}
+    assumed = {"assumed": trajectories.assumed(given)} if origin.assumed else {}
     return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **assumed, **carried}
 
 

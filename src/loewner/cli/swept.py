@@ -86,21 +86,13 @@ def _run(options: argparse.Namespace) -> int:
     print(f"{options.out}  {len(body.pieces)} pieces")
     print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
     for given in parts:
-        print(f"curve     {_described(given, options)}")
-        for column, value in assumed_in(given).items():
+        print(f"curve     {_described(given)}")
+        for column, value in trajectories.assumed(given).items():
             print(f"assumed   {column} = {value:.9g}: the file has no values of it (--others)")
     return FREE
 
 
-def assumed_in(given: Any) -> dict[str, float]:
-    """Return the values that a file does not have, and that keep the robot's defaults."""
-    if not isinstance(given, planners.ControllerPoints):
-        return {}
-    values = dict(zip(given.names or (), given.positions[0].tolist(), strict=False))
-    return {column: values[column] for column in given.origin.assumed}
-
-
-def _described(given: Any, options: argparse.Namespace) -> str:
+def _described(given: trajectories.Part) -> str:
     if isinstance(given, planners.ControllerPoints):
         return f"{trajectories.controller_of(given)} between the points of the file"
     return "straight between the configurations of the file"

@@ -114,6 +114,14 @@ def controller_of(points: planners.ControllerPoints) -> str:
     return CONTROLLERS[_derivatives(points)]
 
 
+def assumed(part: Part) -> dict[str, float]:
+    """Return the values that a file does not have, and that keep the robot's defaults."""
+    if not isinstance(part, planners.ControllerPoints):
+        return {}
+    values = dict(zip(part.names or (), part.positions[0].tolist(), strict=False))
+    return {column: values[column] for column in part.origin.assumed}
+
+
 def end(robot: loewner.Robot, part: Part, row: int) -> Floats:
     """Return a configuration of a part, with the robot's columns."""
     if not isinstance(part, planners.ControllerPoints) or part.names is None:

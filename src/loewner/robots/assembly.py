@@ -24,6 +24,9 @@ from loewner.robots.tree import constant_pose, placed_tree
 from loewner.robots.urdf import VALUES, Description, Joint
 from loewner.robots.watch import Watch
 
+# Corners of a footprint, whose sides are compared with all others.
+MOST_CORNERS = 5_000
+
 # Areas of a footprint are equal, or nothing, to this share.
 FLAT = 1e-9
 
@@ -230,10 +233,11 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
     """
     corners = _validate.finite_array(polygon, "polygon", ("n", 2))
     top = _validate.positive_scalar(height, "height")
+    if len(corners) > MOST_CORNERS:
+        raise InputError(f"polygon: expected at most {MOST_CORNERS} corners, found {len(corners)}")
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # each once if it is repeated
     x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
     area = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2.0
-    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
-    x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
     if len(corners) < 3 or not area > FLAT * float(np.square(np.ptp(corners, axis=0)).sum()):
         raise InputError(
             f"polygon: expected at least three corners around an area, found {len(corners)} around {area:g} m²"
