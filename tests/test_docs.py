@@ -19,10 +19,10 @@ from gantry import gantry
 from loewner import CollisionChecker, Scene, load_scene
 from loewner.cli import main
 from robot_oracle import robots_folder
-from site_pages import MADE_BY_THE_BUILD
+from site_pages import MADE_BY_THE_BUILD, pages
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")], key=str)
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *pages(ROOT / "docs")], key=str)
 
 
 def blocks(document: Path) -> str:

@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from site_pages import pages
+
 DOCS = Path(__file__).parent.parent / "docs"
 CODE = r"^```python\n(.*?)^```"
 LARGE = {"import torch\n": "torch", "from pydrake.all import": "pydrake"}
 # test_docs.py runs the code of these.
 GUIDES = {"meshes.md", "motions.md", "pairs.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
-PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
+PAGES = sorted(page for page in pages(DOCS) if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
 @pytest.fixture

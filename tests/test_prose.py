@@ -18,9 +18,11 @@ from pathlib import Path
 
 import pytest
 
+from site_pages import pages
+
 ROOT = Path(__file__).parent.parent
 TABLE = Path(__file__).parent / "prose_counts.json"
-PAGES = sorted([*(path for path in ROOT.glob("*.md") if path.stem != "CHANGELOG"), *ROOT.glob("docs/**/*.md")])
+PAGES = sorted([*(path for path in ROOT.glob("*.md") if path.stem != "CHANGELOG"), *pages(ROOT / "docs")])
 GENERATED = {"_build", "generated", "measured.md", "command.md"}
 PAGES = [path for path in PAGES if not GENERATED & set(path.parts)]
 SOURCES = sorted((ROOT / "src" / "loewner").rglob("*.py"))

@@ -27,7 +27,7 @@ import loewner.plots
 import loewner.reproductions
 import loewner.torch
 import loewner.viewer
-from site_pages import MADE_BY_THE_BUILD
+from site_pages import MADE_BY_THE_BUILD, pages
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -35,7 +35,7 @@ DOCS = ROOT / "docs"
 pytestmark = pytest.mark.light
 
 CODE = r"^```python\n(.*?)^```"
-PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
+PAGES = sorted(page for page in pages(DOCS) if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
@@ -48,15 +48,13 @@ def test_code_fits_its_column(page):
 def test_links_have_titles():
     """No link of a page shows the name of a source file."""
     links = re.compile(r"\[[^\]]*\w\.md[^\]]*\]\(")
-    assert [page for page in DOCS.rglob("*.md") if links.search(page.read_text())] == []
+    assert [page for page in pages(DOCS) if links.search(page.read_text())] == []
 
 
 def test_tables_name_their_columns():
     """No heading of a column is empty."""
     heads = [
-        line
-        for page in DOCS.rglob("*.md")
-        for line in re.findall(r"^(\|.*\|)\n\|[-:| ]+\|$", page.read_text(), flags=re.M)
+        line for page in pages(DOCS) for line in re.findall(r"^(\|.*\|)\n\|[-:| ]+\|$", page.read_text(), flags=re.M)
     ]
     assert len(heads) > 50
     assert [line for line in heads if re.search(r"\| *\|", line.replace("\\|", ""))] == []
@@ -77,14 +75,14 @@ def test_gallery_has_twelve_pictures():
 def test_index_leads_to_every_page():
     """Every page is in a table of contents, and every entry of one exists."""
     listed = set()
-    for page in DOCS.rglob("*.md"):
+    for page in pages(DOCS):
         for entries in re.findall(r"^```\{toctree\}\n(.*?)^```", page.read_text(), flags=re.M | re.S):
             names = [line for line in entries.splitlines() if line and not line.startswith(":")]
             absolute = [DOCS / name[1:] if name.startswith("/") else page.parent / name for name in names]
             listed |= {path.relative_to(DOCS).as_posix() for path in absolute}
-    pages = {p.relative_to(DOCS).with_suffix("").as_posix() for p in DOCS.rglob("*") if p.suffix in (".md", ".rst")}
-    pages = {p for p in pages if not p.startswith(("_", "reference/generated/"))}
-    assert listed | {"index"} == pages | MADE_BY_THE_BUILD
+    found = {p.relative_to(DOCS).with_suffix("").as_posix() for p in DOCS.rglob("*") if p.suffix in (".md", ".rst")}
+    found = {p for p in found if not p.startswith(("_", "reference/generated/"))}
+    assert listed | {"index"} == found | MADE_BY_THE_BUILD
 
 
 def test_reference_names_everything_public():
