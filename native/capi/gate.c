@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { EXACT = CODE_EXACT, VECTORS = 8 };
+enum { EXACT = CODE_EXACT, VECTORS = 9 };
 
 #define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
 #define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
@@ -39,6 +39,7 @@ typedef struct {
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
+    int is_attempt; /* which only counts if it is free */
 } Proof;
 
 struct loewner_gate {
@@ -47,7 +48,7 @@ struct loewner_gate {
     int64_t dof, most, steps, pieces; /* `pieces` is the room for times of a brake */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
-    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *resting, *q, *at; /* the first are VECTORS */
+    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* the first are VECTORS */
     double *times, *states, *courses, *seconds, *out[3];
     int64_t pieces_made, rows_needed; /* of the brake in these; the row before the first one counts */
     Chunk last, made, slower;
@@ -106,7 +107,8 @@ static loewner_status divide(loewner_gate *gate)
 {
     size_t dof = (size_t)gate->dof, most = (size_t)gate->most, pieces = (size_t)gate->pieces;
     double **vectors[VECTORS + 1] = {&gate->strongest, &gate->jerk,    &gate->fastest, &gate->error, &gate->rate_error,
-                                     &gate->widened,   &gate->resting, &gate->q,       NULL};
+                                     &gate->widened,   &gate->looser,  &gate->resting, &gate->q,
+                                     NULL};
     size_t chunk = (2 * dof + 1) * (most + 2), numbers = VECTORS * dof + 3 * chunk + (most + 2) + 2 * pieces +
                                                          (3 + 4 + 3) * dof * pieces;
     double *at = gate->memory = calloc(numbers, sizeof(double));
@@ -362,6 +364,9 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     proof->work += work[WORK - 1];
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
+    proof->reason = LOEWNER_REASON_BUDGET;
+    if (proof->is_attempt)
+        return LOEWNER_OK;
     evaluate(checker->file, course, (int32_t)points - 1, isnan(fraction) ? 0 : fraction, gate->q);
     TRY(collide(checker, its, HASTY, gate->q, 1, &verdict));
     proof->reason = verdict == LOEWNER_COLLIDING        ? LOEWNER_REASON_CONTACT
@@ -418,13 +423,60 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
+/* How many steps a brake as a whole may take: about what one interval does. */
+static int64_t steps_of_whole(const loewner_gate *gate)
+{
+    return gate->checker->state.pairs;
+}
+
+/* Try to prove a whole brake as one course, which takes one interval where nothing is near, with `steps` at most. The
+   robot may be at rest only `until` seconds after it began. */
+static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, int64_t points, double until,
+                                  int64_t steps, Proof *proof, int *is_free)
+{
+    int64_t dof = gate->dof, nothing;
+    Proof attempt = {0, -1, proof->work + steps, proof->work, 1};
+    const struct {
+        Array2 times;
+        Array4 states;
+        Array1 counts, until;
+        Array3 courses;
+        Array2 off;
+    } arguments = {
+        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1}, {&until, 1},
+        {gate->courses, 1, points, dof}, {gate->looser, 1, dof},
+    };
+    TRY(call(kernels()->whole_brakes, &arguments, &nothing));
+    for (int64_t c = 0; c < dof; c++)
+        gate->looser[c] += gate->widened[c];
+    until = fmax(until, gate->times[gate->pieces_made - 1]);
+    TRY(prove_course(gate, gate->courses, points, gate->looser, begin, begin + until, dt, &attempt));
+    proof->work = attempt.work;
+    *is_free = !attempt.reason;
+    return LOEWNER_OK;
+}
+
 /* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. A robot that is
-   faster by the error goes farther and is at rest later. */
-static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, Proof *proof)
+   faster by the error goes farther and is at rest later. Joint by joint, `steps` may be spent on the brake as a whole. */
+static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
+                                  Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
     double stands = 0;
-    int is_off = 0;
+    int is_off = 0, is_free = 0;
+    for (int64_t c = 0; c < dof; c++) {
+        double v = rate == NULL ? 0 : fabs(rate[c]), fast = v + gate->rate_error[c];
+        gate->widened[c] = gate->error[c];
+        if (rate != NULL)
+            gate->widened[c] += (fast * stopping_time(gate, c, fast) - v * stopping_time(gate, c, v)) / 2;
+        stands = fmax(stands, rate != NULL ? stopping_time(gate, c, fast) : 0);
+        is_off |= rate != NULL && gate->rate_error[c] > 0;
+    }
+    int rests = is_off && stands > gate->times[pieces] && (gate->checker->state.growing > 0 || pieces == 0);
+    if (rate != NULL && pieces > 1 && steps > 0)
+        TRY(prove_whole(gate, begin, dt, points, rests ? stands : 0, steps, proof, &is_free));
+    if (is_free)
+        return LOEWNER_OK;
     const struct {
         Array2 times;
         Array4 states;
@@ -436,14 +488,6 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
         {gate->courses, pieces, points, dof}, {gate->seconds, pieces},
     };
     TRY(call(kernels()->courses_of_brakes, &arguments, &made));
-    for (int64_t c = 0; c < dof; c++) {
-        double v = rate == NULL ? 0 : fabs(rate[c]), fast = v + gate->rate_error[c];
-        gate->widened[c] = gate->error[c];
-        if (rate != NULL)
-            gate->widened[c] += (fast * stopping_time(gate, c, fast) - v * stopping_time(gate, c, v)) / 2;
-        stands = fmax(stands, rate != NULL ? stopping_time(gate, c, fast) : 0);
-        is_off |= rate != NULL && gate->rate_error[c] > 0;
-    }
     if (rate == NULL) {
         /* Where a long brake fails, it mostly fails at its end, where no interval has to be halved. */
         double *still = gate->courses + pieces * points * dof;
@@ -455,7 +499,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
     for (int64_t k = 0; k < pieces && !proof->reason; k++)
         TRY(prove_course(gate, gate->courses + k * points * dof, points, gate->widened, begin + gate->times[k],
                          begin + gate->times[k + 1], dt, proof));
-    if (!is_off || !(stands > gate->times[pieces]) || (gate->checker->state.growing == 0 && pieces > 0) || proof->reason)
+    if (!rests || proof->reason)
         return LOEWNER_OK;
     for (int64_t k = 0; k < points; k++)
         memcpy(gate->courses + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *gate->courses);
@@ -490,7 +534,11 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     int64_t tick = chunk->braked + 1 > chunk->first ? chunk->braked + 1 : chunk->first;
     proof->reason = 0;
     proof->pair = -1;
-    for (tick = tick > 0 ? tick : 0; tick <= chunk->motions; tick++) {
+    tick = tick > 0 ? tick : 0;
+    int64_t steps = steps_of_whole(gate);
+    if (proof->most - proof->work < steps * (chunk->motions - tick + 1))
+        steps = 0;
+    for (; tick <= chunk->motions; tick++) {
         if (stop->tick == tick && stop->needed <= chunk->count) {
             proof->reason = stop->reason;
             proof->pair = stop->pair;
@@ -502,7 +550,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         int is_covered = gate->on_path && growing == 0 && end <= chunk->motions; /* proven, at all times */
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
-                            gate->on_path ? NULL : chunk->rates + tick * dof, proof));
+                            gate->on_path ? NULL : chunk->rates + tick * dof, steps, proof));
         if (proof->reason) {
             if (proof->reason == LOEWNER_REASON_CONTACT)
                 proof->reason = LOEWNER_REASON_BRAKE;
@@ -664,7 +712,7 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
 {
     int64_t late = periods(gate, dt), from, to, tick;
     int64_t count = within_limits(gate, q, targets, wanted, dt, &answer->joint);
-    Proof proof = {0, -1, gate->steps, 0};
+    Proof proof = {0, -1, gate->steps, 0, 0};
     TRY(look(gate));
     int holds = find_ticks(gate, now, &from, &to);
     double off = -1;
@@ -707,10 +755,10 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, dt * (double)late, &proof, answer);
         }
-    Proof stopping = {0, -1, proof.most, proof.work};
+    Proof stopping = {0, -1, proof.most, proof.work, 0};
     TRY(stop(gate, q, dq));
     if (late == 0)
-        TRY(prove_brake(gate, now, dt, dq, &stopping));
+        TRY(prove_brake(gate, now, dt, dq, 0, &stopping));
     proof.work = stopping.work;
     return answer_with(gate, LOEWNER_GATE_BRAKE, 0, late == 0 && !stopping.reason, 0, &proof, answer);
 }

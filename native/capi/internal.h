@@ -23,9 +23,9 @@ loewner_status no_memory(void);
 
 #define TRY(call)                                                                                                      \
     do {                                                                                                               \
-        loewner_status tried = (call);                                                                                 \
-        if (tried != LOEWNER_OK)                                                                                       \
-            return tried;                                                                                              \
+        loewner_status status_ = (call);                                                                               \
+        if (status_ != LOEWNER_OK)                                                                                     \
+            return status_;                                                                                            \
     } while (0)
 
 /* -- kernels: see `loewner/_native/entries.py` --------------------------------------------------------------------- */
@@ -58,6 +58,7 @@ typedef int32_t (*Kernel)(const int64_t *, int64_t *);
     X(brakes_by_joint, "F2 F2 F2 F1 F1 F2 F4 I1", "")                                                                  \
     X(brakes_on_path, "F2 F1 F1 F1 F1 b F2 F4 I1 I1", "")                                                              \
     X(courses_of_brakes, "F2 F4 I1 F3 F1", "i")                                                                        \
+    X(whole_brakes, "F2 F4 I1 F1 F3 F2", "")                                                                           \
     X(measure_moving, "i i i", "")                                                                                     \
     X(place_static, "i i F1 F2", "i")
 

@@ -45,6 +45,7 @@ ENTRIES = {
         Entry("robots.brakes", "brakes_by_joint", "F2 F2 F2 F1 F1 F2 F4 I1", ""),
         Entry("robots.brakes", "brakes_on_path", "F2 F1 F1 F1 F1 b F2 F4 I1 I1", ""),
         Entry("robots.brakes", "courses_of_brakes", "F2 F4 I1 F3 F1", "i"),
+        Entry("robots.brakes", "whole_brakes", "F2 F4 I1 F1 F3 F2", ""),
         Entry("robots.pose_paths", "pose_values", "I1 F1 F2 F1 F1 F1 F3", ""),
         Entry("robots.reach", "reach_poses", "I2 F2 F2 F1 F3 F2 F2 i i i F3 I1 F2", ""),
         Entry("robots.lines", "follow_line", "I2 F2 F2 F1 F2 F1", "i F2"),

@@ -99,6 +99,26 @@ class Brakes(NamedTuple):
         entries.courses_of_brakes(*self[:3], courses, seconds)
         return courses, seconds, first
 
+    def whole(self, cubic: bool, until: Floats) -> tuple[Floats, Floats]:
+        """Return one course for each brake and the rest behind it, and by how much the brake deviates from it.
+
+        Parameters
+        ----------
+        cubic : bool
+            As for `courses`.
+        until : ndarray, shape (n,)
+            Seconds since each brake began until which it rests, if they are more than it takes.
+
+        Returns
+        -------
+        courses : ndarray, shape (n, degree + 1, dof)
+        off : ndarray, shape (n, dof)
+        """
+        n, dof = len(self.counts), self.states.shape[3]
+        courses, off = np.empty((n, 4 if cubic else 3, dof)), np.empty((n, dof))
+        entries.whole_brakes(*self[:3], until, courses, off)
+        return courses, off
+
     def one(self, n: int = 0) -> tuple[Floats, Floats, Floats, Floats]:
         """Return times, positions, velocities and accelerations of one brake.
 

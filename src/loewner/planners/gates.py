@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._elementary import arccos
 from loewner._kernels import codes, tolerances
-from loewner._validate import Floats, Ints
+from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError
 from loewner.planners.brakes import Brakes, brake_limits
 from loewner.planners.joint_limits import JointLimits
@@ -586,11 +586,18 @@ class Gate:
             work += more
         else:
             error += self._farther(chunk.rates[ticks])
-        tried = brakes.only(np.arange(standing))
-        courses, seconds, first = self._pieces(ready, tried, None if self._on_path else chunk.rates[ticks])
-        owner = np.repeat(np.arange(standing), np.diff(first))
+        tried = np.arange(standing)
+        if not self._on_path:
+            starts: Floats = chunk.t0 + chunk.dt * ticks.astype(np.float64)
+            free_ones, more = self._wholes(ready, brakes, chunk.rates[ticks], error, starts, most - work)
+            tried, work = np.flatnonzero(~free_ones), work + more
+        courses, seconds, first = self._pieces(
+            ready, brakes.only(tried), None if self._on_path else chunk.rates[ticks[tried]]
+        )
+        owner = np.repeat(np.arange(len(tried)), np.diff(first))
         end = np.cumsum(seconds)
-        end += (chunk.t0 + chunk.dt * ticks[:standing] - np.append(0.0, end)[first[:-1]])[owner]
+        end += (chunk.t0 + chunk.dt * ticks[tried] - np.append(0.0, end)[first[:-1]])[owner]
+        owner = tried[owner]
         free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
         work += more
         k = standing if other is None else int(owner[free])
@@ -611,16 +618,8 @@ class Gate:
             return 0, None, 0
         if most <= 0:
             return 0, _Block("budget", -1, courses[0, 0], float(begin[0])), 0
-        off: Floats | None = error + OFF * np.abs(courses).max(axis=1) if error.any() else None
-        owner, low, high = np.arange(len(courses)), np.zeros(len(courses)), np.ones(len(courses))
-        cut, times = courses, np.stack([begin, end], axis=1)
-        if ready.paths is not None:
-            none = np.zeros((len(courses), courses.shape[2]))
-            owner, low, high, times, cut, off = in_time.pieces(
-                self._checker.robot, ready.paths, courses, none if off is None else off, begin, end
-            )
-        clear = np.full(len(cut), self._drift) if self._drift > 0.0 else motions.NO_CLEARANCES
-        found = motions.settle(ready, cut, self._tolerance, off, clear, Limit(most, np.array([0, len(cut)])))
+        owner, low, high, cut, times, off = self._divided(ready, courses, error, begin, end)
+        found = motions.settle(ready, cut, self._tolerance, off, self._clear(cut), Limit(most, np.array([0, len(cut)])))
         work = int(found.work[:, motions.STEPS].sum())
         for k in np.flatnonzero(found.verdicts != codes.FREE)[:1]:
             share = 0.0 if np.isnan(found.fractions[k]) else float(found.fractions[k])
@@ -631,6 +630,44 @@ class Gate:
             reason = "contact" if hit == codes.COLLIDING else "budget" if work >= most else "may be hit"
             return int(owner[k]), _Block(reason, int(found.pairs[k]), q, t), work
         return len(courses), None, work
+
+    def _wholes(
+        self, ready: Problem, brakes: Brakes, rates: Floats, error: Floats, begin: Floats, most: int
+    ) -> tuple[Bools, int]:
+        """Try to prove each brake as one course, which takes one interval where nothing is near, and count the steps.
+
+        A brake as a whole may take about as many steps as one interval does; none is tried if not all may.
+        """
+        free, steps = np.zeros(len(rates), dtype=bool), len(ready.pairs)
+        chosen = np.flatnonzero(brakes.counts > 2)
+        if len(chosen) == 0 or steps == 0 or most < steps * len(rates):
+            return free, 0
+        until = np.zeros(len(chosen))
+        if ready.paths is not None and self._rate_error.any():
+            until = self._stopping_time(np.abs(rates[chosen]) + self._rate_error).max(axis=1)
+        wholes = brakes.only(chosen)
+        courses, off = wholes.whole(self._jerk is not None, until)
+        end = begin[chosen] + np.maximum(until, wholes.durations)
+        owner, _, _, cut, _, allowed = self._divided(ready, courses, error[chosen] + off, begin[chosen], end)
+        first = np.searchsorted(owner, np.arange(len(chosen) + 1))
+        found = motions.settle(ready, cut, self._tolerance, allowed, self._clear(cut), Limit(steps, first))
+        free[chosen] = np.bincount(owner[found.verdicts != codes.FREE], minlength=len(chosen)) == 0
+        return free, int(found.work[:, motions.STEPS].sum())
+
+    def _divided(
+        self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
+    ) -> tuple[Ints, Floats, Floats, Floats, Floats, Floats | None]:
+        """Divide courses where bodies' motions change, as `in_time.pieces` does; how far each piece may be off."""
+        off: Floats | None = error + OFF * np.abs(courses).max(axis=1) if error.any() else None
+        n = len(courses)
+        if ready.paths is None:
+            return np.arange(n), np.zeros(n), np.ones(n), courses, np.stack([begin, end], axis=1), off
+        off = np.zeros((n, courses.shape[2])) if off is None else off
+        owner, low, high, times, cut, off = in_time.pieces(self._checker.robot, ready.paths, courses, off, begin, end)
+        return owner, low, high, cut, times, off
+
+    def _clear(self, courses: Floats) -> Floats:
+        return np.full(len(courses), self._drift) if self._drift > 0.0 else motions.NO_CLEARANCES
 
     def _scale(self, ready: Problem, chunk: _Chunk, block: _Block, most: int) -> tuple[float, int]:
         """Find the largest scale of time with which a chunk is proven, and the steps that this took."""

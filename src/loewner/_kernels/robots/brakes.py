@@ -8,12 +8,16 @@ state and from the position at its end.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Times that are nearer than this share of a brake's duration become one: rounding would affect so short a piece.
 NEAR = 1e-9
 
 # Steps of Newton's method, or of halving, for the time at which a distance is covered.
 STEPS = 64
+
+# By how much the deviation of a brake from a whole course may be off, as a share of values.
+WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # 63 of them are derived in certified.md, "Gates"
 
 
 @inline
@@ -323,3 +327,69 @@ def courses_of_brakes(times, states, counts, courses, seconds):
             seconds[made] = T
             made += 1
     return made
+
+
+@inline
+def _between(p, q, x):
+    return p + x * (q - p)
+
+
+@inline
+def _blossom(p, q, r, x, y):
+    """The quadratic form of three control points at two fractions."""
+    return _between(_between(p, q, x), _between(q, r, x), y)
+
+
+@inline
+def _part(course, first, last, c):
+    """The control points of one value of a course between two fractions; the third one counts for a cubic only."""
+    p, q, r = course[0, c], course[1, c], course[2, c]
+    if len(course) == 3:
+        ahead = _blossom(p, q, r, first, last)
+        return _blossom(p, q, r, first, first), ahead, ahead, _blossom(p, q, r, last, last)
+    s = course[3, c]
+    early = _between(p, q, first), _between(q, r, first), _between(r, s, first)
+    late = _between(p, q, last), _between(q, r, last), _between(r, s, last)
+    return (
+        _blossom(early[0], early[1], early[2], first, first), _blossom(early[0], early[1], early[2], first, last),
+        _blossom(late[0], late[1], late[2], first, last), _blossom(late[0], late[1], late[2], last, last),
+    )  # fmt: skip
+
+
+@njit()
+def whole_brakes(times, states, counts, until, courses, off):
+    """Write one course for each brake, and by how much the brake deviates from it at the same fraction.
+
+    Parameters
+    ----------
+    times, states, counts : ndarray
+        As `brakes_by_joint` writes them.
+    until : ndarray, shape (n,)
+        Seconds since each brake began until which it rests, if they are more than it takes.
+    courses : ndarray, shape (n, degree + 1, dof)
+        Control points, which are written; of degrees as in `courses_of_brakes`.
+    off : ndarray, shape (n, dof)
+        Bounds on the deviation of each value, which are written.
+    """
+    degree = courses.shape[1] - 1
+    for n in range(len(counts)):
+        last, course = counts[n] - 1, courses[n]
+        T = max(times[n, last], until[n])
+        for c in range(courses.shape[2]):
+            q, v, end = states[n, 0, 0, c], states[n, 0, 1, c], states[n, last, 0, c]
+            ahead = min(max(q + v * (T / degree), min(q, end)), max(q, end))
+            course[0, c], course[1, c], course[2, c], course[degree, c] = q, ahead, end, end
+            low, high, most = np.inf, -np.inf, max(abs(q), abs(end))
+            for k in range(last + 1):
+                q, v, a = states[n, k, 0, c], states[n, k, 1, c], states[n, k, 2, c]
+                stop = times[n, k + 1] if k < last else T
+                t, after = stop - times[n, k], states[n, min(k + 1, last), 0, c]
+                one = q + v * (t / degree)
+                two = q + 2.0 * v * (t / 3.0) + a * (t * t / 6.0) if degree == 3 else one
+                start, early, late, beyond = _part(course, times[n, k] / T, stop / T, c)
+                low = min(low, q - start, one - early, two - late, after - beyond)
+                high = max(high, q - start, one - early, two - late, after - beyond)
+                most = max(most, abs(q), abs(one), abs(two), abs(after))
+            for p in range(degree + 1):
+                course[p, c] += (low + high) / 2.0
+            off[n, c] = (high - low) / 2.0 + WHOLE_ROUNDINGS * most
