@@ -16,6 +16,7 @@ from gantry import RADIUS, UP, gantry
 from loewner import Body, CollisionChecker, FileError, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.planners import Trajectory, trajectories, trajectory
 from loewner.planners.judge import Judge
+from loewner.planners.straights import Straights
 from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
 
 # What is promised of limits: beyond the last digits only where a phase is so short that times round.
@@ -592,8 +593,8 @@ def test_thousands_of_corners(tmp_path, monkeypatch):
     def moved(rows):
         return trajectory(checker.robot, rows, velocity=1.0, acceleration=10.0, checker=checker)
 
-    tried, duration = [], trajectories._duration
-    monkeypatch.setattr(trajectories, "_duration", lambda on, halves: tried.append(len(halves)) or duration(on, halves))
+    tried, duration = [], Straights.duration
+    monkeypatch.setattr(Straights, "duration", lambda on, halves: tried.append(len(halves)) or duration(on, halves))
     assert len(moved(path).blends) == 2000
     assert sum(tried) < 3000 * len(path)
     in_parts = moved(path[:102])

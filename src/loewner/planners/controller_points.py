@@ -24,7 +24,7 @@ from loewner.errors import FileError, InputError
 from loewner.planners import messages
 from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, columns_of, expect_in_table, write
 from loewner.planners.joint_limits import expect_robot
-from loewner.planners.trajectories import RATES, SAVED_KEYS, WRITTEN, with_ending
+from loewner.planners.trajectory_files import RATES, SAVED_KEYS, WRITTEN, with_ending
 from loewner.robots import Robot
 from loewner.robots.courses import CURVE_ROUNDINGS
 from loewner.robots.curves import Curve, form_of

@@ -24,7 +24,8 @@ from loewner.planners.joint_limits import limits_of
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_ends, touching
-from loewner.planners.trajectories import BLEND_ROUNDINGS, Trajectory
+from loewner.planners.straights import BLEND_ROUNDINGS
+from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot, in_time, motions, verdicts
 from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.courses import straight

@@ -98,6 +98,11 @@ class JerkLimited(NamedTuple):
         return JerkLimited(self.straights.part(first, last), self.along[first : last + 1], self.across[first:last])
 
     @property
+    def roundings(self) -> float:
+        """Bound on the error of computed blends, in units of the largest value."""
+        return CUBIC_ROUNDINGS
+
+    @property
     def wanted(self) -> Floats:
         """For each corner, the size of the blend that is passed at full speed."""
         edges = [ramp(1.0, limits) for limits in self.across]
@@ -119,8 +124,8 @@ class JerkLimited(NamedTuple):
         blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
         return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
 
-    def timed(self, halves: Floats) -> tuple[Floats, Floats, Floats, Bools, Floats]:
-        """Compute the arrays of a `Trajectory` of all phases in sequence."""
+    def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, Floats]:
+        """Compute the arrays of a `Trajectory` of all phases in sequence; the robot stops at the end."""
         on, (speeds, profiles) = self.straights, self._profiles(halves)
         (knots, ways, shares), still = self._bends(halves), np.zeros_like(on.rows[0])
         rows = [(0.0, on.rows[0], still, still, False)]

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._validate import Floats
+from loewner._kernels import tolerances
+from loewner._validate import Bools, Floats
 from loewner.errors import InputError
+
+# Bound on the error of computed blends, in units of the largest value and of the distance at full speed in the whole
+# time.
+BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B35
+
+# Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase, and a
+# blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
+SHORTEST = 1e-7
 
 # Limit on the seconds of a motion at full speed, on the seconds to reach it, and on their reciprocals: squares stay in
 # range.
@@ -54,6 +64,22 @@ class Straights(NamedTuple):
             )
         return cls(rows, lengths, full, gains, strongest)
 
+    @property
+    def straights(self) -> Straights:
+        """Itself, as of other motions."""
+        return self
+
+    @property
+    def roundings(self) -> float:
+        """Bound on the error of computed blends, in units of the largest value."""
+        return BLEND_ROUNDINGS
+
+    @property
+    def wanted(self) -> Floats:
+        """For each corner, the size of the blend that is passed at full speed."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(1 / (2 * self._room()))
+
     def part(self, first: int, last: int) -> Straights:
         """Select the motions at the corners from `first` up to, but without, `last`."""
         motions = slice(first, last + 1)
@@ -80,7 +106,93 @@ class Straights(NamedTuple):
         k = np.arange(len(halves))
         return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
 
+    def duration(self, halves: Floats) -> float:
+        """Compute the total duration in seconds."""
+        speeds, left = self._passed(halves)
+        blends = zip(halves.tolist(), speeds[1:-1], strict=True)
+        total = sum(2 * half / speed if half else 0.0 for half, speed in blends)
+        for k, (length, gain) in enumerate(zip(left, self.gains.tolist(), strict=True)):
+            total += sum(_seconds(_phases(length, gain, speeds[k], speeds[k + 1]), speeds[k]))
+        return total
+
+    def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, None]:
+        """Compute the arrays of a `Trajectory` of all phases in sequence.
+
+        The path ends at a speed, as a share of full speed, or at the highest speed below it that is reached.
+        """
+        speeds, left = self._passed(halves, last_speed)
+        first, _, last = self.corners(halves)
+        ends, taken = [*first, self.rows[-1]], [0.0, *halves.tolist(), 0.0]
+        times, knots, rates, blended = [0.0], [self.rows[0]], [np.zeros_like(self.rows[0])], []
+        for k, (full, length) in enumerate(zip(self.full, self.lengths.tolist(), strict=True)):
+            phases = _phases(left[k], float(self.gains[k]), speeds[k], speeds[k + 1])
+            gone = np.cumsum([taken[k], *(way for way, _ in phases)])[1:]
+            knots += [*self.at(k, gone[:-1] / length), ends[k]]
+            rates += [speed * full for _, speed in phases]
+            times += _seconds(phases, speeds[k])
+            blended += [False] * len(phases)
+            if taken[k + 1] > 0:
+                knots.append(last[k])
+                rates.append(speeds[k + 1] * self.full[k + 1])
+                times.append(2 * taken[k + 1] / speeds[k + 1])
+                blended.append(True)
+        passed = np.cumsum(times)
+        # A phase shorter than the last digit of the time has no duration.
+        kept = np.append(np.diff(passed) > 0, True)
+        bent = np.append(np.array(blended, dtype=bool), False)[kept]
+        return passed[kept], np.array(knots)[kept], np.array(rates)[kept], bent[:-1], None
+
+    def _room(self) -> Floats:
+        """For each corner, the share of full speed by which the direction can change per second."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return smallest(self.strongest / np.abs(np.diff(self.full, axis=0)))
+
+    def _passed(self, halves: Floats, last_speed: float = 0.0) -> tuple[list[float], list[float]]:
+        """Compute speeds at the rows, as shares of full speed, and lengths between blends, in seconds at full speed.
+
+        Parameters
+        ----------
+        halves : ndarray, shape (corners,)
+            Seconds at full speed from the beginning of a blend to its corner, which equals the time from the corner to
+            the blend's end; 0 for a stop.
+        """
+        with np.errstate(invalid="ignore"):
+            limits = np.sqrt(np.where(halves > 0, 2 * halves * self._room(), 0.0))
+        taken = np.concatenate([[0.0], halves, [0.0]])
+        left = np.maximum(self.lengths - taken[:-1] - taken[1:], 0.0).tolist()
+        gains = self.gains.tolist()
+        speeds = [0.0, *np.minimum(limits, 1.0).tolist(), last_speed]
+        for k in range(len(left)):
+            speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] * speeds[k] + 2 * gains[k] * left[k]))
+        for k in range(len(left) - 1, -1, -1):
+            speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] * speeds[k + 1] + 2 * gains[k] * left[k]))
+        return speeds, left
+
 
 def smallest(ratios: Floats) -> Floats:
     """Return the smallest ratio in each row, ignoring 0 / 0."""
     return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
+
+
+def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[float, float]]:
+    """Return the phases between two speeds on a straight line, each as its distance and the speed at its end."""
+    peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
+    top = max(low, high)
+    if peak - top <= SHORTEST * peak:
+        peak = top
+    up, down = (peak * peak - low * low) / (2 * gain), (peak * peak - high * high) / (2 * gain)
+    level = length - up - down
+    if abs(high - low) <= SHORTEST * peak and peak == top:
+        return [(length, high)]
+    if level <= SHORTEST * length:  # without this phase the others cover the whole distance
+        up, down, level = up * length / (up + down), down * length / (up + down), 0.0
+    return [(way, speed) for way, speed in ((up, peak), (level, peak), (down, high)) if way > 0]
+
+
+def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
+    """Compute the durations of successive phases, given the speed at the start."""
+    found = []
+    for way, end in phases:
+        found.append(2 * way / (speed + end))
+        speed = end
+    return found

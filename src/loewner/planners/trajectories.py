@@ -7,36 +7,32 @@ and not only on a grid. docs/design/trajectories.md describes the alternatives t
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _tables, _validate
-from loewner._files import read_regular, shown
+from loewner import _validate
+from loewner._files import shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
-from loewner._nodes import read_json
 from loewner._pictures import POINTS, curves, pictured
 from loewner._plausible import warn
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Bools, FloatOrFloats, Floats, Ints
 from loewner.errors import FileError, InputError, MissingExtraError, PlanningError
 from loewner.planners import brakes, messages
-from loewner.planners.controllers import columns_of, expect_in_table, write
+from loewner.planners.controllers import columns_of, write
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited, shortest
 from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.kept_lines import KeptLine, Line, angle_of, kept_lines
-from loewner.planners.straights import Straights, smallest
+from loewner.planners.straights import BLEND_ROUNDINGS, SHORTEST, Straights
+from loewner.planners.trajectory_files import ENDINGS, OTHERS, WRITTEN, Rows, read, with_ending, written
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.curves import Curve, form_of
 from loewner.robots.edges import checked_path
@@ -48,16 +44,8 @@ HALVINGS = 5
 # Shortest duration of half a blend [s], unless a motion is shorter: nearly straight corners would need none.
 LEAST_BLEND = 1e-3
 
-# Bound on the error of computed blends, in units of the largest value and of the distance at full speed in the whole
-# time.
-BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B35
-
 # A row counts as lying on the straight line between its neighbours within this share of their values.
 ROUNDED = 1e-15
-
-# Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase, and a
-# blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
-SHORTEST = 1e-7
 
 # Rows at a constant rate are no nearer to others than these multiples of the shortest phase that rounding permits: with
 # limited jerk, since controllers interpolate quintics there; without, since rows have less noise. A trajectory that was
@@ -79,15 +67,6 @@ MOST_MERGED = 4096
 # Allowed deviation of a file's pieces from constant acceleration, for each joint: as a share of its range, and in units
 # of its largest value and of the distance at its largest velocity in the whole time.
 FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
-LARGEST_FILE = 2**28  # bytes
-
-ENDINGS = (".csv", ".json")
-WRITTEN = (*ENDINGS, ".yaml")
-
-# Keys of a .json file that is no message.
-RATES = ("velocities", "accelerations")
-SAVED_KEYS = ("names", "times", "positions", *RATES, "blended", "jumps", "start_time")
-OTHERS = "; planners.ControllerPoints.load reads messages and points of other programs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -566,18 +545,11 @@ class Trajectory(KeepsReadOnly):
         Trajectory(3 s, 2 joints, stops at 0 corners, 0 blends)
         """
         source = with_ending(path, ENDINGS, OTHERS)
-        name = shown(source)
-        data = read_regular(source, "a trajectory", LARGEST_FILE)
-        try:
-            read = _read_json(data, source) if source.suffix.lower() == ".json" else _read_csv(data.decode())
-        except FileError as error:
-            raise FileError(f"{error}{OTHERS}") from None
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
-            raise FileError(f"{name}: expected a trajectory, found {_why(error)}{OTHERS}") from None
-        fault = read._fault()
+        loaded = cls._of_rows(read(source))
+        fault = loaded._fault()
         if fault:
-            raise FileError(f"{name}: expected {fault}")
-        return read._read_only()
+            raise FileError(f"{shown(source)}: expected {fault}")
+        return loaded._read_only()
 
     def certify(
         self, checker: CollisionChecker, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0, proof: bool = False
@@ -793,10 +765,8 @@ class Trajectory(KeepsReadOnly):
 
     def _text(self, suffix: str, message: bool) -> str:
         """Return the contents of a file."""
-        if suffix == ".csv":
-            return self._csv()
-        if suffix == ".json" and not message:
-            return json.dumps(self._held())
+        if not message and suffix in ENDINGS:
+            return written(self._rows, suffix)
         times, pieces = self._at_nanoseconds()
         rows = {"positions": self._positions(*pieces)}
         if not self.jumps:
@@ -824,25 +794,18 @@ class Trajectory(KeepsReadOnly):
             x[1:-1, 0] = (times[1:-1] - self.times[k[1:-1]]) / lengths[k[1:-1]]
         return times, (k, x, T)
 
-    def _csv(self) -> str:
-        expect_in_table(self.names)
-        if self.jumps:
-            header, columns = ["time", *self.names], [self.times, self.knots]
-            return _tables.written(header, np.column_stack(columns), self.start_time)
-        columns = [self.times, self.knots, self.rates, *([] if self.bends is None else [self.bends])]
-        header, flags = _header(self.names, self.bends is not None), np.append(self.blended, False).astype(int)
-        return _tables.written(header, np.column_stack(columns), self.start_time, flags.tolist())
+    @property
+    def _rows(self) -> Rows:
+        """What a file holds."""
+        rates = None if self.jumps else self.rates
+        return Rows(self.names, self.times, self.knots, rates, self.blended, self.bends, self.start_time)
 
-    def _held(self) -> dict[str, Any]:
-        if self.jumps:
-            places = {"times": self.times.tolist(), "positions": self.knots.tolist()}
-            return {"names": self.names, **places, "jumps": True, "start_time": self.start_time}
-        held = {
-            "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
-            "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
-            **({"start_time": self.start_time} if self.start_time else {}),
-        }  # fmt: skip
-        return held if self.bends is None else held | {"accelerations": self.bends.tolist()}
+    @classmethod
+    def _of_rows(cls, rows: Rows) -> Trajectory:
+        if rows.rates is None:
+            with np.errstate(over="ignore", invalid="ignore"):  # refused as numbers that are not finite
+                return cls._straight(rows.names, rows.times, rows.knots, rows.start_time)
+        return cls(rows.names, rows.times, rows.knots, rows.rates, rows.blended, rows.bends, start_time=rows.start_time)
 
     def _read_only(self) -> Trajectory:
         """Return the same trajectory with read-only arrays."""
@@ -1024,9 +987,7 @@ def fastest_along(
     reached. Blends on `kept` lines stay on them.
     """
     halves = _halves(motions, judge, share, kept)
-    if isinstance(motions, JerkLimited):
-        return Trajectory(robot.configuration_names, *motions.timed(halves))._read_only()
-    return _timed(robot, motions, halves, last_speed)
+    return Trajectory(robot.configuration_names, *motions.timed(halves, last_speed))._read_only()
 
 
 @guarded
@@ -1165,8 +1126,7 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 
 def _halves(motions: Straights | JerkLimited, judge: Judge | None, share: float, kept: Sequence[OnLine]) -> Floats:
     """Choose the sizes of blends that are proven free and on lines; 0 for stops."""
-    on = motions if isinstance(motions, Straights) else motions.straights
-    corners = max(len(on.rows) - 2, 0)
+    corners = max(len(motions.straights.rows) - 2, 0)
     if judge is None or share == 0 or corners == 0:
         return np.zeros(corners)
     return _shortest(motions, _proven_blends(judge, motions, share, kept))
@@ -1176,25 +1136,18 @@ def _proven_blends(
     judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[OnLine]
 ) -> list[Floats]:
     """Find for each corner the blend sizes that are proven free and on lines, largest first; the last is 0, a stop."""
-    straights = motions if isinstance(motions, Straights) else motions.straights
-    lengths = straights.lengths
-    turns = np.abs(np.diff(straights.full, axis=0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = 1 / (2 * smallest(straights.strongest / turns))  # so that it is passed at full speed
-    if isinstance(motions, JerkLimited):
-        wanted = motions.wanted
+    straights, lengths = motions.straights, motions.straights.lengths
     shorter = np.minimum(lengths[:-1], lengths[1:])
-    halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
+    halves = np.minimum(np.maximum(motions.wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
-    astray = BLEND_ROUNDINGS * speeds * _duration(motions, np.zeros(len(halves)))
+    astray = BLEND_ROUNDINGS * speeds * motions.duration(np.zeros(len(halves)))
     if judge.joint_error is not None:
         astray += judge.joint_error
-    roundings = CUBIC_ROUNDINGS if isinstance(motions, JerkLimited) else BLEND_ROUNDINGS
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
         courses = motions.courses(halves)
         # Computed positions may be off by this: docs/certified.md, "Blends".
-        off = roundings * np.abs(courses).max(axis=2) + astray[:, None]
+        off = motions.roundings * np.abs(courses).max(axis=2) + astray[:, None]
         free = judge.proven(courses.reshape(-1, *courses.shape[2:]), off.reshape(-1, off.shape[-1]))
         free = free.reshape(off.shape[:2]).all(axis=1) & (halves > SHORTEST * shorter)
         for on in kept:
@@ -1241,20 +1194,20 @@ def _keeps(on: OnLine, motions: Straights | JerkLimited, halves: Floats, off: Fl
     return good
 
 
-def _shortest(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:
+def _shortest(motions: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose one of the proven blend sizes for each corner, `CHOSEN_AT_A_TIME` corners at a time."""
     parts = [
-        _shortest_part(straights.part(first, first + len(sizes)), sizes)
+        _shortest_part(motions.part(first, first + len(sizes)), sizes)
         for first, sizes in ((k, proven[k : k + CHOSEN_AT_A_TIME]) for k in range(0, len(proven), CHOSEN_AT_A_TIME))
     ]
     halves, stops = np.concatenate(parts), np.zeros(len(proven))
-    return stops if _duration(straights, stops) < _duration(straights, halves) else halves
+    return stops if motions.duration(stops) < motions.duration(halves) else halves
 
 
-def _shortest_part(straights: Straights | JerkLimited, proven: list[Floats]) -> Floats:
+def _shortest_part(motions: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose blend sizes for a path with few corners, such that no change of a single size shortens the duration."""
     halves = np.array([sizes[0] for sizes in proven])
-    shortest = _duration(straights, halves)
+    shortest = motions.duration(halves)
     improved = True
     while improved:
         improved = False
@@ -1262,157 +1215,7 @@ def _shortest_part(straights: Straights | JerkLimited, proven: list[Floats]) -> 
             for half in sizes.tolist():
                 other = halves.copy()
                 other[k] = half
-                needed = _duration(straights, other)
+                needed = motions.duration(other)
                 if needed < shortest * (1 - 1e-9):
                     halves, shortest, improved = other, needed, True
     return halves
-
-
-# -- times --------------------------------------------------------------------------------------
-
-
-def _passed(straights: Straights, halves: Floats, last_speed: float = 0.0) -> tuple[list[float], list[float]]:
-    """Compute speeds at the rows, as shares of full speed, and lengths between blends, in seconds at full speed.
-
-    Parameters
-    ----------
-    halves : ndarray, shape (corners,)
-        Seconds at full speed from the beginning of a blend to its corner, which equals the time from the corner to the
-        blend's end; 0 for a stop.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = smallest(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
-        limits = np.sqrt(np.where(halves > 0, 2 * halves * room, 0.0))
-    taken = np.concatenate([[0.0], halves, [0.0]])
-    left = np.maximum(straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
-    gains = straights.gains.tolist()
-    speeds = [0.0, *np.minimum(limits, 1.0).tolist(), last_speed]
-    for k in range(len(left)):
-        speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] * speeds[k] + 2 * gains[k] * left[k]))
-    for k in range(len(left) - 1, -1, -1):
-        speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] * speeds[k + 1] + 2 * gains[k] * left[k]))
-    return speeds, left
-
-
-def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[float, float]]:
-    """Return the phases between two speeds on a straight line, each as its distance and the speed at its end."""
-    peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
-    top = max(low, high)
-    if peak - top <= SHORTEST * peak:
-        peak = top
-    up, down = (peak * peak - low * low) / (2 * gain), (peak * peak - high * high) / (2 * gain)
-    level = length - up - down
-    if abs(high - low) <= SHORTEST * peak and peak == top:
-        return [(length, high)]
-    if level <= SHORTEST * length:  # without this phase the others cover the whole distance
-        up, down, level = up * length / (up + down), down * length / (up + down), 0.0
-    return [(way, speed) for way, speed in ((up, peak), (level, peak), (down, high)) if way > 0]
-
-
-def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
-    """Compute the durations of successive phases, given the speed at the start."""
-    found = []
-    for way, end in phases:
-        found.append(2 * way / (speed + end))
-        speed = end
-    return found
-
-
-def _duration(straights: Straights | JerkLimited, halves: Floats) -> float:
-    """Compute the total duration in seconds."""
-    if isinstance(straights, JerkLimited):
-        return straights.duration(halves)
-    speeds, left = _passed(straights, halves)
-    total = sum(2 * half / speed if half else 0.0 for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True))
-    for k, (length, gain) in enumerate(zip(left, straights.gains.tolist(), strict=True)):
-        total += sum(_seconds(_phases(length, gain, speeds[k], speeds[k + 1]), speeds[k]))
-    return total
-
-
-def _timed(robot: Robot, straights: Straights, halves: Floats, last_speed: float = 0.0) -> Trajectory:
-    """Make the trajectory of all phases in sequence."""
-    speeds, left = _passed(straights, halves, last_speed)
-    first, _, last = straights.corners(halves)
-    ends, taken = [*first, straights.rows[-1]], [0.0, *halves.tolist(), 0.0]
-    times, knots, rates, blended = [0.0], [straights.rows[0]], [np.zeros(robot.dof)], []
-    for k, (full, length) in enumerate(zip(straights.full, straights.lengths.tolist(), strict=True)):
-        phases = _phases(left[k], float(straights.gains[k]), speeds[k], speeds[k + 1])
-        gone = np.cumsum([taken[k], *(way for way, _ in phases)])[1:]
-        knots += [*straights.at(k, gone[:-1] / length), ends[k]]
-        rates += [speed * full for _, speed in phases]
-        times += _seconds(phases, speeds[k])
-        blended += [False] * len(phases)
-        if taken[k + 1] > 0:
-            knots.append(last[k])
-            rates.append(speeds[k + 1] * straights.full[k + 1])
-            times.append(2 * taken[k + 1] / speeds[k + 1])
-            blended.append(True)
-    passed = np.cumsum(times)
-    # A phase shorter than the last digit of the time has no duration.
-    kept = np.append(np.diff(passed) > 0, True)
-    arrays = passed, np.array(knots), np.array(rates), np.append(np.array(blended, dtype=bool), False)
-    at, positions, velocities, bent = (array[kept] for array in arrays)
-    return Trajectory(robot.configuration_names, at, positions, velocities, bent[:-1])
-
-
-# -- files --------------------------------------------------------------------------------------
-
-
-def with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: str = "") -> Path:
-    """Check that a path has one of these extensions."""
-    checked = _validate.path(path, "path")
-    if checked.suffix.lower() not in endings:
-        raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}{hint}")
-    return checked
-
-
-def _header(names: tuple[str, ...], bends: bool) -> list[str]:
-    kinds = ("", " velocity", " acceleration") if bends else ("", " velocity")
-    return ["time", *(name + kind for kind in kinds for name in names), "blend"]
-
-
-def _read_csv(text: str) -> Trajectory:
-    """Read a string written by `_csv`."""
-    start_time, text = _tables.start_of(text)
-    header, *rows = csv.reader(io.StringIO(text), strict=True)
-    if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
-        return _read_straight(header[1:], _tables.below(header, rows), start_time)
-    bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
-    names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
-    if header != _header(names, bends):
-        raise ValueError(f"the header {_validate.short(header)}")
-    table = _tables.below(header, rows)
-    knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
-    blended, bent = table[:-1, -1] != 0, more[0] if more else None
-    return Trajectory(names, table[:, 0], knots, rates, blended, bent, start_time=start_time)
-
-
-def _read_straight(names: Sequence[str], table: Floats, start_time: float) -> Trajectory:
-    """Make a trajectory whose velocities jump, from rows of times and positions."""
-    if not (np.diff(table[:, 0]) > 0).all() or not len(table):
-        raise ValueError("times that do not increase")
-    with np.errstate(over="ignore", invalid="ignore"):  # refused as numbers that are not finite
-        return Trajectory._straight(tuple(names), table[:, 0], table[:, 1:], start_time)
-
-
-def _read_json(data: bytes, file: Path) -> Trajectory:
-    """Read a file written by `save`."""
-    root = read_json(data, file, "a trajectory in JSON")
-    keys = root.mapping(SAVED_KEYS, required=("names", "times", "positions"))
-    names = tuple(name.text() for name in keys["names"].items())
-    start_time = keys["start_time"].number() if "start_time" in keys else 0.0
-    times, knots = np.array(keys["times"].numbers()), np.array(keys["positions"].rows(len(names)))
-    rates, bends = (np.array(keys[kind].rows(len(names))) if kind in keys else None for kind in RATES)
-    if "jumps" in keys:
-        if not keys["jumps"].flag() or {"blended", *RATES} & keys.keys():
-            raise root.error("expected jumps: true with times and positions alone")
-        return _read_straight(names, np.column_stack([times, knots]), start_time)
-    if "blended" not in keys or rates is None:
-        raise root.error("expected the keys velocities and blended, or jumps, found neither")
-    blended = np.array([each.flag() for each in keys["blended"].items()], dtype=bool)
-    return Trajectory(names, times, knots, rates, blended, bends, start_time=start_time)
-
-
-def _why(error: Exception) -> str:
-    """Return the decoder's message."""
-    return f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))

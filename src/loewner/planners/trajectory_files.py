@@ -1,0 +1,144 @@
+"""Files of trajectories: .csv with a row for each knot, and .json; every number is read back as it was."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner import _tables, _validate
+from loewner._files import read_regular, shown
+from loewner._nodes import read_json
+from loewner._validate import Bools, Floats
+from loewner.errors import FileError, InputError
+from loewner.planners.controllers import expect_in_table
+
+LARGEST_FILE = 2**28  # bytes
+
+ENDINGS = (".csv", ".json")
+WRITTEN = (*ENDINGS, ".yaml")
+
+# Keys of a .json file that is no message.
+RATES = ("velocities", "accelerations")
+SAVED_KEYS = ("names", "times", "positions", *RATES, "blended", "jumps", "start_time")
+OTHERS = "; planners.ControllerPoints.load reads messages and points of other programs"
+
+
+class Rows(NamedTuple):
+    """The contents of a file.
+
+    Attributes
+    ----------
+    names, times, knots, rates, blended, bends, start_time
+        As for `Trajectory`; without `rates`, velocities are constant between the times and jump there.
+    """
+
+    names: tuple[str, ...]
+    times: Floats
+    knots: Floats
+    rates: Floats | None
+    blended: Bools
+    bends: Floats | None
+    start_time: float
+
+
+def with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: str = "") -> Path:
+    """Check the extension of a path."""
+    checked = _validate.path(path, "path")
+    if checked.suffix.lower() not in endings:
+        raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}{hint}")
+    return checked
+
+
+def written(rows: Rows, suffix: str) -> str:
+    """Return the text of a file with this extension, one of `ENDINGS`."""
+    return _csv(rows) if suffix == ".csv" else json.dumps(_held(rows))
+
+
+def read(source: Path) -> Rows:
+    """Read a file; whether its numbers are a trajectory is not checked.
+
+    Raises
+    ------
+    FileError
+        If the file does not exist, or does not contain rows of a trajectory.
+    """
+    data = read_regular(source, "a trajectory", LARGEST_FILE)
+    try:
+        return _read_json(data, source) if source.suffix.lower() == ".json" else _read_csv(data.decode())
+    except FileError as error:
+        raise FileError(f"{error}{OTHERS}") from None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
+        why = f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))
+        raise FileError(f"{shown(source)}: expected a trajectory, found {why}{OTHERS}") from None
+
+
+def _csv(rows: Rows) -> str:
+    expect_in_table(rows.names)
+    if rows.rates is None:
+        header, columns = ["time", *rows.names], [rows.times, rows.knots]
+        return _tables.written(header, np.column_stack(columns), rows.start_time)
+    columns = [rows.times, rows.knots, rows.rates, *([] if rows.bends is None else [rows.bends])]
+    header, flags = _header(rows.names, rows.bends is not None), np.append(rows.blended, False).astype(int)
+    return _tables.written(header, np.column_stack(columns), rows.start_time, flags.tolist())
+
+
+def _held(rows: Rows) -> dict[str, Any]:
+    held = {"names": rows.names, "times": rows.times.tolist(), "positions": rows.knots.tolist()}
+    if rows.rates is None:
+        return held | {"jumps": True, "start_time": rows.start_time}
+    held |= {"velocities": rows.rates.tolist(), "blended": rows.blended.tolist()}
+    if rows.start_time:
+        held["start_time"] = rows.start_time
+    return held if rows.bends is None else held | {"accelerations": rows.bends.tolist()}
+
+
+def _header(names: tuple[str, ...], bends: bool) -> list[str]:
+    kinds = ("", " velocity", " acceleration") if bends else ("", " velocity")
+    return ["time", *(name + kind for kind in kinds for name in names), "blend"]
+
+
+def _read_csv(text: str) -> Rows:
+    start_time, text = _tables.start_of(text)
+    header, *rows = csv.reader(io.StringIO(text), strict=True)
+    if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
+        table = _tables.below(header, rows)
+        return _straight(tuple(header[1:]), table[:, 0], table[:, 1:], start_time)
+    bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
+    names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
+    if header != _header(names, bends):
+        raise ValueError(f"the header {_validate.short(header)}")
+    table = _tables.below(header, rows)
+    knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
+    return Rows(names, table[:, 0], knots, rates, table[:-1, -1] != 0, more[0] if more else None, start_time)
+
+
+def _straight(names: tuple[str, ...], times: Floats, knots: Floats, start_time: float) -> Rows:
+    """Make rows whose velocities jump; velocities are differences of them, so their times must increase."""
+    if not (np.diff(times) > 0).all() or not len(times):
+        raise ValueError("times that do not increase")
+    if len(times) != len(knots):
+        raise ValueError(f"{len(times)} times and {len(knots)} positions")
+    return Rows(names, times, knots, None, np.zeros(len(times) - 1, dtype=bool), None, start_time)
+
+
+def _read_json(data: bytes, file: Path) -> Rows:
+    root = read_json(data, file, "a trajectory in JSON")
+    keys = root.mapping(SAVED_KEYS, required=("names", "times", "positions"))
+    names = tuple(name.text() for name in keys["names"].items())
+    start_time = keys["start_time"].number() if "start_time" in keys else 0.0
+    times, knots = np.array(keys["times"].numbers()), np.array(keys["positions"].rows(len(names)))
+    rates, bends = (np.array(keys[kind].rows(len(names))) if kind in keys else None for kind in RATES)
+    if "jumps" in keys:
+        if not keys["jumps"].flag() or {"blended", *RATES} & keys.keys():
+            raise root.error("expected jumps: true with times and positions alone")
+        return _straight(names, times, knots, start_time)
+    if "blended" not in keys or rates is None:
+        raise root.error("expected the keys velocities and blended, or jumps, found neither")
+    blended = np.array([each.flag() for each in keys["blended"].items()], dtype=bool)
+    return Rows(names, times, knots, rates, blended, bends, start_time)
