@@ -24,6 +24,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Byte code is made of what is imported, when it is: making all of it takes longer than all else that pip does.
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile
+# Tests start hundreds of interpreters, so byte code of what they may import is made ahead, and of nothing else.
+NEVER_IMPORTED := /(tests?|OpenGL|pip|setuptools|Cython|fontTools|mypyc?|elftools|lexers)/
+COMPILE_ALL := { $(BIN)/python -m compileall -q -j 0 -x '$(NEVER_IMPORTED)' $(VENV)/lib >/dev/null 2>&1 || true; }
 PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
@@ -62,7 +65,7 @@ demo: $(VENV)/.compiler
 test fuzz bounds newest test-wheel other-machines: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
-	$(call built_with,$(VENV)/.dev,LOEWNER_JIT=1 $(PYTEST) -q -m light tests)
+	$(call built_with,$(VENV)/.dev,LOEWNER_JIT=1 $(PYTEST) -q -n $(THREADS) --dist loadfile -m light tests)
 	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz and not light" tests
 
@@ -204,8 +207,8 @@ $(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
-	$(PIP) -r requirements/dev.txt
-	@$(BIN)/python -m compileall -q -j 0 -x '/tests?/' $(VENV)/lib >/dev/null || true  # tests start hundreds of interpreters
+	$(COMPILE_ALL) & $(PIP) -r requirements/dev.txt; done=$$?; wait; exit $$done
+	@$(COMPILE_ALL)
 	@touch $@
 
 $(VENV)/.torch: requirements/torch.txt $(VENV)/.dev

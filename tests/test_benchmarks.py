@@ -60,8 +60,8 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "build_loop", missing)
 
 
-@pytest.mark.slow("it compiles the kernels of a GPU for the stand-in")
-def test_a_gpu_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("there", [False, pytest.param(True, marks=pytest.mark.verify)])
+def test_a_gpu_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: bool) -> None:
     """Without a GPU the benchmark says so; with one, here a stand-in, it counts, and compares all answers."""
     few = ["--pairs", "500", "--configurations", "300", "--motions", "20"]
     monkeypatch.setattr(gpu, "SIZES", (1, 10))
@@ -70,6 +70,8 @@ def test_a_gpu_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     monkeypatch.setattr(driver, "LIBRARY", "none.so")
     assert gpu.main(few) == 0
     assert "no GPU to measure: expected NVIDIA's driver" in capsys.readouterr().out
+    if not there:  # the kernels of a GPU are compiled for the stand-in
+        return
     made = StandIn()
     put_in(monkeypatch, made)
     monkeypatch.setattr(gpu, "copied", lambda device: 1e9)
@@ -216,10 +218,9 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     assert {f"{name}.svg" for name in run.FIGURES} <= written
 
 
-@pytest.mark.slow("it compiles the oracle of surfaces")
+@pytest.mark.verify  # it compiles the oracle of surfaces
 @pytest.mark.filterwarnings("ignore:.*nearly closed")  # the visual meshes of robots
-@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.verify)])
-def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, count: int):
+def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """Sections run on tiny sizes, their figures are in the file, and no answer differs from the oracle's."""
     pairs = [
         surface_samples.Pair(
@@ -232,7 +233,7 @@ def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
             surface_samples.Mesh(*surface_samples.torus(0.1, 0.03, 8, 6)),
             surface_samples.Mesh(*surface_samples.terrain(32, 1.0)),
         ),
-    ][:count]
+    ]
     monkeypatch.setattr(surface_samples, "pairs", lambda: pairs)
     monkeypatch.setattr(surface_samples, "TRIAL", 30)
     monkeypatch.setattr(surfaces, "QUICK", 8)
@@ -262,6 +263,7 @@ def test_frameworks_are_benchmarked(monkeypatch: pytest.MonkeyPatch, capsys: pyt
         assert sum(who in line for line in lines) == 4
 
 
+@pytest.mark.verify
 def test_other_libraries_are_judged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture):
     """Our answers are right, an answer that is always 0 is wrong, and programs in fractions prove it; files appear."""
     zeros = {"colliding": np.zeros(4), "distance": np.zeros(4)}
@@ -632,6 +634,7 @@ def test_checks_of_a_gate_are_counted(capsys: pytest.CaptureFixture[str]) -> Non
         assert median[f"{name}: continues"] < median[f"{name}: new, passes"] / 10
 
 
+@pytest.mark.verify
 def test_covers_are_sampled_and_grown() -> None:
     """Points outside of a ball in a cube are counted as geometry says, and the ball grows to the corners."""
     cube, ball = loewner.Body.box([2, 2, 2]), loewner.Body.spheres([[0.0, 0.0, 0.0]], [1.2])

@@ -266,6 +266,7 @@ def test_fit_loses_one_file_with_a_process(saved, capsys, monkeypatch):
     assert sorted(p.name for p in Path("out").iterdir()) == ["ball.npz", "cube.npz"]
 
 
+@pytest.mark.verify
 @pytest.mark.skipif(sys.platform == "win32", reason="processes there have no such signal")
 def test_an_interrupted_fit_leaves_whole_files(saved):
     """Ctrl+C ends all processes: there are bodies that load, and nothing else."""
@@ -301,7 +302,8 @@ def test_fit_refuses_options_once(saved, capsys):
         assert told in err
 
 
-@pytest.mark.parametrize("whole", [2, pytest.param(5, marks=pytest.mark.verify)])
+@pytest.mark.verify
+@pytest.mark.parametrize("whole", [2, 5])
 def test_parts_of_every_kind_are_fitted(saved, capsys, whole):
     """Of a few parts, one of them open and one cut short, all that can be are fitted, and the other one is listed."""
     meshes, damaged = made_parts.write(saved / "parts", 11)

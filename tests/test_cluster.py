@@ -175,6 +175,7 @@ def kill_one(client) -> None:
     os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
 
 
+@pytest.mark.verify
 def test_a_worker_that_dies_loses_nothing(client, tmp_path):
     """All bodies are there and right; none that was reported by then is made anew; none is reported twice."""
     meshes, made, seen, counts = corpus(tmp_path, 30), tmp_path / "made", {}, []
@@ -205,6 +206,7 @@ def states(client) -> dict[str, str]:
     return {key: state.status for key, state in client.futures.items()}
 
 
+@pytest.mark.verify
 def test_results_that_are_lost_are_made_again(tmp_path):
     """All files are done, and the one worker dies with their outcomes: these are fetched from the next, none anew."""
     meshes, made, seen, counts = corpus(tmp_path, 6), tmp_path / "made", {}, []
@@ -282,6 +284,7 @@ def test_an_interrupt_leaves_what_is_done(client, tmp_path):
     assert_serial({**found.done, **found.skipped})
 
 
+@pytest.mark.verify
 def test_a_mesh_that_ends_workers_is_listed(workers, client, monkeypatch, tmp_path):
     """A file at which Dask has lost enough workers counts as failed."""
     monkeypatch.setattr(workers.scheduler, "allowed_failures", 0)

@@ -487,7 +487,7 @@ def run(capsys, *words):
 
 
 @pytest.mark.parametrize(
-    "format", [one if one in ("curobo", "mjcf") else pytest.param(one, marks=pytest.mark.verify) for one in FORMATS]
+    "format", [one if one == "curobo" else pytest.param(one, marks=pytest.mark.verify) for one in FORMATS]
 )
 def test_cover_command(robot, lumps, tmp_path, monkeypatch, capsys, format):
     """The file that the command writes is read back, proven, and has a row for each link."""
@@ -501,7 +501,7 @@ def test_cover_command(robot, lumps, tmp_path, monkeypatch, capsys, format):
     assert run(capsys, "judge", "--model", name, "--format", format, "gantry.urdf")[0] == 0
 
 
-@pytest.mark.slow("fits of spheres")
+@pytest.mark.verify  # fits of spheres
 def test_cover_command_with_spheres(robot, tmp_path, monkeypatch, capsys):
     """Fitted spheres are written and proven as they are read."""
     monkeypatch.chdir(tmp_path)

@@ -70,9 +70,14 @@ def test_outcomes_of_balls_are_true(seed: int, count: int, radius: float):
     assert report.depth[0] <= report.depth[1]
 
 
-@pytest.mark.slow("bounds on depths in cones and cylinders take many cells")
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.verify)])
-@pytest.mark.parametrize("kind", ["capsule", "box", "ellipsoid", "cylinder", "cone", "sphere", "hull"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("capsule", "box", "ellipsoid", "sphere", "hull"),
+        *(pytest.param(kind, marks=pytest.mark.verify) for kind in ("cylinder", "cone")),  # their bounds take many cells
+    ],
+)
 def test_elements_hold_what_they_are_said_to(seed: int, kind: str):
     """A body is in a larger copy of itself and not in a smaller one, for each kind of element and any pose."""
     rng = np.random.default_rng(seed)
@@ -134,11 +139,11 @@ def test_radius_short_by_a_rounding_of_single_precision():
     assert cube.covered_by(Body.sphere(radius)).outcome != "uncovered"
 
 
-@pytest.mark.slow("cells along a seam down to the tolerance")
-def test_boxes_that_share_a_face_are_not_accused():
+@pytest.mark.parametrize("tolerance", [4e-3, pytest.param(1e-3, marks=pytest.mark.verify)])
+def test_boxes_that_share_a_face_are_not_accused(tolerance: float):
     """Boxes that share faces cover without a gap: never "uncovered"; moved apart by 1 µm, they leave a hole."""
     halves = [[-0.05, 0, 0], [0.05, 0, 0]]
-    assert BOX.covered_by(Body.boxes(halves, 0.1), tolerance=1e-3).outcome in ("covered", "undecided")
+    assert BOX.covered_by(Body.boxes(halves, 0.1), tolerance=tolerance).outcome in ("covered", "undecided")
     assert BOX.covered_by(Body.boxes(halves, 0.1 + 1e-4)).outcome == "covered"
     apart = BOX.covered_by(Body.boxes([[-0.05, 0, 0], [0.05 + 1e-6, 0, 0]], 0.1))
     assert apart.outcome == "uncovered"
@@ -166,10 +171,16 @@ def test_a_hole_inside(solid: bool):
         assert report.depth[0] == pytest.approx(0.06, rel=0.02)
         assert report.depth[1] >= 0.06 * (1 - 1e-6)
         assert body.covered_by(Body.union([shell, Body.sphere(0.07)])).outcome == "covered"
-        # Between the balls the hole goes on beyond this radius.
-        pierced = body.covered_by(Body.union([shell, Body.sphere(0.0605)]))
-        assert pierced.outcome == "uncovered"
-        assert 0.0605 < np.linalg.norm(pierced.witness) < 0.07
+
+
+@pytest.mark.verify
+def test_a_hole_that_goes_on_between_balls():
+    """A ball that fills most of a hole leaves its parts between the balls around it."""
+    shell = Body.spheres(trimesh.creation.icosphere(2).vertices * 0.09, 0.03)
+    body = Body.from_surface(trimesh.creation.icosphere(3, radius=0.1))
+    pierced = body.covered_by(Body.union([shell, Body.sphere(0.0605)]))
+    assert pierced.outcome == "uncovered"
+    assert 0.0605 < np.linalg.norm(pierced.witness) < 0.07
 
 
 def test_a_cavity_is_no_part_of_the_body():
@@ -211,7 +222,7 @@ def test_covers_by_number(kind: str):
         assert in_balls(ANNULUS.sample(100_000, seed=1), cover).all()
 
 
-@pytest.mark.slow("two fits of spheres")
+@pytest.mark.verify  # two fits of spheres
 def test_covers_by_protrusion():
     """Spheres stick out by at most the protrusion, and take no more of them if more is allowed."""
     counts = []
@@ -226,7 +237,7 @@ def test_covers_by_protrusion():
     assert counts[0] > counts[1]
 
 
-@pytest.mark.slow("a fit of spheres")
+@pytest.mark.verify  # a fit of spheres
 def test_spheres_of_an_open_surface():
     """A surface without an inside is held by spheres about its points."""
     triangle = Body.from_surface((np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2]])))
@@ -285,4 +296,4 @@ def test_a_thick_surface_is_not_its_corners():
     """A surface with a radius is not held by the hull of its corners."""
     box = trimesh.creation.box((2, 2, 2))
     thick = Body.from_surface(box, radius=0.5, solid=False)
-    assert thick.covered_by(Body.box([2, 2, 2])).outcome != "covered"
+    assert thick.covered_by(Body.box([2, 2, 2]), tolerance=0.05).outcome != "covered"

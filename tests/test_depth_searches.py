@@ -131,7 +131,7 @@ def test_more_ellipsoids_against_directions(seed: int):
     compare_with_directions(seed)
 
 
-@pytest.mark.slow("it compiles the search for the least depth, which it calls directly")
+@pytest.mark.verify  # it compiles the search for the least depth, which it calls directly
 def test_the_nearest_way_out_is_not_the_shortest():
     """Deep pairs have several local minima: downhill from a random direction is often another than the least found."""
     rng = np.random.default_rng(8)
@@ -155,6 +155,7 @@ def test_the_nearest_way_out_is_not_the_shortest():
     assert misled > 10
 
 
+@pytest.mark.verify  # it compiles the search for the least depth, which it calls directly
 def test_an_ellipsoid_within_proves_only_the_least():
     """Its proof holds for no minimum that has a lower one beside it, nor for one made deeper; it holds for most."""
     rng = np.random.default_rng(12)
@@ -282,7 +283,7 @@ def both_depths(a: Bodies, Ta: np.ndarray, b: Bodies, Tb: np.ndarray) -> tuple[n
     return found[:, 0], found[:, 1], found[:, 2]
 
 
-@pytest.mark.slow("its first case compiles the searches, which it calls directly")
+@pytest.mark.verify  # it compiles the searches, which it calls directly
 @pytest.mark.parametrize("family", FAMILIES)
 def test_fast_depth_is_the_careful_one(family: str):
     """Where the fast search answers, it answers the depth; it leaves few overlapping pairs open, and all others."""
@@ -300,6 +301,7 @@ def test_fast_depth_is_the_careful_one(family: str):
     assert settled[overlapping].mean() > 0.85
 
 
+@pytest.mark.verify  # it compiles the searches, which it calls directly
 def test_fast_depth_gives_up_on_too_much():
     """More corners than fit, or more faces than a mask has bits: unsettled, and the answer is right all the same."""
     ball = fibonacci_sphere(1500)
@@ -312,6 +314,7 @@ def test_fast_depth_gives_up_on_too_much():
         assert exact(body, None, body, T).distance == pytest.approx(-careful, abs=1e-12)
 
 
+@pytest.mark.verify  # it compiles the searches, which it calls directly
 def test_fast_depth_of_boxes_by_hand():
     """Boxes with common axes: the least overlap of their intervals, ties and concentric pairs included."""
     rng = np.random.default_rng(9)

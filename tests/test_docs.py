@@ -211,6 +211,7 @@ def test_example_ellipsoid_of_points(tmp_path):
     assert "[1. 1. 1. 1.]" in out
 
 
+@pytest.mark.verify
 def test_demo(tmp_path):
     """The demo runs, small, and leaves bodies, picture and report; no verdict is contradicted."""
     out = example("demo.py", "--hull", "--poses", "60", "--pairs", "60", "--configurations", "500", cwd=tmp_path)

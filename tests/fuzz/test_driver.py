@@ -23,7 +23,7 @@ def task(case: str) -> str | None:
 def test_every_kind_of_outcome_is_told():
     """Crashes and hangs cost no other case its outcome."""
     kinds = [driver.OK, driver.CRASH, driver.REFUSED, driver.HANG, driver.RAW, driver.WRONG, driver.OK]
-    outcomes = driver.run(task, kinds, limit=5.0)
+    outcomes = driver.run(task, kinds, limit=2.5)
     assert [outcome.kind for outcome in outcomes] == kinds
     assert all(kind in driver.faults(outcomes) for kind in driver.FAULTS)
     assert driver.faults(outcomes[:1]) == ""
