@@ -75,7 +75,9 @@ def test_outcomes_of_balls_are_true(seed: int, count: int, radius: float):
     "kind",
     [
         *("capsule", "box", "ellipsoid", "sphere", "hull"),
-        *(pytest.param(kind, marks=pytest.mark.verify) for kind in ("cylinder", "cone")),  # their bounds take many cells
+        *(
+            pytest.param(kind, marks=pytest.mark.verify) for kind in ("cylinder", "cone")
+        ),  # their bounds take many cells
     ],
 )
 def test_elements_hold_what_they_are_said_to(seed: int, kind: str):

@@ -495,6 +495,7 @@ def test_scenes_that_would_grow_are_refused(text, words, tmp_path):
     assert len(str(caught.value)) < 2000
 
 
+@pytest.mark.verify
 def test_a_body_that_many_aliases_name_is_counted_each_time(tmp_path):
     """Ten thousand points under a thousand names would be walked through ten million times."""
     points = ", ".join(f"[{x}, {x * x % 7}, {x * x % 11}]" for x in range(10_000))

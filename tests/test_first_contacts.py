@@ -373,6 +373,7 @@ def bounds(a, Ma, b, Mb) -> np.ndarray:
     return out
 
 
+@pytest.mark.verify
 def test_gaps_between_two_planes():
     """Between planes at both ends of a motion, no product falls below its chord by more than the bound.
 

@@ -109,7 +109,7 @@ def crowd(rng: np.random.Generator, names: tuple[str, str], off: float, world: f
     return at, *posed_gaps(faces, pair, Ta, Tb)
 
 
-@pytest.mark.slow("its first case compiles the search, which it calls directly")
+@pytest.mark.verify  # it compiles the search, which it calls directly
 @pytest.mark.parametrize("names", FAMILIES, ids=" and ".join)
 def test_what_is_said_is_true(names: tuple[str, str]):
     """Gaps and depths from a fifth of a rounding to where every answer is given."""
@@ -136,6 +136,7 @@ def test_what_is_said_is_true(names: tuple[str, str]):
     assert min(said.values()) > 100, said
 
 
+@pytest.mark.verify  # it compiles the search, which it calls directly
 def test_directions_that_are_none():
     """Zero, not a number, infinite, or out of range: never a lie, and the walk finds its way."""
     rng = np.random.default_rng(5)
@@ -147,6 +148,7 @@ def test_directions_that_are_none():
         assert not (found == np.where(gap > 0, codes.TOUCHING, codes.APART)).any()
 
 
+@pytest.mark.verify  # it compiles the search, which it calls directly
 def test_a_plane_does_not_overflow():
     """Two boxes on top of each other, far from the origins of their bodies; every product is below single precision."""
     corners = box_corners(np.ones(3)) - [500.0, 0.0, 0.0]
@@ -158,6 +160,7 @@ def test_a_plane_does_not_overflow():
         assert not (found == codes.APART).any(), size
 
 
+@pytest.mark.verify  # it compiles the search, which it calls directly
 def test_lanes_know_nothing_of_each_other():
     """In any place, among any others, with few or many vertices: the same answer."""
     rng = np.random.default_rng(6)

@@ -285,7 +285,7 @@ def checker(tmp_path: Path) -> CollisionChecker:
     return beside_a_post(tmp_path)
 
 
-@pytest.mark.slow("it compiles kernels of a GPU for the stand-in")
+@pytest.mark.verify  # it compiles kernels of a GPU for the stand-in
 def test_configurations_on_the_gpu(card, checker):
     """Answers for arrays on the GPU stay there; they are the checker's for the same float32 numbers."""
     Q = checker.robot.random_configurations(60, 1).astype(np.float32).reshape(6, 10, -1)
@@ -309,7 +309,7 @@ def test_configurations_that_are_none(card, checker):
     assert on_gpu.collide(np.zeros((0, dof))).shape == (0,)
 
 
-@pytest.mark.slow("it compiles kernels of a GPU for the stand-in")
+@pytest.mark.verify  # it compiles kernels of a GPU for the stand-in
 def test_motions_on_the_gpu(card, checker):
     """Verdicts for arrays on the GPU stay there; they are the checker's for the same float32 numbers."""
     Q0, Q1 = (checker.robot.random_configurations(60, k).astype(np.float32).reshape(6, 10, -1) for k in (1, 2))

@@ -167,7 +167,7 @@ def test_bounds_hold_under_bent_poses():
         assert (result.distance <= result.upper + 1e-10).all()
 
 
-@pytest.mark.parametrize("offset", [0.0, 1000.0])
+@pytest.mark.parametrize("offset", [0.0, pytest.param(1000.0, marks=pytest.mark.verify)])
 def test_neighbours_and_precision_of_the_batch(offset: float):
     """A verdict is the pair's own: alone, in a batch, in any order, or beside pieces too small for single precision."""
     rng = np.random.default_rng(0)

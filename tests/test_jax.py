@@ -73,7 +73,7 @@ def test_values_are_the_checkers(name: str, checker: CollisionChecker, Q: np.nda
 
 
 @pytest.mark.parametrize("name", MEASURES)
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [pytest.param(False, marks=pytest.mark.verify), True])
 def test_gradients_are_the_checkers(name: str, compiled: bool, checker: CollisionChecker, Q: np.ndarray, wide: None):
     """To the bit, forwards and backwards, by every transformation that makes one."""
     function, (value, gradient) = getattr(loewner.jax, name)(checker), told(checker, name, Q)

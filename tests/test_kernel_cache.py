@@ -215,6 +215,7 @@ def test_a_full_disk_is_no_error(package: Path, tmp_path: Path):
     assert [path for path in cache.rglob("*") if path.is_file()] == []
 
 
+@pytest.mark.verify
 def test_what_only_kernels_call_becomes_no_machine_code(package: Path, once, tmp_path: Path):
     """The callee is kept as a part, the caller as what Python calls; called from Python later, the callee is both."""
     cache = shutil.copytree(once[1], tmp_path / "cache")
@@ -228,6 +229,7 @@ def test_what_only_kernels_call_becomes_no_machine_code(package: Path, once, tmp
     assert len(entries(cache)) == 3
 
 
+@pytest.mark.verify
 def test_many_threads_call_a_new_kernel_at_once(package: Path, tmp_path: Path):
     """Each gets the answer, the kernel is compiled once, and the next call goes straight to the compiled code.
 
@@ -282,6 +284,7 @@ def test_kernels_need_the_compiler(package: Path, tmp_path: Path):
     assert "NUMBA_DISABLE_JIT: expected Numba to compile" in raised.value.stderr
 
 
+@pytest.mark.verify
 @pytest.mark.usefixtures("no_library")
 def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead without a place to keep the result is an error that names the folder."""

@@ -10,7 +10,7 @@ from lattice_soups import judged, pair
 pytestmark = pytest.mark.filterwarnings("ignore:.*all lengths being metres.*:UserWarning")
 
 
-@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(k, marks=pytest.mark.verify) for k in range(3, 8))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in range(1, 8))])
 def test_surfaces_at_contact(seed: int):
     """Verdicts are those of whole numbers, alone, swapped and in a batch; distances are right to the last digits."""
     rng, counts = np.random.default_rng(seed), Counter[str]()

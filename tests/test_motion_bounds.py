@@ -30,7 +30,7 @@ far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 5])
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 8))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in range(1, 8))])
 @far_outside
 def test_speed_and_curvature(tmp_path, seed, degree):
     """No point of a body is faster, or its way more bent, than the bound, as seen from any other body or the world.

@@ -601,11 +601,10 @@ FORMATS |= {
     "foam": Format(json.dumps(FOAM), as_named("c.json", spheres), json_mutants, (), named=("cart::a.stl",)),
 }
 
-# YAML is read much more slowly than JSON.
-LONG = {"DisplayTrajectory, yaml", "Solution, yaml", "a goal, yaml"}
+# YAML is read much more slowly than JSON; the others of these are the longest.
+LONG = {"DisplayTrajectory, yaml", "Solution, yaml", "a goal, yaml", "Solution, json", "scene of files"}
 
 
-@pytest.mark.slow("hundreds of files of YAML")
 @pytest.mark.parametrize(
     "form",
     [pytest.param(form, id=name, marks=[pytest.mark.verify] * (name in LONG)) for name, form in FORMATS.items()],
@@ -639,11 +638,10 @@ ALSO_HARMLESS = {
     "Collada": ("library_(effects|images|lights|cameras|animations)", "asset/(modified|revision|title|keywords)",
                 r".*/bind_material", r".*/extra"),
 }  # fmt: skip
-LARGE = ("z1_description/urdf/z1", "laikago_description/urdf/laikago",
+LARGE = ("so_arm_description/urdf/so100", "z1_description/urdf/z1", "laikago_description/urdf/laikago",
          "romeo_description/meshes/V1/collision/LWristYaw", "hyq_description/meshes/leg/lowerleg")  # fmt: skip
 
 
-@pytest.mark.slow("hundreds of mutants")
 @pytest.mark.parametrize(
     ("format", "name"),
     [

@@ -53,7 +53,7 @@ NAMES = (
 
 def in_time(*asked, **options):
     """A plan in a time that some planners use up, and with more of it on a machine that is busy."""
-    for timeout in (0.4, 4.0):
+    for timeout in (0.1, 4.0):
         with suppress(PlanningError):
             return planners.plan(*asked, timeout=timeout, **options)
     return planners.plan(*asked, timeout=40.0, **options)

@@ -14,6 +14,7 @@ DOCS = Path(__file__).parent.parent / "docs"
 CODE = r"^```python\n(.*?)^```"
 LARGE = {"import torch\n": "torch", "from pydrake.all import": "pydrake"}
 # test_docs.py runs the code of these.
+LONG = {"howto/cluster.md", "howto/covers.md"}  # processes of a cluster, and fits of spheres
 GUIDES = {"meshes.md", "motions.md", "pairs.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
 PAGES = sorted(page for page in pages(DOCS) if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
@@ -34,7 +35,12 @@ def needs_what_is_missing(block):
 
 
 @pytest.mark.parametrize(
-    "page", [p for p in PAGES if str(p.relative_to(DOCS)) not in GUIDES], ids=lambda p: str(p.relative_to(DOCS))
+    "page",
+    [
+        pytest.param(page, id=name, marks=[pytest.mark.verify] * (name in LONG))
+        for page, name in ((page, str(page.relative_to(DOCS))) for page in PAGES)
+        if name not in GUIDES
+    ],
 )
 def test_pages_print_what_they_say(page, folder_with_mesh):
     """All Python blocks of a page run, in order, as one program, and `print(...)  # -> text` prints that text.

@@ -106,7 +106,7 @@ def test_both_checkers_verify_all_pairs_of_a_robot(name, agrees):  # noqa: F811
     assert len(found.proof.data) < 100_000
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 8))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 8))])
 def test_random_trees(seed, agrees):  # noqa: F811
     """Both checkers verify all proofs that can be written of trees with joints of all kinds, and no search refutes."""
     expect_random_tree(seed, agrees)
@@ -241,7 +241,7 @@ def test_changed_bytes_are_refused_or_still_true(agrees, rng):  # noqa: F811
     assert verified > 0
 
 
-@pytest.mark.parametrize("seed", [20, 21, *(pytest.param(k, marks=pytest.mark.verify) for k in (22, 25, 26, 29))])
+@pytest.mark.parametrize("seed", [20, *(pytest.param(k, marks=pytest.mark.verify) for k in (21, 22, 25, 26, 29))])
 def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F811
     """Trees that would be proofs if points moved along straight lines are refused if bodies come within the margin."""
     near = range_proofs._Search._nearest
@@ -268,7 +268,7 @@ def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F
     assert written
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 10))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 10))])
 def test_both_checkers_have_the_same_bounds(seed, agrees):  # noqa: F811
     """They verify proofs up to the same margin: up to rounding, where the plane with the least to spare fails."""
     robot, tried = mechanisms.random_tree(seed), 0

@@ -274,6 +274,7 @@ def barista(tmp_path, monkeypatch):
     return tmp_path / "robot.urdf"
 
 
+@pytest.mark.verify
 def test_meshes_of_a_robot(barista):
     """Hulls, pieces and surfaces on request; the kept ones are not mistaken for one another."""
     boxes = [trimesh.creation.box((0.4, 0.1, 0.1)), trimesh.creation.box((0.1, 0.4, 0.1))]
@@ -380,7 +381,7 @@ def test_panda_of_surfaces(panda):
 # -- motions -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("within", [True, False])
+@pytest.mark.parametrize("within", [True, pytest.param(False, marks=pytest.mark.verify)])
 @pytest.mark.parametrize("count", [20, pytest.param(60, marks=pytest.mark.verify)])
 def test_motions_of_surfaces_are_true(checker, within, count):
     """Nothing called FREE collides at a sample, what is called COLLIDING does, and little else is left."""

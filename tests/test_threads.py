@@ -494,6 +494,7 @@ def test_processors_are_counted_by_what_this_python_has(monkeypatch):
     assert _threads.processors() == 1
 
 
+@pytest.mark.verify
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers that send signals here")
 @pytest.mark.parametrize("delays", [("0.0005", "0.002"), pytest.param(("0.001", "0.004"), marks=pytest.mark.verify)])
 def test_a_handler_may_ask_while_threads_start(delays):

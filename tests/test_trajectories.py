@@ -582,7 +582,7 @@ def test_a_change_after_the_path_was_proven(tmp_path, monkeypatch):
     np.testing.assert_array_equal(found.blends, expected.blends)
 
 
-@pytest.mark.slow("thousands of corners")
+@pytest.mark.verify
 def test_thousands_of_corners(tmp_path, monkeypatch):
     """The effort grows with the number of corners, not with its square; what is chosen in parts is as good as ever."""
     urdf, srdf = gantry(tmp_path)

@@ -48,7 +48,7 @@ def test_a_build_asks_for_the_pinned_compiler():
     assert required("wheel", LOEWNER_BUILD="pure") == required("sdist") == []
 
 
-@pytest.mark.parametrize("missing", ["/nowhere/cc", "false"])
+@pytest.mark.parametrize("missing", ["/nowhere/cc", pytest.param("false", marks=pytest.mark.verify)])
 def test_without_a_compiler_one_message_says_what_to_do(tmp_path, missing):
     """No traceback: what was missing, what to install, and how to do without."""
     done = built("wheel", tmp_path, CC=missing)

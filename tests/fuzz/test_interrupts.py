@@ -203,7 +203,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_some_interrupts(folder: Path):
     """A KeyboardInterrupt each, and right answers afterwards."""
-    outcomes, _ = campaign(folder, 10, seed=1)
+    outcomes, _ = campaign(folder, 5, seed=1)
     assert not driver.faults(outcomes)
 
 

@@ -356,13 +356,8 @@ def test_another_site_in_the_browser(tab, viser):
         tab.close()  # with its spare connections, which the server would wait for
 
 
-@pytest.mark.parametrize(
-    "end",
-    [
-        "websocket=ws://localhost:{}",
-        pytest.param("playbackPath=http://localhost:{}/x.viser", marks=pytest.mark.verify),
-    ],
-)
+@pytest.mark.verify
+@pytest.mark.parametrize("end", ["websocket=ws://localhost:{}", "playbackPath=http://localhost:{}/x.viser"])
 def test_link_cannot_lead_the_page_astray(tab, end, monkeypatch):
     """viser's page connects to what its address names, and shows what it finds there as its own; ours does not.
 

@@ -152,6 +152,7 @@ def test_robot_in_the_browser(tab, arm):
         shown(tab, "COLLIDING" if arm.collide(page.q) else "FREE")
 
 
+@pytest.mark.verify
 def test_trajectory_in_the_browser(tab, arm):
     """The button plays it to its end, where the page names the pair that collides."""
     moved = planners.trajectory(arm.robot, [[0.0, 0.0], [1.5, 0.0]], velocity=4.0, acceleration=16.0)
@@ -205,7 +206,8 @@ def fills_the_window(tab, page):
     assert max(bottom - top, right - left) > 0.3 * height, (left, right, top, bottom)
 
 
-@pytest.mark.parametrize("size", [0.01, pytest.param(30.0, marks=pytest.mark.verify)])
+@pytest.mark.verify
+@pytest.mark.parametrize("size", [0.01, 30.0])
 def test_the_browser_opens_with_two_bodies_in_the_frame(tab, size):
     """Whatever their size: all their pixels are in the window, left of the panel."""
     with viewer.show_pair(
@@ -303,9 +305,8 @@ def found_by_axe(tab):
 @pytest.mark.parametrize(
     "scene",
     [
-        of_two_pieces,
         of_a_moving_arm,
-        *(pytest.param(k, marks=pytest.mark.verify) for k in (of_two_surfaces, of_a_panda)),
+        *(pytest.param(k, marks=pytest.mark.verify) for k in (of_two_pieces, of_two_surfaces, of_a_panda)),
     ],
 )
 def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
@@ -337,6 +338,7 @@ def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
         assert all(url.startswith((page.url, "blob:" + page.url, "data:")) for url in tab.asked), tab.asked
 
 
+@pytest.mark.verify
 def test_without_the_style_numbers_are_cut_off(tab, arm, monkeypatch):
     """The test above finds the faults of viser's own panel: cut numbers, and no room for the scene."""
     monkeypatch.setattr(guard, "HEAD", "")
@@ -373,6 +375,7 @@ def test_the_slider_of_a_path_in_the_browser(tab, arm):
         assert page.time == page._way.duration
 
 
+@pytest.mark.verify
 def test_a_cloud_in_the_browser(tab, rng):
     """Its points are drawn where they are, in the colour of the verdict, and a ball in the middle of them is found."""
     points = rng.uniform(-0.5, 0.5, size=(3000, 3))
@@ -390,6 +393,7 @@ def test_a_cloud_in_the_browser(tab, rng):
         shown(tab, "COLLIDING")
 
 
+@pytest.mark.verify
 def test_command_line_serves_a_page(tab, tmp_path):
     """`loewner view A B` prints an address and nothing else, and the browser finds the verdict there."""
     paths = [tmp_path / "a.npz", tmp_path / "b.npz"]
@@ -419,8 +423,9 @@ def test_command_line_serves_a_page(tab, tmp_path):
             process.terminate()
 
 
+@pytest.mark.verify
 def test_a_screenshot_without_a_window(browser, tmp_path, capsys) -> None:
-    """Of the command line, with a cloud in the picture; and names that are none."""
+    """Of the command line, with a cloud in the picture."""
     rng = np.random.default_rng(0)
     Body.from_cloud(rng.uniform(size=(2000, 3)), radius=0.01).save(tmp_path / "cloud.npz")
     Body.box([0.2, 0.2, 0.2]).save(tmp_path / "box.npz")
@@ -436,6 +441,10 @@ def test_a_screenshot_without_a_window(browser, tmp_path, capsys) -> None:
     red, green, blue = np.moveaxis(np.asarray(Image.open(tmp_path / "out.png").convert("RGB")).astype(int), -1, 0)
     handles = (red > 220) & (green < 90) & (blue < 150)
     assert not handles[:600].any()  # below is the logo
+
+
+def test_a_screenshot_that_cannot_be(tmp_path) -> None:
+    """Names that are none, windows without room, and what is no page are refused by name."""
     with viewer.show_pair(Body.sphere(1.0), None, Body.sphere(1.0), translation(3.0, 0.0)) as page:
         for bad in ({"path": "out.jpg"}, {"path": tmp_path / "a.png", "width": 10}):
             with pytest.raises(InputError, match="path|width"):
