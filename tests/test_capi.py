@@ -758,6 +758,7 @@ def test_the_examples_run(pair, tmp_path):
         assert "could not be opened" in done.stderr
 
 
+@pytest.mark.verify
 def test_cmake_and_pkg_config_find_it(pair, tmp_path):
     """In the package as it is, and below a prefix where it was installed."""
     expect_programs("cc", "cmake", "pkg-config")

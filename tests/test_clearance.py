@@ -122,6 +122,7 @@ def cube_on_a_leash(folder: Path, scene: Scene) -> CollisionChecker:
     return CollisionChecker(Robot.from_urdf(folder / "cube.urdf"), scene)
 
 
+@pytest.mark.verify
 def test_more_pieces_than_a_run(tmp_path: Path):
     """Sums over several runs of pairs are those over all."""
     rng = np.random.default_rng(5)

@@ -451,6 +451,7 @@ def test_a_pair_that_always_meets_is_reported(lumps):
     assert cover.disabled_pairs == frozenset()
 
 
+@pytest.mark.verify
 def test_covers_of_a_number(near):
     """A cover has at most the number of shapes, and a number below that of the links is an error."""
     steps = []

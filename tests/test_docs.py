@@ -419,7 +419,9 @@ def test_ratios_are_drawn_from_their_table(tmp_path):
     assert (tmp_path / "ratios.svg").read_text() == source.with_suffix(".svg").read_text()
 
 
-@pytest.mark.parametrize("name", ["verdicts", "planes", "assumptions"])
+@pytest.mark.parametrize(
+    "name", ["assumptions", *(pytest.param(k, marks=pytest.mark.verify) for k in ("verdicts", "planes"))]
+)
 def test_picture_is_what_its_script_draws(tmp_path, name):
     """Each picture is made of ellipses, or planes, that the library finds now, to the drawing's rounding."""
     source = ROOT / f"docs/images/{name}.py"

@@ -514,6 +514,7 @@ def courses(count: int, gate: type[Gate] = Gate, seed: int = 0) -> tuple[int, in
     return sum(c.ticks for c in made), sum(c.stops for c in made), sum(c.hits for c in made)
 
 
+@pytest.mark.verify
 def test_chunks_meet_nothing_before_standstill():
     """Whatever bodies do within their bounds, and the robot within its errors."""
     ticks, stops, hits = courses(16)

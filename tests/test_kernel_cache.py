@@ -106,7 +106,7 @@ def test_the_wait_is_announced_once(package: Path, once):
     assert (float(again.stdout), again.stderr) == (2.0, "")
 
 
-@pytest.mark.verify  # a disk that is full leads the same way
+@pytest.mark.verify
 def test_no_place_for_a_cache_is_no_error(package: Path, tmp_path: Path):
     """Where nothing can be written, kernels are compiled in memory and answer the same."""
     blocked = tmp_path / "a file"
@@ -206,6 +206,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 """
 
 
+@pytest.mark.verify
 def test_a_full_disk_is_no_error(package: Path, tmp_path: Path):
     """Where a write fails half way, the kernel stays in memory, one line says so, and nothing is left on disk."""
     cache = tmp_path / "cache"

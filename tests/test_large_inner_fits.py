@@ -156,7 +156,7 @@ HARD = {
 }
 
 
-@pytest.mark.parametrize("n", [2, 10, 30])
+@pytest.mark.parametrize("n", [10, *(pytest.param(k, marks=pytest.mark.verify) for k in (2, 30))])
 @pytest.mark.parametrize("name", HARD)
 @pytest.mark.usefixtures("always_large")
 def test_hard_cases(name: str, n: int, rng: np.random.Generator) -> None:

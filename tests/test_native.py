@@ -517,7 +517,7 @@ def test_numbers_are_taken_as_python_takes_them(native):
         curve(2**64, 1, 1)
 
 
-@pytest.mark.slow("Numba compiles the kernels with which it compares")
+@pytest.mark.verify  # Numba compiles the kernels with which it compares
 def test_results_are_as_from_numba(native):
     """Numbers, flags and arrays come back with the same values and types as from the compiled function."""
     from loewner._kernels.fits import hulls

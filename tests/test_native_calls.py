@@ -346,7 +346,7 @@ def two_checkers(rng, folder):
     return CollisionChecker(robot, scene), CollisionChecker(robot, scene)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(k, marks=pytest.mark.verify) for k in range(5, 12))])
 def test_configurations_are_answered_as_the_long_way_has_them(seed, tmp_path, long_way):
     """Of any robot and scene, while bodies move and are grasped, and pairs take another order."""
     rng = np.random.default_rng(seed)
@@ -363,7 +363,7 @@ def test_configurations_are_answered_as_the_long_way_has_them(seed, tmp_path, lo
     assert same(checker._seen, other._seen)
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 12))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 12))])
 def test_motions_are_answered_as_the_long_way_has_them(seed, tmp_path, long_way):
     """Also those of no length, and those whose length is a whole number of steps, or all but."""
     rng = np.random.default_rng(seed)

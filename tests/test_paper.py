@@ -413,6 +413,7 @@ def test_homogeneity_against_scipy(rng):
     assert math.isnan(tables.homogeneity((0, 0), (1, 2)))
 
 
+@pytest.mark.verify
 def test_a_wrong_data_set_is_called_inconsistent():
     """Uniform volume is not the paper's data set, and the tables say so."""
     other = paper.run(400, seed=0, dataset="volume")
@@ -494,6 +495,7 @@ def test_progress_is_told_in_order(outcome):
     assert told[-1] == ("report", 1, 1)
 
 
+@pytest.mark.verify
 def test_one_pair_is_enough(tmp_path):
     """The smallest experiment runs, empty cells and all, figures included."""
     experiment = paper.run(1, seed=5, out=tmp_path)

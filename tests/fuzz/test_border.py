@@ -33,7 +33,7 @@ WARNED = "warned"
 WARNING = "with a warning: "
 
 # Left out of the sample: seconds each.
-SLOW = ("planners.plan", "paper.run", "loewner paper")
+SLOW = ("planners.plan", "paper.run", "loewner paper", "Robot.cover")
 
 
 class Case(NamedTuple):

@@ -380,6 +380,7 @@ def test_link_cannot_lead_the_page_astray(tab, end, monkeypatch):
             asked.clear()
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize("host", ["0.0.0.0", pytest.param("::1", marks=pytest.mark.verify)])
 def test_page_with_token_in_the_browser(browser, host):
     """The browser shows the page at the address given, again without its token, and not to who never had it."""

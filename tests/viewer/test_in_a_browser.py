@@ -218,6 +218,7 @@ def test_the_browser_opens_with_two_bodies_in_the_frame(tab, size):
         fills_the_window(tab, page)
 
 
+@pytest.mark.verify
 def test_the_browser_opens_with_the_robot_in_the_frame(tab, arm):
     """And with what stands near it; a floor of a hundred metres is left out."""
     arm.scene.add("floor", Body.box([100.0, 100.0, 0.1]), translation(0.0, 0.0, -0.2))
