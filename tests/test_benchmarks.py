@@ -286,6 +286,7 @@ def test_other_libraries_are_judged(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert "loewner" in capsys.readouterr().out
 
 
+@pytest.mark.verify
 def test_accuracy_counts_add_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """Right, missed and false alarms make all ambiguous pairs; the share is in its interval; files appear."""
     monkeypatch.setattr(accuracy, "QUICK", 30)

@@ -189,6 +189,7 @@ def test_few_faces_give_the_fit_of_all(name: str, rng: np.random.Generator) -> N
     assert abs(fit.ellipsoid.log_volume - other.ellipsoid.log_volume) <= 2 * tol
 
 
+@pytest.mark.verify  # it compiles the map, which it calls directly
 def test_all_vertices_of_a_face_are_on_the_map(rng: np.random.Generator) -> None:
     """Also those that another vertex beats along every direction near by, by no more than the window of the face."""
     window = tolerances.FACE_WIDTH * 2
