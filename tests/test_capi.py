@@ -788,6 +788,7 @@ def test_cmake_and_pkg_config_find_it(pair, tmp_path):
         assert subprocess.run([program, str(tmp_path / "cell.lwn")], check=False).returncode == 0
 
 
+@pytest.mark.verify
 def test_the_documented_build_works_in_any_folder(pair, tmp_path):
     """The page's lines build a program if the names of the environment and of the project are long and contain blanks.
 

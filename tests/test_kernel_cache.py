@@ -278,6 +278,7 @@ def test_compiling_ahead_can_be_interrupted(monkeypatch: pytest.MonkeyPatch, tmp
         os.kill(int(alive.read_text()), 0)
 
 
+@pytest.mark.verify
 def test_kernels_need_the_compiler(package: Path, tmp_path: Path):
     """Numba's switch that turns its compiler off is refused by name."""
     with pytest.raises(subprocess.CalledProcessError) as raised:

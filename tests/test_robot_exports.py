@@ -12,7 +12,7 @@ from loewner import Body, CollisionChecker, InputError, Robot
 from robot_oracle import PAIRS, robots_folder
 
 LIMITS = ("lower", "upper", "hard_lower", "hard_upper", "velocity", "acceleration", "jerk")
-QUICK = ("panda", "talos_reduced", "ur5_gripper", "hyq_no_sensors")
+QUICK = ("panda", "ur5_gripper", "hyq_no_sensors")
 
 SLED = """<robot name="sled" version="1.2"><link name="base"/>
 <link name="sled"><collision><geometry><box size="1 1 0.1"/></geometry></collision></link>

@@ -347,6 +347,7 @@ def test_viser_prints_nothing(capsys):
     assert capsys.readouterr() == ("of others\n", "")
 
 
+@pytest.mark.verify
 def test_a_script_that_forgets_its_page_prints_nothing():
     """A page that is still open when the program ends is closed without a message."""
     code = "from loewner import Body, viewer; page = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)"
