@@ -128,6 +128,7 @@ def test_long_rings_are_named_in_few_words(tmp_path):
     assert len(str(caught.value)) < 1000
 
 
+@pytest.mark.verify
 def test_reading_takes_time_in_proportion(tmp_path):
     """Eight times the links and mimics take far less than the 64 or 512 times as long of square or cube."""
 

@@ -716,6 +716,7 @@ def test_it_runs_by_itself(tmp_path, capsys):
     assert "cannot read" in capsys.readouterr().err
 
 
+@pytest.mark.verify
 def test_a_reader_that_goes_early_changes_no_verdict(tmp_path):
     """If the pipe is closed before anything is printed, there is no traceback, and the status is the verdict's."""
     path = tmp_path / "good.proof"

@@ -85,6 +85,7 @@ def test_an_editable_installation_builds_nothing(tmp_path):
     assert not [name for name in zipfile.ZipFile(next(tmp_path.iterdir())).namelist() if name.endswith(".so")]
 
 
+@pytest.mark.verify
 def test_the_sources_hold_what_a_build_needs(tmp_path):
     """The hook, what it calls, and the versions; nothing that was built."""
     done = built("sdist", tmp_path)

@@ -353,6 +353,7 @@ def test_without_the_style_numbers_are_cut_off(tab, arm, monkeypatch):
         assert "too little of the scene is seen" in faults
 
 
+@pytest.mark.verify
 def test_the_slider_of_a_path_in_the_browser(tab, arm):
     """With each press of a key the robot is farther along, and the page says what the library does for it there."""
     rows = [[0.0, 0.0], [1.5, 0.0]]
