@@ -154,7 +154,7 @@ def test_contact_function_is_symmetric_and_affine_invariant(rng, thinnest):
     )
 
 
-@pytest.mark.parametrize("thinnest", [1e-5, *(pytest.param(k, marks=pytest.mark.verify) for k in [0.3])])
+@pytest.mark.parametrize("thinnest", [1e-5, pytest.param(0.3, marks=pytest.mark.verify)])
 def test_fast_and_careful_paths_agree(rng, thinnest, monkeypatch):
     """The polynomial path is taken only where it is as good as the diagonal one."""
     A, B = random_pairs(rng, 500, thinnest)
