@@ -209,6 +209,40 @@ def test_mjcf_moves_as_the_robot(robot, model, tmp_path):
     np.testing.assert_allclose(back.forward_kinematics(Q)[:, places], robot.forward_kinematics(Q), atol=1e-12)
 
 
+@pytest.mark.parametrize("bodies", [{"world": Body.sphere(0.1), "arm": Body.sphere(0.1)}, {"arm": Body.sphere(0.1)}])
+@pytest.mark.parametrize("root", ["world", "arm"])
+def test_a_link_called_world_in_mjcf(bodies, root, tmp_path):
+    """As a root without shapes it is MuJoCo's world; otherwise MuJoCo would refuse the file, so none is written."""
+    pytest.importorskip("mujoco")
+    other = {"world": "arm", "arm": "world"}[root]
+    links = {name: bodies.get(name) for name in (root, other)}
+    robot = Robot.from_links(links, [Joint("turn", "continuous", root, other)], name="r")
+    path = tmp_path / "r.xml"
+    if root == "world" and "world" not in bodies:
+        robot.save_cover(path)
+        assert set(robot.with_cover(path).bodies) == {"arm"}
+        return
+    found = "with shapes" if root == "world" else "below the joint 'turn'"
+    with pytest.raises(InputError, match=f"expected a link 'world' only as a root without shapes, found one {found}"):
+        robot.save_cover(path)
+    assert not path.exists()
+
+
+def test_warnings_about_mjcf_are_passed_on(robot, model, tmp_path):
+    """What MuJoCo computes with and is not read is named; files that were written here have none of it."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "m.xml"
+    model.save_cover(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot.with_cover(path)
+    text = path.read_text()
+    assert "<equality />" in text
+    path.write_text(text.replace("<equality />", '<equality><weld body1="rod"/></equality>'))
+    with pytest.warns(UserWarning, match="not read, although MuJoCo computes with it: 1 constraints"):
+        robot.with_cover(path)
+
+
 # -- reading --------------------------------------------------------------------------------------
 
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, near_contact, pieces, random_poses, stretch, translation
-from loewner import Bodies, Body, ConvergenceError, InputError, PoseError, cli
+from loewner import Bodies, Body, ConvergenceError, InputError, PoseError, cli, judging
+from loewner._rotations import from_quaternion
 from loewner.judging import PARTS, Finding, judge_answers
 from loewner.reproductions import reproduction
 from oracles import exact_squared_distance, hull, pack, signed_distance
@@ -458,3 +459,123 @@ def test_other_bad_files_are_refused(table, capsys):
         status, _, err = judge(capsys, name, "a.npz", "b.npz")
         assert status == 2
         assert message in err
+
+
+# -- conventions --------------------------------------------------------------------------------
+
+
+def in_frame(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points of the world in the frames of poses."""
+    return np.einsum("nji,nj->ni", T[:, :3, :3], points - T[:, :3, 3])
+
+
+def test_conventions_that_explain_all_errors_are_named(monkeypatch):
+    """Reversed normals, other units, exchanged witnesses and witnesses in other frames are named in one sentence."""
+    _, a, Ta, b, Tb = pairs_of("ball 20", 40)
+    right = answers(a, Ta, b, Tb)
+    x, y = right["witness_a"], right["witness_b"]
+    assert judge_answers(a, Ta, b, Tb, **right).hints == ()
+    for changed, sentence in (
+        ({"normal": -right["normal"]}, "wrong normals point the other way, from b to a."),
+        ({"distance": 1000 * right["distance"]}, "wrong distances are right in millimetres."),
+        ({"depth": 100 * right["depth"] * (1 + 1e-5)}, "wrong depths are right in centimetres."),
+        ({"witness_a": x / 0.0254, "witness_b": y / 0.0254}, "wrong witnesses are right in inches."),
+        ({"witness_a": y, "witness_b": x}, "wrong witnesses are right with a and b exchanged."),
+        ({"witness_a": in_frame(Ta, x), "witness_b": in_frame(Ta, y)}, "wrong witnesses are right in the frame of a."),
+        ({"witness_a": in_frame(Tb, x), "witness_b": in_frame(Tb, y)}, "wrong witnesses are right in the frame of b."),
+        ({"witness_a": in_frame(Ta, x), "witness_b": in_frame(Tb, y)}, "are right in the frames of their own bodies."),
+        ({"witness_a": in_frame(Tb, x), "witness_b": in_frame(Ta, y)}, "are right in the frames of the other bodies."),
+    ):
+        said = judge_answers(a, Ta, b, Tb, **{**right, **changed})
+        (hint,) = said.hints
+        assert re.match(r"All \d+ ", hint), hint
+        assert hint.endswith(sentence)
+        with monkeypatch.context() as without:  # the findings stay
+            without.setattr(judging, "TRIED", np.inf)
+            bare = judge_answers(a, Ta, b, Tb, **{**right, **changed})
+        assert bare.hints == ()
+        assert np.array_equal(bare.kinds, said.kinds)
+        assert np.array_equal(bare.excess, said.excess)
+
+
+def test_errors_that_no_convention_explains_have_no_hint():
+    """Random normals, lengths off by random factors, single errors, and errors in both directions are not explained."""
+    _, a, Ta, b, Tb = pairs_of("boxes", 40)
+    right, rng = answers(a, Ta, b, Tb), np.random.default_rng(0)
+    few, half = right["normal"].copy(), right["normal"].copy()
+    few[:3] *= -1
+    half[::2] *= -1
+    for normal in (rng.normal(size=(40, 3)), few):
+        assert judge_answers(a, Ta, b, Tb, **{**right, "normal": normal}).hints == ()
+    (tried,) = judge_answers(a, Ta, b, Tb, normal=half).conventions
+    assert tried.right == tried.wrong  # explains the reversed half, and spoils the other one
+    assert tried.spoilt > 10
+    assert judge_answers(a, Ta, b, Tb, normal=half).hints == ()
+    factors = rng.uniform(2.0, 1000.0, 40)
+    assert judge_answers(a, Ta, b, Tb, distance=factors * right["distance"]).hints == ()
+
+
+def test_hints_of_a_table(table, capsys):
+    """Counts of rows about different bodies are added, and quaternions are tried in the other order."""
+    box = Body.box([1.0, 0.5, 0.25])
+    box.save("a.npz")
+    rng, rows = np.random.default_rng(3), ["body_a,body_b,pose_b,distance,normal"]
+    reordered = [rows[0]]
+    for k in range(8):
+        w, x, y, z = ((q := rng.normal(size=4)) / np.linalg.norm(q)).tolist()
+        place, body, name = np.eye(4), *((box, "a") if k % 2 else (Body.box([1, 1, 1]), "b"))
+        place[:3, :3] = from_quaternion([w, x, y, z], "q")
+        place[:3, 3] = rng.normal(size=3) + 1.5
+        found = loewner.distance(box, None, body, place, exact=True)
+        head, place = f"a,{name},", " ".join(map(repr, place[:3, 3].tolist()))
+        normal = " ".join(map(repr, (-found.normal).tolist()))
+        rows.append(f"{head}{place} {w!r} {x!r} {y!r} {z!r},{float(found.distance)!r},{normal}")
+        reordered.append(f"{head}{place} {x!r} {y!r} {z!r} {w!r},{float(found.distance)!r},")
+    table("\n".join(rows))
+    status, out, _ = judge(capsys, "said.csv", "a.npz", "b.npz", "ball.npz")
+    assert status == 1
+    assert "hint      All 8 wrong normals point the other way, from b to a.\n" in out
+    table("\n".join(reordered))
+    status, out, _ = judge(capsys, "said.csv", "a.npz", "b.npz", "ball.npz", "--json")
+    assert status == 1
+    assert json.loads(out)["hints"] == ["All 8 wrong rows are right with quaternions in the order qx qy qz qw."]
+
+
+def test_a_program_of_a_chosen_row(table, capsys):
+    """Any row with a finding can be written as a program; other rows, and the option alone, are refused."""
+    text = "body_a,body_b,pose_b,distance\na,b,3 0 0,2\na,b,2 0 0,0.5\na,b,2 0 0,0.25\na,ball,2 0 0,0\n"
+    table(text)
+    files = ("a.npz", "b.npz", "ball.npz")
+    status, out, _ = judge(capsys, "said.csv", *files, "--program", "wrong.py", "--row", "2")
+    assert status == 1
+    assert "wrong.py proves row 2 wrong in fractions" in out
+    with open("wrong.py") as file:
+        assert run(file.read()) == {Finding.DISTANCE_TOO_SMALL: pytest.approx(0.5)}
+    for row, message in (
+        ("1", r"--row: expected a row that is proven wrong \(\[2, 3, 4\]\), found 1"),
+        ("0", r"--row: expected a row that is proven wrong \(\[2, 3, 4\]\), found 0"),
+        ("4", "--row: expected a row whose errors can be proven in fractions: b: expected a body of one polytope"),
+    ):
+        status, out, err = judge(capsys, "said.csv", *files, "--program", "wrong.py", "--row", row)
+        assert (status, out) == (2, "")
+        assert re.search(message, err), err
+    assert "--row: expected it with --program, found it alone" in judge(capsys, "said.csv", *files, "--row", "2")[2]
+    table("pose_b,distance\n3 0 0,2\n")
+    assert "is proven wrong (none), found 1" in judge(
+        capsys, "said.csv", "a.npz", "b.npz", "--program", "wrong.py", "--row", "1"
+    )[2]  # fmt: skip
+
+
+def test_what_was_judged_is_stated(table, capsys):
+    """A mesh is judged as its triangles, or as its hull on request; closed convex meshes come with this advice."""
+    table("pose_b,depth\n0.75 0 0,0.25\n")
+    trimesh.creation.box((1, 1, 1)).export("cube.stl")
+    trimesh.creation.annulus(0.1, 0.2, 0.3).export("tube.stl")
+    _, out, _ = judge(capsys, "said.csv", "cube.stl", "tube.stl")
+    advice = "convex: with --meshes hull, its depths are proven, too"
+    assert f"judged    cube: solid, 12 triangles ({advice}); tube: solid, " in out
+    assert out.count(advice) == 1
+    _, out, _ = judge(capsys, "said.csv", "cube.stl", "a.npz", "--meshes", "hull", "--json")
+    found = json.loads(out)
+    assert found["bodies"] == {"cube": "polytope, 8 vertices", "a": "polytope, 8 vertices"}
+    assert found["counts"] == {"OK": 1}

@@ -21,7 +21,7 @@ from loewner import _validate
 from loewner._files import read_regular, shown
 from loewner._kernels import columns
 from loewner._nodes import Node, read_json, read_yaml, some
-from loewner._plausible import told_to, warn
+from loewner._plausible import warn
 from loewner._validate import Floats, Pair
 from loewner.bodies import Body, packed_of
 from loewner.bodies.kinds import KIND_NAMES
@@ -190,8 +190,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
         others = [name for name in scene.names if name not in bodies]
         return Model(bodies, scene.allowed, [f"bodies that move, which are not read: {some(others)}"] if others else [])
     if chosen == "mjcf":
-        with told_to([]):  # about constraints and limits, which have no shapes
-            robot = Robot.from_mjcf(file)
+        robot = Robot.from_mjcf(file)
         return Model(dict(robot.bodies), robot.disabled_pairs)
     semantics = file.with_suffix(".srdf")
     robot = Robot.from_urdf(file, srdf=semantics if semantics.is_file() else None)

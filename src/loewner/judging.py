@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
 from loewner.queries import Distance, expect_bodies, plan_of
 
-__all__ = ["Finding", "Judgement", "judge_answers"]
+__all__ = ["Convention", "Finding", "Judgement", "judge_answers"]
 
 # Exact distances are accurate to this share of the lengths involved (docs/certified.md, "Other programs' answers"), and
 # depths of curved pieces to the second one. The first has a hundredth more than `SETTLED` of the kernels, for rounding.
@@ -48,6 +49,13 @@ BYTES = 2000
 
 # Parts of an answer, in the order of the last axis of `Judgement.kinds`.
 PARTS = ("colliding", "distance", "depth", "witness_a", "witness_b", "witnesses", "normal")
+
+# Units in which other programs give lengths, by their number in a metre.
+UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1 / 0.0254}
+
+# Another convention is named if it explains at least three errors and this share of all, and spoils few right answers
+# in return. It is tried if this share of the answers is wrong, and explains an error of which at most a thousandth is left.
+LEAST, EXPLAINED, SPOILT, TRIED, LEFT = 3, 0.9, 0.1, 0.1, 1e-3
 
 
 class Finding(IntEnum):
@@ -89,6 +97,39 @@ class Finding(IntEnum):
         return self.name
 
 
+class Convention(NamedTuple):
+    """Answers that were read by another convention.
+
+    Attributes
+    ----------
+    about, reading : str
+        Which parts of answers, in the plural, and the convention: two parts of a sentence.
+    wrong, right, spoilt : int
+        How many parts are wrong as they are given; of these, how many are right by the convention; and how many are
+        right as they are given and wrong by the convention.
+    """
+
+    about: str
+    reading: str
+    wrong: int
+    right: int
+    spoilt: int
+
+
+def hints(tried: Iterable[Convention]) -> tuple[str, ...]:
+    """Name the conventions that explain (nearly) all wrong answers: one sentence for each kind of parts."""
+    sums: dict[tuple[str, str], Any] = {}
+    for one in tried:
+        sums[one[:2]] = np.add(sums.get(one[:2], 0), one[2:])
+    best: dict[str, tuple[int, str]] = {}
+    for (about, reading), (wrong, right, spoilt) in sums.items():
+        explains = right >= max(LEAST, EXPLAINED * wrong) and spoilt <= SPOILT * right
+        if explains and right > best.get(about, (0, ""))[0]:
+            count = f"All {right:,}" if right == wrong else f"{right:,} of {wrong:,}"
+            best[about] = right, f"{count} wrong {about} {reading}."
+    return tuple(sentence for _, sentence in best.values())
+
+
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """Proven findings about the answers of another program.
@@ -103,6 +144,8 @@ class Judgement:
     lower, upper : ndarray, shape (...)
         Proven bounds on the signed distance, in metres. A negative value is a depth: the length of the shortest
         translation that separates the bodies. The lower bound is minus infinity if no such translation is known.
+    conventions : tuple
+        Other conventions that were tried, as many answers are wrong; `hints` names those that explain it.
 
     Examples
     --------
@@ -120,6 +163,24 @@ class Judgement:
     excess: Floats
     lower: Floats
     upper: Floats
+    conventions: tuple[Convention, ...] = field(default=(), repr=False)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        """Sentences about conventions that differ, such as reversed normals, if one explains (nearly) all errors.
+
+        They are guesses from counts, and change no finding.
+
+        Examples
+        --------
+        >>> from loewner import Body
+        >>> T = np.eye(4)
+        >>> T[0, 3] = 3.0
+        >>> said = judge_answers(Body.sphere(1.0), None, Body.sphere(1.0), T, distance=[1e3, 1e3, 1e3])
+        >>> said.hints
+        ('All 3 wrong distances are right in millimetres.',)
+        """
+        return hints(self.conventions)
 
     @property
     def wrong(self) -> Bools:
@@ -379,9 +440,13 @@ def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement
     apart = (value < 0.0) & pairs.moved(way[..., None] * normal).verdicts()[0]
     lower = np.where(apart, np.maximum(lower, -way - pairs.rounding()), lower)
 
-    kinds = np.zeros((*value.shape, len(PARTS)), dtype=np.int8)
-    excess = np.zeros(kinds.shape)
-    court = _Court(kinds, excess, allowed)
+    court = _Court.of(value.shape, allowed)
+    _fill(court, pairs, said, lower, upper)
+    return Judgement(court.kinds, court.excess, lower, upper, tuple(_conventions(court, pairs, said, lower, upper)))
+
+
+def _fill(court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats) -> None:
+    """Judge the parts of answers that are given."""
     if "colliding" in said:
         yes = said["colliding"] == 1.0
         court.judge(
@@ -396,7 +461,44 @@ def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement
         _judge_witnesses(court, said, pairs.kinds()[0] | (lower > 0.0), upper)
     if "normal" in said:
         _judge_normal(court, pairs, said["normal"], lower, upper)
-    return Judgement(kinds, excess, lower, upper)
+
+
+def _conventions(
+    court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats
+) -> Iterator[Convention]:
+    """Count the errors that other conventions explain, where many answers are wrong."""
+    for about, reading, answers in _readings(pairs, said):
+        at = [PARTS.index(name) for name in answers]
+        kinds, excess, right, spoilt = court.kinds[..., at], court.excess[..., at], 0, 0
+        wrong = kinds > Finding.UNDECIDED
+        if wrong.any() and wrong.sum() >= TRIED * (kinds != Finding.NOT_GIVEN).sum():
+            other = _Court.of(lower.shape, court.allowed)
+            _fill(other, pairs, answers, lower, upper)
+            right = int((wrong & (other.excess[..., at] <= LEFT * excess)).sum())
+            spoilt = int(((kinds == Finding.OK) & (other.kinds[..., at] > Finding.UNDECIDED)).sum())
+        if wrong.any():
+            yield Convention(about, reading, int(wrong.sum()), right, spoilt)
+
+
+def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats]]]:
+    """Read answers by other conventions: what they are, the convention, and the answers in ours."""
+    if "normal" in said:
+        yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}
+    for name in ("distance", "depth"):
+        for unit, many in UNITS.items() if name in said else ():
+            yield f"{name}s", f"are right in {unit}", {name: said[name] / many}
+    points = {name: said[name] for name in VECTORS[:2] if name in said}
+    for unit, many in UNITS.items() if points else ():
+        yield "witnesses", f"are right in {unit}", {name: x / many for name, x in points.items()}
+    if len(points) == 2:
+        a, b = points.values()
+        yield "witnesses", "are right with a and b exchanged", {"witness_a": b, "witness_b": a}
+    Ta, Tb = pairs.Ta, pairs.Tb
+    frames = {"a": (Ta, Ta), "b": (Tb, Tb), "their own bodies": (Ta, Tb), "the other bodies": (Tb, Ta)}
+    for whose, poses in frames.items() if points else ():
+        given = dict(zip(VECTORS, poses, strict=False))
+        world = {n: (given[n][..., :3, :3] @ x[..., None])[..., 0] + given[n][..., :3, 3] for n, x in points.items()}
+        yield "witnesses", f"are right in the frame{'s' * (len(whose) > 1)} of {whose}", world
 
 
 @dataclass(frozen=True)
@@ -406,6 +508,11 @@ class _Court:
     kinds: Any
     excess: Floats
     allowed: float
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], allowed: float) -> _Court:
+        """Make an empty table for answers of a shape."""
+        return cls(np.zeros((*shape, len(PARTS)), dtype=np.int8), np.zeros((*shape, len(PARTS))), allowed)
 
     def judge(self, part: str, given: Bools, least: Floats, most: Floats, wrong: Any) -> None:
         """Judge errors that are proven to be at least `least` and at most `most`."""

@@ -16,7 +16,7 @@ from loewner.robots import link_bodies
 EXAMPLES = f"""examples:
   loewner judge --answers said.csv cup.stl spoon.stl              another program's answers about two meshes
   loewner judge --answers said.csv parts/*.npz --tolerance 1e-4   many bodies, named in the table
-  loewner judge --answers said.json a.npz b.npz --program wrong.py
+  loewner judge --answers said.json a.npz b.npz --program wrong.py --row 7
   loewner judge --model spheres.yml panda.urdf
   loewner judge --model panda_spherized.urdf --format vamp --picture holes.png panda.urdf
 
@@ -31,7 +31,7 @@ exit status: 2 error; --answers: 0 nothing is proven wrong, 1 an answer is; --mo
 """
 
 # Options of one of the two questions only.
-OF_MODEL, OF_ANSWERS = ("format", "srdf", "package_dir", "picture"), ("scale", "program")
+OF_MODEL, OF_ANSWERS = ("format", "srdf", "package_dir", "picture"), ("scale", "program", "row")
 
 
 def add(commands: Any) -> None:

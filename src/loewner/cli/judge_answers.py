@@ -6,11 +6,14 @@ import argparse
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 import loewner
 from loewner import _json, _tables, judging
@@ -46,7 +49,8 @@ TABLE = """--answers: a .csv file with a header, or a .json file with a list of 
   witness_a, witness_b   "x y z" in the world
   normal                 "x y z", from A to B
   At least one of the last six; an empty cell, null or NaN is no answer. In a .csv file, commas separate columns, and
-  spaces the numbers in a cell.
+  spaces the numbers in a cell. If a convention explains (nearly) all errors, such as reversed normals, millimetres or
+  qx qy qz qw, a hint says so; the findings stay.
 """
 
 
@@ -54,18 +58,41 @@ def add_options(judge: Any) -> None:
     """Add the options that only tables of answers have."""
     judge.add_argument("--scale", type=float, help="factor for all lengths of meshes (1)")
     judge.add_argument("--program", type=Path, metavar="FILE", help="write the worst answer about hulls as a program")
+    judge.add_argument("--row", type=int, metavar="N", help="with --program: the answer of this row instead")
 
 
 def run(options: argparse.Namespace) -> int:
     """Judge a table of answers, and print the wrong ones."""
     tolerance = TOLERANCE if options.tolerance is None else options.tolerance
+    if options.row is not None and not options.program:
+        raise InputError("--row: expected it with --program, found it alone")
     bodies = _bodies(options)
     rows, poses, answers = table(options.answers)
     named = [_pair(row, bodies, f"{options.answers}, row {k}") for k, row in enumerate(rows, 1)]
-    kinds, excess = np.zeros((len(rows), len(PARTS)), dtype=np.int8), np.zeros((len(rows), len(PARTS)))
-    bounds = np.zeros((len(rows), 2))
-    for pair in dict.fromkeys(named):
-        chosen = [k for k, other in enumerate(named) if other == pair]
+    said = _judged(named, bodies, poses, answers, tolerance)
+    reordered = _reordered(said, rows, poses)
+    if reordered is not None:
+        other = _judged(named, bodies, reordered, answers, tolerance)
+        explained, spoilt = (said.wrong & ~other.wrong).sum(), (other.wrong & ~said.wrong).sum()
+        counts = int(said.wrong.sum()), int(explained), int(spoilt)
+        tried = judging.Convention("rows", "are right with quaternions in the order qx qy qz qw", *counts)
+        said = replace(said, conventions=(*said.conventions, tried))
+    written = _program(options, said, named, bodies, poses, answers, tolerance) if options.program else None
+    if options.json:
+        print(json.dumps(_for_json(said, named, bodies), indent=2))
+    else:
+        _print(said, named, bodies, written)
+    return COLLIDING if said.wrong.any() else FREE
+
+
+def _judged(named: Sequence[tuple[str, str]], bodies: Any, poses: Any, answers: Any, tolerance: float) -> Judgement:
+    """Judge all rows, those about the same bodies together."""
+    kinds, excess = np.zeros((len(named), len(PARTS)), dtype=np.int8), np.zeros((len(named), len(PARTS)))
+    bounds, tried = np.zeros((len(named), 2)), []
+    places: dict[tuple[str, str], list[int]] = {}
+    for k, pair in enumerate(named):
+        places.setdefault(pair, []).append(k)
+    for pair, chosen in places.items():
         Ta, Tb = (T[chosen] for T in poses)
         a, b = (bodies[name] for name in pair)
         said = judging.judge_answers(
@@ -73,18 +100,21 @@ def run(options: argparse.Namespace) -> int:
         )
         kinds[chosen], excess[chosen] = said.kinds, said.excess
         bounds[chosen] = np.stack([said.lower, said.upper], axis=-1)
-    said = Judgement(kinds, excess, bounds[:, 0], bounds[:, 1])
-    worst = said.worst()
-    written = (
-        _program(options.program, said, named, bodies, poses, answers, tolerance)
-        if options.program and len(worst)
-        else None
-    )
-    if options.json:
-        print(json.dumps(_for_json(said, named), indent=2))
-    else:
-        _print(said, named, written)
-    return COLLIDING if len(worst) else FREE
+        tried += said.conventions
+    return Judgement(kinds, excess, bounds[:, 0], bounds[:, 1], tuple(tried))
+
+
+def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[Floats]) -> list[Floats] | None:
+    """Read the quaternions in the order in which the real part is last, if there are some and many rows are wrong."""
+    if said.wrong.sum() < max(1, judging.TRIED * len(rows)):
+        return None
+    other, some = [T.copy() for T in poses], False
+    for T, name in zip(other, POSES, strict=True):
+        for k, row in enumerate(rows):
+            numbers = _numbers(row.get(name), name)
+            if len(numbers) == 7:
+                T[k, :3, :3], some = from_quaternion([numbers[6], *numbers[3:6]], name), True
+    return other if some else None
 
 
 def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
@@ -224,22 +254,48 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
     return found
 
 
-def _program(path: Path, said: Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float) -> str:
-    """Write the worst answer about two hulls as a program; return a line about it."""
-    for k in said.worst().tolist():
+def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float) -> str:
+    """Write the worst answer about two hulls, or the one of the given row, as a program; return a line about it."""
+    path, rows = options.program, said.worst().tolist()
+    if options.row is not None:
+        if options.row - 1 not in rows:
+            known = short([k + 1 for k in sorted(rows)]) if rows else "none"
+            raise InputError(f"--row: expected a row that is proven wrong ({known}), found {options.row}")
+        rows = [options.row - 1]
+    for k in rows:
         given = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
         a, b = (bodies[name] for name in named[k])
         try:
             code = reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=tolerance)
-        except LoewnerError:
+        except LoewnerError as error:
+            if options.row is not None:
+                raise InputError(f"--row: expected a row whose errors can be proven in fractions: {error}") from error
             continue
         with replacing(path) as file:
             file.write_text(code, encoding="utf-8")
         return f"{shown(path)} proves row {k + 1} wrong in fractions"
-    return f"{shown(path)} is not written: no wrong answer is about two convex hulls"
+    return f"{shown(path)} is not written: no wrong answer is about two convex hulls" if rows else ""
 
 
-def _for_json(said: Judgement, named: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
+    """Say for each file as what it was judged, and when a hull would be the same body."""
+    found = {}
+    for name, body in {id(body): (name, body) for name, body in bodies.items()}.values():
+        found[name] = repr(body)[len("Body(") : -1]
+        piece = body.pieces[0]
+        if len(body.pieces) == 1 and piece.kind == "solid" and _is_convex(piece.vertices, piece.triangles):
+            found[name] += " (convex: with --meshes hull, its depths are proven, too)"
+    return found
+
+
+def _is_convex(vertices: Any, triangles: Any) -> bool:
+    """Whether a closed mesh is its own hull: for the reader alone, no finding depends on it."""
+    corners = (vertices - vertices.mean(axis=0))[triangles]
+    volume = abs(float(np.linalg.det(corners).sum())) / 6
+    return math.isclose(volume, float(ConvexHull(vertices).volume), rel_tol=1e-6)
+
+
+def _for_json(said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[str, loewner.Body]) -> dict[str, Any]:
     rows = [
         {
             "row": k + 1,
@@ -254,10 +310,15 @@ def _for_json(said: Judgement, named: Sequence[tuple[str, str]]) -> dict[str, An
         }
         for k in said.worst().tolist()
     ]
-    return {"pairs": len(named), "counts": {str(kind): n for kind, n in said.counts().items()}, "wrong": rows}
+    counts = {str(kind): n for kind, n in said.counts().items()}
+    return {
+        "pairs": len(named), "bodies": _described(bodies), "counts": counts, "hints": list(said.hints), "wrong": rows,
+    }  # fmt: skip
 
 
-def _print(said: Judgement, named: Sequence[tuple[str, str]], written: str | None) -> None:
+def _print(
+    said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[str, loewner.Body], written: str | None
+) -> None:
     worst = said.worst().tolist()
     count = f"{len(worst)} of {len(named)} answers" if worst else f"{len(named)} answers"
     print(f"{count} proven wrong" if worst else f"none of {count} is proven wrong")
@@ -268,6 +329,11 @@ def _print(said: Judgement, named: Sequence[tuple[str, str]], written: str | Non
         wrong = kind > Finding.UNDECIDED
         table.add_row(str(kind), f"{number}", f"at least {error:.6g}" if wrong else "", f"{first[0] + 1}" * wrong)
     print_table(table)
+    for hint in said.hints:
+        print(f"hint      {hint}")
+    judged = [f"{name}: {text}" for name, text in _described(bodies).items()]
+    more = f"; and {len(judged) - SHOWN} more (--json)" if len(judged) > SHOWN else ""
+    print(f"judged    {'; '.join(judged[:SHOWN])}{more}")
     for k in worst[:SHOWN]:
         parts = [
             f"{part} {Finding(kind)} by {error:.6g} m"

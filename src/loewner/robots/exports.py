@@ -273,8 +273,11 @@ def mjcf_text(robot: Any, wider: float) -> str:
     made: dict[str, ElementTree.Element] = {}
     for name in robot.link_names:
         joint = above.get(name)
-        if name == "world" and joint is None and name not in robot.bodies:
-            made[name] = world  # MuJoCo's own name for it
+        if name == "world":  # MuJoCo's own name for it, which no other body may have
+            if joint is not None or name in robot.bodies:
+                found = f"below the joint {joint.name!r}" if joint is not None else "with shapes"
+                raise InputError(f"expected a link 'world' only as a root without shapes, found one {found}")
+            made[name] = world
             continue
         body = made[name] = ElementTree.SubElement(made[joint.parent] if joint else world, "body", name=name)
         T = joint.pose if joint else constant_pose(robot.tree.constants[robot.link_names.index(name)])
