@@ -24,7 +24,7 @@ from samples import Array
 
 TOLERANCES = (0.05, 0.02, 0.01)
 LINK = "panda_hand"
-POINTS = 20_000
+POINTS, SHARE = 1_000_000, 100_000
 
 
 def outside(body: Body, points: Array) -> int:
@@ -39,8 +39,9 @@ def outside(body: Body, points: Array) -> int:
 
 
 def placed(robot: Robot, Q: Array) -> Array:
-    """Poses of the link."""
-    return robot.forward_kinematics(Q)[:, robot.link_names.index(LINK)]
+    """Poses of the link, some at a time for the sake of memory."""
+    parts = np.split(Q, range(SHARE, len(Q), SHARE))
+    return np.concatenate([robot.forward_kinematics(part)[:, robot.link_names.index(LINK)] for part in parts])
 
 
 def rows(quick: bool = False) -> list[tuple[str, float, int, int]]:

@@ -6,11 +6,24 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.interpolate import CubicSpline
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation, Slerp
 
 import loewner
 from checker_oracle import random_robot, robot_of, simple_bodies
 from families import rotations, translation
-from loewner import Body, CollisionChecker, GeometryError, InputError, Robot, Scene, UnknownNameError, cli, planners
+from loewner import (
+    Body,
+    CollisionChecker,
+    GeometryError,
+    InputError,
+    Joint,
+    Robot,
+    Scene,
+    UnknownNameError,
+    cli,
+    planners,
+)
 from loewner._native import entries
 from loewner.robots import swept
 from loewner.robots.courses import straight
@@ -153,14 +166,49 @@ def test_solids_are_swept_with_their_inside(tmp_path):
     assert not loewner.collide(body, None, Body.sphere(0.05), None)
 
 
-def test_clouds_and_what_has_no_faces_are_refused(tmp_path):
-    """A carried cloud is named."""
-    robot, scene = written(tmp_path, TURNTABLE), Scene()
-    scene.add("seen", Body.from_cloud(np.eye(3), radius=0.01))
-    scene.attach("seen", "arm")
-    with pytest.raises(InputError, match="seen: expected links of shapes and meshes, found a cloud"):
-        robot.swept([[0.0], [1.0]], scene=scene)
-    assert robot.swept([[0.0], [1.0]], scene=scene, links="arm").covering.exact
+@pytest.mark.parametrize(("radius", "tolerance"), [(0.01, 0.04), (0.03, 0.05), (1e-7, 0.05)])
+def test_clouds_are_swept(radius: float, tolerance: float, tmp_path, monkeypatch):
+    """All balls of a carried cloud are inside, and corners are near one; without the balls, some points are out."""
+    rng, robot, scene = np.random.default_rng(3), written(tmp_path, TURNTABLE), Scene()
+    points = np.concatenate([rng.uniform(-0.1, 0.1, (20, 3)), [[0.3, 0.0, 0.0]], rng.normal(size=(5, 3)) * 1e-3])
+    scene.add("seen", Body.from_cloud(points, radius=radius))
+    scene.attach("seen", "arm", translation(0.5, 0.0, 0.0))
+    body = robot.swept([[0.0], [0.5]], scene=scene, links="seen", tolerance=tolerance)
+    assert body.covering.max_protrusion <= tolerance
+    course = straight(robot, np.zeros((1, 1)), np.full((1, 1), 0.5))
+    u = rng.normal(size=(2000, 3))
+    within = points[rng.integers(0, len(points), 2000)] + radius * u / np.linalg.norm(u, axis=1)[:, None]
+    assert len(outside(body, passed(rng, robot, course, "arm", within + [0.5, 0.0, 0.0]))) == 0
+    corners, angles = np.concatenate([piece.vertices for piece in body.pieces]), np.linspace(0.0, 0.5, 101)
+    centers = np.concatenate(
+        [
+            (points + [0.5, 0.0, 0.0]) @ np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]])
+            for a in angles
+        ]
+    )
+    away = KDTree(centers).query(corners)[0] - radius
+    assert away.max() <= body.covering.max_protrusion + 0.5 / 100 * 0.9
+    grown = swept._grown_ball
+    monkeypatch.setattr(swept, "_grown_ball", lambda radius, room: grown(radius / 100, room))
+    body = robot.swept([[0.0], [0.5]], scene=scene, links="seen", tolerance=tolerance)
+    lost = len(outside(body, passed(rng, robot, course, "arm", within + [0.5, 0.0, 0.0])))
+    assert (lost > 0) == (radius > 1e-3)  # the smallest balls are within the growth for chords
+
+
+def test_one_body_is_swept_by_a_floating_joint():
+    """A body at poses, straight in position and turning at a constant rate between them, as the page shows."""
+    rng, rod = np.random.default_rng(4), Body.box([0.4, 0.05, 0.1])
+    free = Robot.from_links({"world": None, "rod": rod}, [Joint("free", "floating", "world", "rod")])
+    poses = np.array([[0, 0, 0, 1, 0, 0, 0], [0.3, 0, 0.2, 0.8, 0.6, 0, 0], [0.5, 0.4, 0.2, 0.6, 0, 0.8, 0]])
+    zone = free.swept(poses, tolerance=0.02)
+    assert zone.covering.max_protrusion <= 0.02
+    courses = straight(free, poses[:-1], poses[1:])
+    assert len(outside(zone, passed(rng, free, courses, "rod", rng.uniform(-0.5, 0.5, (5000, 3)) * [0.4, 0.05, 0.1]))) == 0
+    for start, end in zip(poses[:-1], poses[1:], strict=True):  # SciPy's motion, too
+        f = rng.uniform(0.0, 1.0, 2000)
+        turns = Slerp([0, 1], Rotation.from_quat(np.stack([start, end])[:, [4, 5, 6, 3]]))(f)
+        points = turns.apply(rng.uniform(-0.5, 0.5, (2000, 3)) * [0.4, 0.05, 0.1])
+        assert len(outside(zone, points + start[:3] + f[:, None] * (end - start)[:3])) == 0
 
 
 @pytest.mark.filterwarnings("ignore:.*is it in degrees:UserWarning")

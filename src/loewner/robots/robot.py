@@ -1036,7 +1036,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, or so small
-            that it cannot be kept, or that the curve has to be divided; or if a body is a cloud.
+            that it cannot be kept, or that the curve has to be divided.
         UnknownNameError
             If there is no such link or body.
         GeometryError

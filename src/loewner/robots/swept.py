@@ -44,6 +44,9 @@ from loewner.scenes import Scene
 # the distance of points from the chords between knots, and for the turn between two knots.
 PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
+# Edge of the cells of a cloud, as a share of the room: a hull of points in one sticks out by half of the room at most.
+CELLS = 0.45
+
 # Vertices are left out of pieces that have more than this.
 FEW = 26
 
@@ -149,7 +152,7 @@ def swept(
     ready: Problem = CollisionChecker(self, scene)._ready(timed=True)
     given = _curve(self, Scene() if scene is None else scene, curve)
     chosen = _chosen(self, ready, links)
-    parts = [part for k, n in enumerate(chosen) for part in _parts(k, ready.names[n], ready.packs[n], limit)]
+    parts = [part for k, n in enumerate(chosen) for part in _parts(k, ready.packs[n], limit)]
     knots = _knots(self, given._replace(off=given.off + errors), parts, ready.link[chosen], limit)
     elements = [element for number in range(len(parts)) for element in _elements(parts, number, knots, limit)]
 
@@ -201,10 +204,10 @@ def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> 
     return np.array([known[name] for name in dict.fromkeys(names)])
 
 
-def _parts(body: int, name: str, packed: Packed, tolerance: float) -> Iterator[_Part]:
+def _parts(body: int, packed: Packed, tolerance: float) -> Iterator[_Part]:
     """Divide a body into convex pieces with few vertices."""
     for i in range(len(packed.layout)):
-        for points, out in _convex(name, packed, i, PIECES * tolerance):
+        for points, out in _convex(packed, i, PIECES * tolerance):
             vertices, near = _thinned(points, VERTICES * tolerance)
             axes = principal_axes(vertices)
             sides = image(axes, vertices)
@@ -216,11 +219,11 @@ def _parts(body: int, name: str, packed: Packed, tolerance: float) -> Iterator[_
 _SIGNS = np.array([[-1.0], [1.0]])
 
 
-def _convex(name: str, packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
+def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
     """Return points whose hulls contain a piece of a body, and how far each hull may stick out of it.
 
-    A curved shape becomes a polytope around it. A solid, or a surface, becomes its hull if that does not stick out
-    farther than `room`, and is cut along planes otherwise.
+    A curved shape becomes a polytope around it, and a cloud one for each cell of a grid. A solid, or a surface, becomes
+    its hull if that does not stick out farther than `room`, and is cut along planes otherwise.
     """
     row, frame = packed.layout[i], packed.frames[i]
     kind, radius = int(row[columns.KIND]), float(frame[0])
@@ -229,14 +232,28 @@ def _convex(name: str, packed: Packed, i: int, room: float) -> list[tuple[Floats
     if kind > columns.POLYTOPE:
         return [_around(kind, radius, frame[1:4], frame[4:].reshape(3, 3), room)]
     triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
-    if (triangles == triangles[:, :1]).all():
-        raise InputError(f"{name}: expected links of shapes and meshes, found a cloud; take its voxels (voxel=)")
     vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+    if (triangles == triangles[:, :1]).all():
+        return _of_cloud(vertices[triangles[:, 0]], radius, room)
     known = _known.setdefault(packed.trees[i], {})
     if room not in known:
         known[room] = _cut(vertices, triangles, kind == columns.SOLID, room)
     grown, further = _grown_ball(radius, room) if radius > 0 else (np.zeros((1, 3)), 0.0)
     return [((points[:, None] + grown).reshape(-1, 3), out + further) for points, out in known[room]]
+
+
+def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, float]]:
+    """Return points whose hulls contain the balls of a cloud, cell by cell, and how far each hull sticks out.
+
+    A point of the hull of points whose distances are d at most is within √(3/8) d of one of them.
+    """
+    grown, further = _grown_ball(radius, room / 2)
+    cell = np.unique(np.floor(points / (CELLS * room)), axis=0, return_inverse=True)[1].ravel()
+    order, found = np.argsort(cell, kind="stable"), []
+    for some in np.split(points[order], np.flatnonzero(np.diff(cell[order])) + 1):
+        wide = math.sqrt(3 / 8) * float(lengths(np.ptp(some, axis=0))) * (1 + ROUNDINGS)
+        found.append(((some[:, None] + grown).reshape(-1, 3), wide + further))
+    return found
 
 
 def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tuple[Floats, float]]:
