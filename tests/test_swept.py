@@ -203,7 +203,8 @@ def test_one_body_is_swept_by_a_floating_joint():
     zone = free.swept(poses, tolerance=0.02)
     assert zone.covering.max_protrusion <= 0.02
     courses = straight(free, poses[:-1], poses[1:])
-    assert len(outside(zone, passed(rng, free, courses, "rod", rng.uniform(-0.5, 0.5, (5000, 3)) * [0.4, 0.05, 0.1]))) == 0
+    points = rng.uniform(-0.5, 0.5, (5000, 3)) * [0.4, 0.05, 0.1]
+    assert len(outside(zone, passed(rng, free, courses, "rod", points))) == 0
     for start, end in zip(poses[:-1], poses[1:], strict=True):  # SciPy's motion, too
         f = rng.uniform(0.0, 1.0, 2000)
         turns = Slerp([0, 1], Rotation.from_quat(np.stack([start, end])[:, [4, 5, 6, 3]]))(f)

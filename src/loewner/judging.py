@@ -54,7 +54,7 @@ PARTS = ("colliding", "distance", "depth", "witness_a", "witness_b", "witnesses"
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1 / 0.0254}
 
 # Another convention is named if it explains at least three errors and this share of all, and spoils few right answers
-# in return. It is tried if this share of the answers is wrong, and explains an error of which at most a thousandth is left.
+# in return. It is tried if this share of the answers is wrong, and explains an error if at most a thousandth is left.
 LEAST, EXPLAINED, SPOILT, TRIED, LEFT = 3, 0.9, 0.1, 0.1, 1e-3
 
 

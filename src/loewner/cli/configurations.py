@@ -39,13 +39,13 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
         return _archives.numbers(data, str(path), "an array of numbers")
     try:
         text = data.decode("utf-8-sig")
-        found: Any = _json.parsed(text, str(path)) if suffix == ".json" else _rows(text)
+        found: Any = _json.parsed(text, str(path)) if suffix == ".json" else rows_of(text)
     except (ValueError, OverflowError, MemoryError, RecursionError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = robot.configuration_names
     if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found, names)):
         raise FileError(f"{path}: expected names of the columns, found none")
-    return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
+    return _of_json(found, robot, path) if suffix == ".json" else of_rows(found, robot, path)
 
 
 def path_of(path: Path, robot: loewner.Robot) -> Floats:
@@ -69,7 +69,7 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
         if path.suffix.lower() == ".json":
             found = _json.parsed(text, str(path))
             return isinstance(found, Mapping) and "configurations" in found
-        rows = _rows(_tables.start_of(text)[1])
+        rows = rows_of(_tables.start_of(text)[1])
     except (FileError, ValueError, RecursionError, csv.Error):
         return False
     return _has_header(rows) and rows[0][0] not in times
@@ -110,7 +110,8 @@ def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robo
     return robot.checked(numbers, name)
 
 
-def _rows(text: str) -> list[list[str]]:
+def rows_of(text: str) -> list[list[str]]:
+    """Return the cells of a table, without empty rows."""
     return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
 
 
@@ -119,7 +120,7 @@ def _has_header(rows: list[list[str]], names: Sequence[str] = ()) -> bool:
     return bool(rows) and (sorted(rows[0]) == sorted(names) or not any(_are_numbers([cell]) for cell in rows[0]))
 
 
-def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
+def of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
     """Read the numbers of a table, whose first row may name the columns."""
     names = list(robot.configuration_names)
     for row in rows:

@@ -1,4 +1,4 @@
-"""``loewner judge``: whether a model of a robot contains its links, and which answers of another program are wrong."""
+"""``loewner judge``: whether a model of a robot contains its links, and which answers of others are wrong."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from loewner import _validate
-from loewner.cli import cover_tables, inputs, judge_answers
+from loewner.cli import cover_tables, inputs, judge_answers, judge_configurations
 from loewner.cover_files import FORMATS
 from loewner.errors import InputError
 from loewner.robots import link_bodies
@@ -17,21 +17,27 @@ EXAMPLES = f"""examples:
   loewner judge --answers said.csv cup.stl spoon.stl              another program's answers about two meshes
   loewner judge --answers said.csv parts/*.npz --tolerance 1e-4   many bodies, named in the table
   loewner judge --answers said.json a.npz b.npz --program wrong.py --row 7
+  loewner judge --configurations said.csv panda.urdf --srdf panda.srdf --scene shelf.yaml
   loewner judge --model spheres.yml panda.urdf
   loewner judge --model panda_spherized.urdf --format vamp --picture holes.png panda.urdf
 
 {judge_answers.TABLE}
+{judge_configurations.TABLE}
 --model: each row is about one link: the share of its surface that is outside of all shapes, how deep a part of it is
   outside and where, in the frame of the link, and how far shapes stick out of it. Two numbers are proven bounds.
   covered: each point of the link, inside included, is proven to be in a shape. uncovered: the point shown is proven to
   be outside. undecided: neither is proven.
 
-exit status: 2 error; --answers: 0 nothing is proven wrong, 1 an answer is; --model: 0 all links are covered, 1 one is
-  not, 3 one is undecided
+exit status: 2 error; --answers, --configurations: 0 nothing is proven wrong, 1 an answer is; --model: 0 all links are
+  covered, 1 one is not, 3 one is undecided
 """
 
-# Options of one of the two questions only.
-OF_MODEL, OF_ANSWERS = ("format", "srdf", "package_dir", "picture"), ("scale", "program", "row")
+# Options of some of the questions only.
+OPTIONS = {
+    "answers": ("scale", "program", "row"),
+    "configurations": ("srdf", "package_dir", "scene"),
+    "model": ("format", "srdf", "package_dir", "picture"),
+}
 
 
 def add(commands: Any) -> None:
@@ -42,43 +48,48 @@ def add(commands: Any) -> None:
         nargs="*",
         type=Path,
         metavar="FILE",
-        help="--answers: bodies (.npz) or meshes; --model: a robot (URDF)",
+        help="--answers: bodies (.npz) or meshes; else: a robot (URDF)",
     )
     which = judge.add_mutually_exclusive_group(required=True)
     which.add_argument("--model", type=Path, metavar="FILE", help="spheres or other shapes that should contain links")
     which.add_argument("--answers", type=Path, metavar="TABLE", help="answers about pairs of bodies (.csv or .json)")
-    of_model = judge.add_argument_group("options of --model")
-    of_model.add_argument("--format", choices=FORMATS, help="the program that reads the model (by the suffix)")
-    of_model.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
-    of_model.add_argument(
+    which.add_argument("--configurations", type=Path, metavar="TABLE", help="verdicts about configurations (.csv)")
+    of_robot = judge.add_argument_group("options of --model and --configurations")
+    of_robot.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
+    of_robot.add_argument(
         "--package-dir", type=Path, metavar="DIR", action="append", default=[], help="folder of packages; repeatable"
     )
+    of_robot.add_argument("--scene", type=Path, metavar="FILE", help="--configurations: obstacles (.yaml)")
+    of_model = judge.add_argument_group("options of --model")
+    of_model.add_argument("--format", choices=FORMATS, help="the program that reads the model (by the suffix)")
     of_model.add_argument("--picture", type=Path, metavar="FILE", help="draw the parts outside (.png or .svg)")
     judge_answers.add_options(judge.add_argument_group("options of --answers"))
-    usual = f"representation of meshes (--model: {link_bodies.USUAL_MODEL}; --answers: surface)"
+    usual = f"representation of meshes (robots: {link_bodies.USUAL_MODEL}; --answers: surface)"
     judge.add_argument("--meshes", choices=[*dict.fromkeys([*link_bodies.MODELS, *inputs.MODELS])], help=usual)
-    tolerance = "error that is allowed (--answers: 1e-6), or size of the smallest cells of a proof [m]"
+    tolerance = "error that is allowed (1e-6), or --model: size of the smallest cells of a proof [m]"
     judge.add_argument("--tolerance", type=float, metavar="M", help=tolerance)
     judge.add_argument("--json", action="store_true", help="print JSON")
     judge.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
-    others, asked = (OF_MODEL, "--answers") if options.answers else (OF_ANSWERS, "--model")
-    for name in others:
-        if getattr(options, name):
-            raise InputError(f"--{name.replace('_', '-')}: expected no such option with {asked}, found one")
-    allowed = inputs.MODELS if options.answers else link_bodies.MODELS
+    asked = next(name for name in OPTIONS if getattr(options, name) is not None)
+    for name in (name for names in OPTIONS.values() for name in names if name not in OPTIONS[asked]):
+        if getattr(options, name) not in (None, []):
+            raise InputError(f"--{name.replace('_', '-')}: expected no such option with --{asked}, found one")
     if options.meshes is not None:
-        _validate.choice(options.meshes, f"--meshes with {asked}", allowed)
-    return judge_answers.run(options) if options.answers else _run_model(options)
+        allowed = inputs.MODELS if options.answers else link_bodies.MODELS
+        _validate.choice(options.meshes, f"--meshes with --{asked}", allowed)
+    if options.answers:
+        return judge_answers.run(options)
+    if len(options.files) != 1:
+        raise InputError(f"FILE: expected one robot with --{asked}, found {len(options.files)} files")
+    return judge_configurations.run(options) if options.configurations else _run_model(options)
 
 
 def _run_model(options: argparse.Namespace) -> int:
     """Judge the shapes of each link."""
     cover_tables.refuse_other_pictures(options.picture)
-    if len(options.files) != 1:
-        raise InputError(f"FILE: expected one robot with --model, found {len(options.files)} files")
     of_robot = {"urdf": options.files[0], "model": options.meshes, "decompose": False}
     robot = inputs.robot(argparse.Namespace(**{**vars(options), **of_robot}))
     if not robot.bodies:

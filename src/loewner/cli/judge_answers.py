@@ -88,7 +88,8 @@ def run(options: argparse.Namespace) -> int:
 def _judged(named: Sequence[tuple[str, str]], bodies: Any, poses: Any, answers: Any, tolerance: float) -> Judgement:
     """Judge all rows, those about the same bodies together."""
     kinds, excess = np.zeros((len(named), len(PARTS)), dtype=np.int8), np.zeros((len(named), len(PARTS)))
-    bounds, tried = np.zeros((len(named), 2)), []
+    bounds = np.zeros((len(named), 2))
+    tried: list[judging.Convention] = []
     places: dict[tuple[str, str], list[int]] = {}
     for k, pair in enumerate(named):
         places.setdefault(pair, []).append(k)

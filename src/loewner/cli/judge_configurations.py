@@ -1,0 +1,79 @@
+"""``loewner judge --configurations``: name another checker's verdicts about configurations that are proven wrong."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner._files import read_regular
+from loewner._validate import Bools, Floats, short
+from loewner.cli import configurations, inputs
+from loewner.cli.judge_answers import SHOWN, TOLERANCE, WORDS
+from loewner.cli.output import COLLIDING, FREE
+from loewner.errors import FileError
+
+TABLE = """--configurations: a .csv file whose header names the joint values, in any order, and a column colliding.
+  A verdict, true or false, 1 or 0, is wrong if bodies overlap, or all are apart, by more than the tolerance; depths of
+  curved shapes are accurate to a thousandth of their size. --scene has the obstacles; pairs that the SRDF exempts are
+  not checked.
+"""
+
+ANSWER = "colliding"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge a table of configurations, and print the wrong verdicts."""
+    tolerance = TOLERANCE if options.tolerance is None else options.tolerance
+    of_robot = {"urdf": options.files[0], "model": options.meshes, "decompose": False}
+    robot = inputs.robot(argparse.Namespace(**{**vars(options), **of_robot}))
+    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    checker = loewner.CollisionChecker(robot, scene)
+    Q, said = table(options.configurations, robot)
+    rows = np.flatnonzero(checker.collide(Q) != said)
+    wrong: list[dict[str, Any]] = []
+    if len(rows):
+        found = checker.distance(Q[rows], exact=True)
+        for k in np.argsort(-np.abs(found.distance), kind="stable").tolist():
+            if abs(found.distance[k]) > tolerance:
+                finding = "WRONG_COLLIDING" if said[rows[k]] else "WRONG_FREE"
+                row = {"row": int(rows[k]) + 1, "finding": finding, "bodies": found.names[k].tolist()}
+                wrong.append(row | {"distance": float(found.distance[k])})
+    if options.json:
+        print(json.dumps({"configurations": len(Q), "wrong": wrong}, indent=2))
+        return COLLIDING if wrong else FREE
+    print(f"{len(wrong)} of {len(Q)} verdicts proven wrong")
+    for kind, text in (("WRONG_FREE", "collisions missed"), ("WRONG_COLLIDING", "false alarms")):
+        print(f"{text:<18} {sum(row['finding'] == kind for row in wrong)}")
+    for row in wrong[:SHOWN]:
+        what = f"{'apart' if row['distance'] > 0 else 'deep'} by {abs(row['distance']):.6g} m"
+        print(f"row {row['row']}: {row['finding']}; {' and '.join(row['bodies'])} {what}")
+    if len(wrong) > SHOWN:
+        print(f"and {len(wrong) - SHOWN} more (--json)")
+    return COLLIDING if wrong else FREE
+
+
+def table(path: Any, robot: loewner.Robot) -> tuple[Floats, Bools]:
+    """Read configurations in the order of the robot's columns, shape (n, dof), and the verdicts about them."""
+    data = read_regular(path, "configurations", configurations.MOST_BYTES)
+    try:
+        rows = configurations.rows_of(data.decode("utf-8-sig"))
+    except (ValueError, csv.Error):
+        raise FileError(f"{path}: expected a table with commas, found something else") from None
+    header = rows[0] if rows else []
+    if header.count(ANSWER) != 1:
+        raise FileError(f"{path}: expected one column {ANSWER} in the header, found {', '.join(header) or 'none'}")
+    at, said = header.index(ANSWER), []
+    for k, row in enumerate(rows[1:], 1):
+        word = row[at].lower() if len(row) == len(header) else "too few or too many cells"
+        value = WORDS.get(word, {"1": 1.0, "0": 0.0}.get(word))
+        if value is None:
+            raise FileError(f"{path}, row {k}: expected true or false as {ANSWER}, found {short(word)}")
+        said.append(value == 1.0)
+    if not said:
+        raise FileError(f"{path}: expected configurations, found none")
+    return configurations.of_rows([row[:at] + row[at + 1 :] for row in rows], robot, path), np.array(said)
