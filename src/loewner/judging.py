@@ -20,7 +20,7 @@ from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
 from loewner.queries import Distance, expect_bodies, plan_of
 
-__all__ = ["Convention", "Finding", "Judgement", "judge_answers"]
+__all__ = ["Finding", "Judgement", "judge_answers"]
 
 # Exact distances are accurate to this share of the lengths involved (docs/certified.md, "Other programs' answers"), and
 # depths of curved pieces to the second one. The first has a hundredth more than `SETTLED` of the kernels, for rounding.
@@ -105,8 +105,8 @@ class Convention(NamedTuple):
     about, reading : str
         Which parts of answers, in the plural, and the convention: two parts of a sentence.
     wrong, right, spoilt : int
-        How many parts are wrong as they are given; of these, how many are right by the convention; and how many are
-        right as they are given and wrong by the convention.
+        Numbers of parts that are wrong as they are given; that are then right by the convention; and that are right as
+        they are given and wrong by the convention.
     """
 
     about: str
@@ -145,7 +145,7 @@ class Judgement:
         Proven bounds on the signed distance, in metres. A negative value is a depth: the length of the shortest
         translation that separates the bodies. The lower bound is minus infinity if no such translation is known.
     conventions : tuple
-        Other conventions that were tried, as many answers are wrong; `hints` names those that explain it.
+        Other conventions that were tried, because many answers are wrong; see `hints`.
 
     Examples
     --------
@@ -481,7 +481,7 @@ def _conventions(
 
 
 def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats]]]:
-    """Read answers by other conventions: what they are, the convention, and the answers in ours."""
+    """Read answers by other conventions: the kind of parts, the convention, and the answers in ours."""
     if "normal" in said:
         yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}
     for name in ("distance", "depth"):

@@ -279,7 +279,7 @@ def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any,
 
 
 def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
-    """Say for each file as what it was judged, and when a hull would be the same body."""
+    """Describe the body that was judged of each file, and where a hull would be the same body."""
     found = {}
     for name, body in {id(body): (name, body) for name, body in bodies.items()}.values():
         found[name] = repr(body)[len("Body(") : -1]
