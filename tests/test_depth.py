@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loewner import Body, CollisionChecker, GeometryError, InputError, PoseError, Scene, collide
+from loewner.bodies import checksum_of
 from loewner.depth import SeenSpace, points_of
 from mechanisms import ball, box, joint, link, robot
 
@@ -25,6 +26,11 @@ def turned(seed=0):
     T[:3, :3] = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).uniform(size=3))[:3, :3]
     T[:3, 3] = 0.3, -0.2, 0.5
     return T
+
+
+def same(a, b):
+    """Whether two bodies have the same arrays."""
+    return checksum_of(a) == checksum_of(b)
 
 
 def arm():
@@ -53,6 +59,30 @@ def test_points_project_onto_their_pixels():
     v, u = np.indices(image.shape)
     assert (pixels[..., :2] / local[..., 2:])[~gone] == pytest.approx(np.stack([u, v], axis=-1)[~gone])
     assert local[..., 2][~gone] == pytest.approx(image[~gone])
+
+
+def test_bodies_of_images_are_clouds_of_their_points():
+    """One call makes the body of the finite points; with a checker, of those that are not on the robot."""
+    rng, T, q = np.random.default_rng(5), turned(), [0.2, -0.4]
+    T[:3, 3] = -T[:3, 2]
+    image = rng.uniform(0.5, 1.5, (24, 32))
+    image[0, 0], image[1, 1], image[2, 2] = np.nan, np.inf, -1.0
+    checker = CollisionChecker(arm())
+    points = points_of(image, K, T)
+    for size in ({"radius": 0.02}, {"voxel": 0.05}):
+        wanted = Body.from_cloud(points[np.isfinite(points[..., 0])], **size)
+        assert same(Body.from_depth(image, K, T, **size), wanted)
+        others = checker.off_the_robot(points, q, clear=0.1)
+        assert 0 < len(others) < np.isfinite(points[..., 0]).sum()
+        assert same(
+            Body.from_depth(image, K, T, **size, checker=checker, q=q, clear=0.1), Body.from_cloud(others, **size)
+        )
+
+
+def test_single_precision_images_are_read():
+    """Cameras give float32; the points are those of the same numbers in double precision."""
+    image = np.random.default_rng(6).uniform(0.5, 1.5, (24, 32)).astype(np.float32)
+    assert same(Body.from_depth(image, K, radius=0.02), Body.from_depth(image.astype(float), K, radius=0.02))
 
 
 # -- the robot's own points -----------------------------------------------------------------------
@@ -179,6 +209,18 @@ def test_memory_of_frames():
     assert 0 < (space.age >= 0).sum() < (before >= 0).sum()
 
 
+def test_images_come_in_the_order_of_their_times():
+    """An image that is older than the last one is refused and changes nothing; equal times are two cameras."""
+    space, image = SeenSpace([-0.5, -0.5, 0.5], (10, 10, 10), 0.1), np.full((24, 32), 1.4)
+    for time in (2.0, None, 2.0, 2.5):
+        space.see(image, K, time=time)
+    before = space.age.copy()
+    with pytest.raises(InputError, match=r"time: expected 2\.5 s, the time of the last image, or more, found 2\.25"):
+        space.see(image, K, time=2.25)
+    assert (space.age == before).all()
+    assert space.time == 2.5
+
+
 def test_the_robot_can_leave_its_own_cells():
     """Unknown cells collide with a robot in them; without those at the robot, it is free, and the others stay."""
     checker = CollisionChecker(arm())
@@ -222,6 +264,19 @@ def test_depths_in_millimetres_cause_a_warning():
             InputError,
             "image: expected floating-point .* found uint16",
         ),
+        (lambda: Body.from_depth(np.ones((4, 4), np.uint16), K, radius=0.1), InputError, "divide millimetres by 1000"),
+        (lambda: Body.from_depth(np.ones((4, 4, 3)), K, radius=0.1), InputError, "is the image in colour"),
+        (lambda: Body.from_depth(np.ones((4, 4)), K), InputError, "radius, voxel: expected one"),
+        (lambda: Body.from_depth(np.zeros((4, 4)), K, radius=0.1), GeometryError, "image: expected an echo"),
+        (lambda: Body.from_depth(np.ones((4, 4)), np.eye(3)[::-1], radius=0.1), InputError, "K: expected an intrin"),
+        (lambda: Body.from_depth(np.ones((4, 4)), K, -np.eye(4), radius=0.1), PoseError, "T_world_camera"),
+        (lambda: Body.from_depth(np.ones((4, 4)), K, radius=0.1, q=[0, 0]), InputError, "checker, q: expected both"),
+        (
+            lambda: Body.from_depth(np.ones((4, 4)), K, radius=0.1, checker=arm(), q=[0, 0]),
+            InputError,
+            "checker: expected a CollisionChecker, found",
+        ),
+        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((4, 4)), K, time="now"), InputError, "time"),
         (lambda: points_of(np.ones(4), K), InputError, "image: .* found float64 of shape \\(4,\\)"),
         (lambda: points_of(np.ones((4, 4)), np.eye(4)), InputError, "K: expected shape"),
         (lambda: points_of(np.ones((4, 4)), -K), InputError, "K: expected an intrinsic matrix"),

@@ -195,6 +195,14 @@ def test_example_relax_crowd(tmp_path):
     assert "pairs that overlap at the end: 0" in out
 
 
+def test_example_camera_loop(tmp_path):
+    """Each frame has a plan into seen space, and the arm's shadow closes as it moves."""
+    out = example("camera_loop.py", "2", cwd=tmp_path)
+    rows = re.findall(r"frame \d: (\d+) boxes seen, (\d+) cells unknown, (\d+) stops", out)
+    (_, before, _), (_, after, _) = ([int(number) for number in row] for row in rows)
+    assert after < before < 45 * 45 * 32 / 4
+
+
 def test_example_pack_box(tmp_path):
     """Each box is fuller than the one before, and nothing overlaps in the last."""
     out = example("pack_box.py", "--count", "8", "--rounds", "60", cwd=tmp_path)

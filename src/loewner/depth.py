@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._plausible import warn
 from loewner._validate import Bools, Floats, Ints
-from loewner.bodies import Body
+from loewner.bodies import Body, camera_of, points_of
 from loewner.errors import InputError
 from loewner.robots import CollisionChecker
 
@@ -20,57 +19,8 @@ __all__ = ["SeenSpace", "points_of"]
 # Seen cells are nearer than the depths behind them by this share, far above the rounding of a projection.
 ROUNDING = 1e-9
 
-# Focal lengths in pixels, and offsets: beyond them, the matrix is none of a camera.
-SMALLEST, LARGEST = 1e-3, 1e9
-
-# A camera that sees this far, in metres, is probably one that counts millimetres.
-FARTHEST = 100.0
-
 # Bytes per corner of a cell in a call of `see`.
 BYTES = 200
-
-
-@guarded
-def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> Floats:
-    """Convert a depth image to points.
-
-    Parameters
-    ----------
-    image : array_like of float, shape (H, W)
-        Depths along the optical axis, in metres. Entries that are not finite, or not positive, have no echo.
-    K : array_like, shape (3, 3)
-        Intrinsic matrix ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``, in pixels; (0, 0) is the middle of the first pixel.
-    T_world_camera : array_like, shape (4, 4), optional
-        Pose of the camera, which looks along its z axis; x is to the right in the image, and y down.
-
-    Returns
-    -------
-    ndarray, shape (H, W, 3)
-        Points in world coordinates, NaN where there is no echo.
-
-    Raises
-    ------
-    InputError
-        If the image is not an array of floating-point numbers with two axes (depths in millimetres are integers:
-        divide them by 1000), or the matrix is not an intrinsic matrix.
-    PoseError
-        If the pose is not a rigid motion.
-
-    Examples
-    --------
-    >>> points = points_of(np.full((3, 3), 2.0), [[100.0, 0, 1], [0, 100.0, 1], [0, 0, 1]])
-    >>> points[1, 2]
-    array([0.02, 0.  , 2.  ])
-    """
-    depths, intrinsics = _depths(image), _intrinsics(K)
-    T = _pose(T_world_camera)
-    v, u = np.indices(depths.shape)
-    (fx, skew, cx), (_, fy, cy), _ = intrinsics
-    y = (v - cy) / fy
-    x = (u - cx - skew * y) / fx
-    rays = np.stack([x, y, np.ones(depths.shape)], axis=-1)
-    seen = np.where(np.isfinite(depths) & (depths > 0.0), depths, np.nan)[..., None] * rays
-    return np.asarray(seen @ T[:3, :3].T + T[:3, 3])
 
 
 @guarded
@@ -95,6 +45,8 @@ class SeenSpace:
     centers : ndarray, shape (p, q, r, 3)
     age : ndarray of int64, shape (p, q, r)
         How many images ago each cell was seen; -1 for cells that are unknown.
+    time : float or None
+        The time of the last image that had one, in seconds.
 
     Raises
     ------
@@ -121,6 +73,7 @@ class SeenSpace:
         self._size = _validate.positive_scalar(size, "size")
         _validate.fits_memory(BYTES * int(np.prod([n + 1.0 for n in counts])), f"{counts} cells")
         self.age: Ints = np.full(counts, -1, dtype=np.int64)
+        self.time: float | None = None
 
     def __repr__(self) -> str:
         p, q, r = self.age.shape
@@ -139,30 +92,43 @@ class SeenSpace:
     def _middles(self, low: Floats, cells: Ints) -> Floats:
         return np.asarray(low + self._size * (cells + 0.5))
 
-    def see(self, image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> None:
+    def see(
+        self, image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None, *, time: float | None = None
+    ) -> None:
         """Add the cells in front of a depth image.
 
         Parameters
         ----------
         image, K, T_world_camera
             As for `points_of`. Reduce the depths by the noise of the sensor beforehand.
+        time : float, optional
+            When the image was taken, in seconds.
 
         Raises
         ------
         InputError, PoseError
-            As for `points_of`.
+            As for `points_of`, or if the image is older than the last one with a time: something may have moved into
+            its cells since.
         """
-        depths, intrinsics = _depths(image), _intrinsics(K)
-        T = _pose(T_world_camera)
-        depths = np.where(np.isfinite(depths) & (depths > 0.0), depths, 0.0)
-        corners = self._low + self._size * np.moveaxis(np.indices([n + 1 for n in self.age.shape]), 0, -1)
-        local = (corners - T[:3, 3]) @ T[:3, :3]
-        pixels = local @ intrinsics.T
-        z = local[..., 2]
+        depths, intrinsics, T = camera_of(image, K, T_world_camera)
+        now = None if time is None else float(_validate.finite_array(time, "time", ()))
+        if now is not None and self.time is not None and now < self.time:
+            raise InputError(f"time: expected {self.time:g} s, the time of the last image, or more, found {now:g}")
+        depths = np.nan_to_num(depths)
+        # Before the division by their depths, the images of corners are affine: sums of a number for each axis.
+        turn = intrinsics @ T[:3, :3].T
+        first = turn @ (self._low - T[:3, 3])
+        steps = self._size * turn
+        along = [np.arange(n + 1) for n in self.age.shape]
+        scaled_u, scaled_v, z = (
+            (x + row[0] * along[0])[:, None, None] + (row[1] * along[1])[:, None] + row[2] * along[2]
+            for x, row in zip(first, steps, strict=True)
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            u, v = pixels[..., 0] / z, pixels[..., 1] / z
+            u, v = scaled_u / z, scaled_v / z
         (least_u, most_u), (least_v, most_v) = _over_cells(u), _over_cells(v)
-        nearest, farthest = _over_cells(z)
+        nearest = z[:-1, :-1, :-1] + np.minimum(steps[2], 0.0).sum()
+        farthest = z[:-1, :-1, :-1] + np.maximum(steps[2], 0.0).sum()
         height, width = depths.shape
         # A pixel sees half a pixel about its middle; the cells have to be inside the image as a whole.
         inside = (nearest > 0.0) & (least_u >= 0.0) & (most_u <= width - 1) & (least_v >= 0.0) & (most_v <= height - 1)
@@ -172,6 +138,7 @@ class SeenSpace:
         clear = _least_in(depths, *ends, *tops) > farthest[some] * (1.0 + ROUNDING)
         self.age[self.age >= 0] += 1
         self.age[tuple(axis[clear] for axis in some)] = 0
+        self.time = self.time if now is None else now
 
     def forget(self, older_than: int) -> None:
         """Make cells unknown again that were last seen long ago.
@@ -236,40 +203,6 @@ class SeenSpace:
         return Body.from_voxels(cells, self._size, origin=low)
 
 
-def _depths(image: ArrayLike) -> Floats:
-    """Check a depth image."""
-    kind, depths = _validate.plain_array(image, "image").dtype, _validate.float_array(image, "image")
-    if depths.ndim != 2 or 0 in depths.shape or kind.kind in "iu":
-        raise InputError(
-            "image: expected floating-point depths in metres with two axes, found "
-            f"{kind} of shape {_validate.shape_text(depths.shape)}"
-        )
-    echoes = depths[np.isfinite(depths) & (depths > 0.0)]
-    if len(echoes) and float(np.median(echoes)) > FARTHEST:
-        warn(f"image: half of the depths are above {FARTHEST:g} m; are they in millimetres?")
-    return depths
-
-
-def _intrinsics(K: ArrayLike) -> Floats:
-    """Check an intrinsic matrix."""
-    matrix = _validate.finite_array(K, "K", (3, 3))
-    shaped = matrix[1, 0] == 0.0 and (matrix[2] == [0.0, 0.0, 1.0]).all() and (np.abs(matrix) <= LARGEST).all()
-    if not (shaped and min(matrix[0, 0], matrix[1, 1]) >= SMALLEST):
-        raise InputError(
-            "K: expected an intrinsic matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels, with positive fx and "
-            f"fy, found {matrix.tolist()}"
-        )
-    return matrix
-
-
-def _pose(T_world_camera: ArrayLike | None) -> Floats:
-    """Check the pose of a camera."""
-    T = _validate.poses(T_world_camera, "T_world_camera")
-    if T.shape != (4, 4):
-        raise InputError(f"T_world_camera: expected one pose, found shape {_validate.shape_text(T.shape)}")
-    return T
-
-
 def _over_cells(x: Floats) -> tuple[Floats, Floats]:
     """Compute the least and the largest value at the eight corners of each cell."""
     least, most = x, x
@@ -283,7 +216,7 @@ def _over_cells(x: Floats) -> tuple[Floats, Floats]:
 def _least_in(depths: Floats, v0: Ints, u0: Ints, v1: Ints, u1: Ints) -> Floats:
     """Find the least depth in rectangles of pixels, ends included, by windows of powers of two."""
     least = np.empty(len(v0))
-    rows, cols = (np.frexp(ends - starts + 1)[1] - 1 for starts, ends in ((v0, v1), (u0, u1)))
+    rows, cols = ((np.frexp(ends - starts + 1)[1] - 1).astype(np.int8) for starts, ends in ((v0, v1), (u0, u1)))
     by_rows = depths
     for k in range(int(rows.max(initial=0)) + 1):
         if k > 0:

@@ -774,6 +774,17 @@ CALLS: dict[str, Call] = {
             "voxel": arg(None, NONE),
         },
     ),
+    "Body.from_depth": Call(
+        Body.from_depth,
+        {
+            **IMAGE,
+            "radius": positive(0.25),
+            "voxel": arg(None, NONE),
+            "checker": arg(checker_in_time),
+            "q": ONE,
+            "clear": positive(0.125),
+        },
+    ),
     "Body.from_voxels": Call(
         Body.from_voxels,
         {"grid": arg(lambda: np.ones((2, 3, 4), bool)), "size": positive(), "origin": array([1.0, 2.0, 3.0], FINITE)},
@@ -1341,7 +1352,7 @@ CALLS: dict[str, Call] = {
         depths.SeenSpace,
         {"low": array([0.0, 0.0, 0.0], FINITE), "shape": arg((4, 3, 2)), "size": positive(0.25)},
     ),
-    "depth.SeenSpace.see": Call(on(seen_space, "see"), IMAGE),
+    "depth.SeenSpace.see": Call(on(seen_space, "see"), {**IMAGE, "time": arg(0.5, NUMBERS, ZERO, NEGATIVE, NONE)}),
     "depth.SeenSpace.forget": Call(on(seen_space, "forget"), {"older_than": count(1, "0")}),
     "depth.SeenSpace.body": Call(
         on(seen_space, "body"),

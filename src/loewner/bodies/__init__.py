@@ -18,6 +18,7 @@ from loewner.bodies.body import (
     packed_of,
     reach_of,
 )
+from loewner.bodies.depth_images import camera_of, points_of
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
@@ -37,9 +38,11 @@ __all__ = [
     "bodies_of",
     "body_of_file",
     "body_of_polytopes",
+    "camera_of",
     "checksum_of",
     "for_pictures",
     "packed_of",
+    "points_of",
     "reach_of",
     "take",
 ]

@@ -19,6 +19,7 @@ from loewner._pictures import COLOURS, bodies, pictured
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
+from loewner.bodies.depth_images import points_of
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
@@ -583,6 +584,64 @@ class Body(_Bodies):
         edge = _validate.positive_scalar(voxel, "voxel")
         cells = sensed.cells_of(x, edge)
         return cls(Packed.of(sensed.voxel_pieces(cells, edge)))
+
+    @classmethod
+    def from_depth(
+        cls,
+        image: ArrayLike,
+        K: ArrayLike,
+        T_world_camera: ArrayLike | None = None,
+        *,
+        radius: float | None = None,
+        voxel: float | None = None,
+        checker: Any = None,
+        q: ArrayLike | None = None,
+        clear: float = 0.03,
+    ) -> Body:
+        """Make a body of what a depth camera sees, in world coordinates, without the robot.
+
+        Parameters
+        ----------
+        image, K, T_world_camera
+            As for `depth.points_of`. Pixels without an echo are left out.
+        radius, voxel : float
+            As for `from_cloud`; give one of the two.
+        checker : CollisionChecker, optional
+            Leave out the points of its robot and of attached bodies, by `CollisionChecker.off_the_robot`.
+        q : array_like, shape (dof,), optional
+            The robot's configuration when the image was taken.
+        clear : float
+            Points within this distance of the robot are left out, in metres; unused without a checker. It has to exceed
+            the noise of the camera and the error of the robot's pose, and also the radius, or half a voxel's diagonal,
+            and the margin, so that the robot is free of the body.
+
+        Raises
+        ------
+        InputError
+            As for `depth.points_of`, `from_cloud` and `off_the_robot`, or if only one of `checker` and `q` is given.
+        PoseError
+            If the pose is not a rigid motion.
+        GeometryError
+            If no point is left.
+
+        Examples
+        --------
+        >>> K = [[100.0, 0, 1], [0, 100.0, 1], [0, 0, 1]]
+        >>> Body.from_depth([[2.0, 2.0, np.nan], [2.0, 0.0, 2.0]], K, radius=0.01)
+        Body(cloud, 4 points, radius 0.01)
+        """
+        points = points_of(image, K, T_world_camera)
+        if (checker is None) != (q is None):
+            raise InputError("checker, q: expected both or none, found one")
+        if checker is None:
+            left = points[~np.isnan(points[..., 2])]
+        elif not hasattr(checker, "off_the_robot"):
+            raise InputError(f"checker: expected a CollisionChecker, found {_validate.short(checker)}")
+        else:
+            left = checker.off_the_robot(points, q, clear=clear)
+        if len(left) == 0:
+            raise GeometryError("image: expected an echo that is not of the robot, found none")
+        return cls.from_cloud(left, radius=radius, voxel=voxel)
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:

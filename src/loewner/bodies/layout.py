@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import columns, records, tolerances
-from loewner._matrices import image, lengths, product, singular_values
+from loewner._matrices import dot, image, lengths, product, singular_values
 from loewner._native import entries
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints
@@ -306,12 +306,15 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
         room[i] = len(chosen) + -(-nodes.size // (3 * columns.BLOCK)) * columns.BLOCK
     begin = starts(room)
     # A block is filled up with repeats of the last point: they change no maximum.
-    vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
-    for i, (chosen, _) in maps.items():
-        vertex[begin[i] : begin[i] + len(chosen)] = chosen
-    points = records.aligned(3 * len(vertex))
-    by_block = vertices[np.repeat(first, room) + vertex].reshape(-1, columns.BLOCK, 3)
-    points.reshape(-1, 3, columns.BLOCK)[:] = by_block.transpose(0, 2, 1)
+    if (lengths == columns.BLOCK).all() and np.array_equal(first, begin[:-1]):  # as for boxes
+        filled = vertices[: begin[-1]]
+    else:
+        vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
+        for i, (chosen, _) in maps.items():
+            vertex[begin[i] : begin[i] + len(chosen)] = chosen
+        filled = vertices[np.repeat(first, room) + vertex]
+    points = records.aligned(3 * int(begin[-1]))
+    points.reshape(-1, 3, columns.BLOCK)[:] = filled.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1)
     for i, (chosen, nodes) in maps.items():
         at = 3 * (begin[i] + len(chosen))
         points[at : at + nodes.size] = nodes.ravel()
@@ -374,14 +377,14 @@ def _ellipsoid_columns(
     largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
-    upper = np.triu_indices(3)
+    upper = list(zip(*np.triu_indices(3), strict=True))
     for center, factor, at_center, at_shape in (
         (outer_center, outer_factor, columns.OUTER_CENTER, columns.OUTER_SHAPE),
         (inner_center, inner_factor, columns.INNER_CENTER, columns.INNER_SHAPE),
     ):
         table[:, at_center : at_center + 3] = center
-        Q = product(factor, factor.transpose(0, 2, 1))
-        table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
+        for column, (i, j) in enumerate(upper, at_shape):
+            table[:, column] = dot(factor[:, i], factor[:, j])
     if len(table) == 0:
         return table
     outer, inner = np.split(_singular_values(np.concatenate([outer_factor, inner_factor])), 2)
@@ -402,7 +405,9 @@ def _singular_values(factor: Floats) -> Floats:
     """Compute singular values, largest first; diagonal matrices, as for balls and boxes, have them at once."""
     diagonal = np.diagonal(factor, axis1=1, axis2=2)
     if np.count_nonzero(factor) == np.count_nonzero(diagonal):
-        return np.asarray(-np.sort(-np.abs(diagonal), axis=1))
+        a, b, c = np.abs(diagonal).T
+        most, least = np.maximum(a, b), np.minimum(a, b)
+        return np.column_stack([np.maximum(most, c), np.maximum(least, np.minimum(most, c)), np.minimum(least, c)])
     return singular_values(factor)
 
 

@@ -17,7 +17,8 @@ from loewner.polytopes import box_hull
 PIECE_BYTES, BOX_BYTES = 1100, 2200
 
 # Cells of a cloud are at most this many from the origin along each axis: three such numbers fit into one.
-MOST_CELLS = 2**20
+CELL_BITS = 21
+MOST_CELLS = 2 ** (CELL_BITS - 1)
 
 
 def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
@@ -77,10 +78,14 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
             f"boxes: expected edges that are more than rounding, found box {i} with an edge of {2 * thinnest[i]:g} m "
             f"{farthest[i]:g} m from the origin"
         )
-    corners = np.where(unit.vertices > 0, upper[:, None], lower[:, None])
-    # A face lies exactly at its corners: its normal is an axis.
-    ends = np.where(unit.normals > 0, upper[:, None], -lower[:, None])
-    offsets = np.take_along_axis(ends, np.abs(unit.normals).argmax(axis=1)[None, :, None], axis=2)
+    # Column by column, which takes a third of the time of broadcast choices. A face lies exactly at its corners, since
+    # its normal is an axis.
+    corners, planes = np.empty((n, 8, 3)), np.empty((n, 6, 4))
+    for (vertex, axis), sign in np.ndenumerate(unit.vertices):
+        corners[:, vertex, axis] = upper[:, axis] if sign > 0 else lower[:, axis]
+    planes[:, :, :3] = unit.normals
+    for face, axis in zip(*np.nonzero(unit.normals), strict=True):
+        planes[:, face, 3] = upper[:, axis] if unit.normals[face, axis] > 0 else -lower[:, axis]
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, columns.KIND] = columns.POLYTOPE
     for column, count in ((columns.POINTS_FROM, 8), (columns.PLANES_FROM, 6)):
@@ -89,7 +94,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     return PieceArrays(
         layout=layout,
         points=corners.reshape(-1, 3),
-        planes=np.concatenate([np.broadcast_to(unit.normals, (n, 6, 3)), offsets], axis=2).reshape(-1, 4),
+        planes=planes.reshape(-1, 4),
         piece_start=np.array([0, n], dtype=np.int64),
         frames=np.zeros((n, 13)),
         triangles=np.tile(unit.triangles, (n, 1)),
@@ -109,17 +114,22 @@ def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
 
 
 def cells_of(points: Floats, edge: float) -> Ints:
-    """List the occupied cells of a grid aligned with the origin, each once, shape (k, 3)."""
-    cells = np.floor(points / edge)
+    """List the occupied cells of a grid aligned with the origin, each once and in order, shape (k, 3)."""
+    cells = points / edge
+    np.floor(cells, out=cells)
     farthest = float(np.abs(cells).max())
     if not farthest < MOST_CELLS:
         raise InputError(
             f"voxel: expected cells within {MOST_CELLS} of the origin along each axis, found one at {farthest:.3g}"
         )
-    side = 2 * MOST_CELLS
-    x, y, z = cells.astype(np.int64).T + MOST_CELLS
-    rest, z = np.divmod(np.unique((x * side + y) * side + z), side)
-    return np.column_stack([*np.divmod(rest, side), z]) - MOST_CELLS
+    numbers = _numbered(cells.astype(np.int64), (0, 1, 2))
+    # Neighbours in an image are often in one cell, and numbers that are gone need not be sorted.
+    return _cells(_without_repeats(np.sort(_without_repeats(numbers))), (0, 1, 2))
+
+
+def _without_repeats(numbers: Ints) -> Ints:
+    """Drop numbers that equal their predecessors."""
+    return np.asarray(numbers[np.concatenate([[True], numbers[1:] != numbers[:-1]])])
 
 
 def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
@@ -139,11 +149,28 @@ def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
 
 def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
     """Find the first and last cells of rows without gaps along an axis."""
-    i, j = (k for k in range(3) if k != axis)
-    ordered = cells[np.lexsort((cells[:, axis], cells[:, j], cells[:, i]))]
-    step = np.diff(ordered, axis=0)
-    ends = np.flatnonzero((step[:, axis] != 1) | (step[:, i] != 0) | (step[:, j] != 0))
-    return ordered[np.concatenate([[0], ends + 1])], ordered[np.concatenate([ends, [len(ordered) - 1]])]
+    order = (*(k for k in range(3) if k != axis), axis)
+    numbers = np.sort(_numbered(cells, order))
+    # The last axis has no cell of number 0, so neighbours in number are neighbours in the grid.
+    ends = np.flatnonzero(np.diff(numbers) != 1)
+    first, last = np.concatenate([[0], ends + 1]), np.concatenate([ends, [len(numbers) - 1]])
+    return _cells(numbers[first], order), _cells(numbers[last], order)
+
+
+def _numbered(cells: Ints, order: tuple[int, ...]) -> Ints:
+    """Write the three numbers of each cell as one, those of the first axis in `order` foremost."""
+    x, y, z = (cells[:, axis] + MOST_CELLS for axis in order)
+    return np.asarray((((x << CELL_BITS) | y) << CELL_BITS) | z)
+
+
+def _cells(numbers: Ints, order: tuple[int, ...]) -> Ints:
+    """Read cells from numbers that `_numbered` wrote."""
+    cells = np.empty((len(numbers), 3), dtype=np.int64)
+    rest = numbers
+    for axis in reversed(order):
+        cells[:, axis] = (rest & (2 * MOST_CELLS - 1)) - MOST_CELLS
+        rest = rest >> CELL_BITS
+    return cells
 
 
 def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:

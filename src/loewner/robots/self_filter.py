@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import Any, Literal, overload
 
@@ -17,6 +18,9 @@ from loewner.queries import collide
 
 # Boxes grow by this share of the lengths involved, far above the rounding of their sides. The exact test decides.
 ROUNDING = 1e-9
+
+# A camera's loop has the same distance in each frame, and making a ball takes as long as thousands of points.
+_ball = functools.lru_cache(maxsize=8)(Body.sphere)
 
 
 @overload
@@ -91,7 +95,7 @@ def off_the_robot(
 
     flat = cloud.reshape(-1, 3)
     stays: Bools = np.asarray(np.isfinite(flat).all(axis=1))
-    columns, ball = np.ascontiguousarray(flat.T), Body.sphere(reach)
+    columns, ball = np.ascontiguousarray(flat.T), _ball(reach)
     for body, T in _moving(self, place, now):
         low, high = _box(body, T, reach)
         # One coordinate after another: most points are far from most links.

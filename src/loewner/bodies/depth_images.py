@@ -1,0 +1,99 @@
+"""Depth images: their checks and their points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._plausible import warn
+from loewner._validate import Floats
+from loewner.errors import InputError
+
+# Focal lengths in pixels, and offsets: beyond them, the matrix is none of a camera.
+SMALLEST, LARGEST = 1e-3, 1e9
+
+# A camera that sees this far, in metres, is probably one that counts millimetres.
+FARTHEST = 100.0
+
+
+@guarded
+def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> Floats:
+    """Convert a depth image to points.
+
+    Parameters
+    ----------
+    image : array_like of float, shape (H, W)
+        Depths along the optical axis, in metres. Entries that are not finite, or not positive, have no echo.
+    K : array_like, shape (3, 3)
+        Intrinsic matrix ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``, in pixels; (0, 0) is the middle of the first pixel.
+    T_world_camera : array_like, shape (4, 4), optional
+        Pose of the camera, which looks along its z axis; x is to the right in the image, and y down.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 3)
+        Points in world coordinates, NaN where there is no echo.
+
+    Raises
+    ------
+    InputError
+        If the image is not an array of floating-point numbers with two axes (depths in millimetres are integers:
+        divide them by 1000), or the matrix is not an intrinsic matrix.
+    PoseError
+        If the pose is not a rigid motion.
+
+    Examples
+    --------
+    >>> from loewner.depth import points_of
+    >>> points = points_of(np.full((3, 3), 2.0), [[100.0, 0, 1], [0, 100.0, 1], [0, 0, 1]])
+    >>> points[1, 2]
+    array([0.02, 0.  , 2.  ])
+    """
+    depths, intrinsics, T = camera_of(image, K, T_world_camera)
+    v, u = np.indices(depths.shape)
+    (fx, skew, cx), (_, fy, cy), _ = intrinsics
+    y = (v - cy) / fy
+    x = (u - cx - skew * y) / fx
+    rays = np.stack([x, y, np.ones(depths.shape)], axis=-1)
+    return np.asarray((depths[..., None] * rays) @ T[:3, :3].T + T[:3, 3])
+
+
+def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) -> tuple[Floats, Floats, Floats]:
+    """Check a depth image, in which pixels without an echo become NaN, its intrinsic matrix and the camera's pose."""
+    depths = _depths(image)
+    matrix = _intrinsics(K)
+    T = _validate.poses(T_world_camera, "T_world_camera")
+    if T.shape != (4, 4):
+        raise InputError(f"T_world_camera: expected one pose, found shape {_validate.shape_text(T.shape)}")
+    return depths, matrix, T
+
+
+def _depths(image: ArrayLike) -> Floats:
+    """Check the image of a depth camera."""
+    kind, depths = _validate.plain_array(image, "image").dtype, _validate.float_array(image, "image")
+    if depths.ndim != 2 or 0 in depths.shape or kind.kind in "iu":
+        hint = (
+            "is the image in colour?" if depths.ndim == 3 else "divide millimetres by 1000" if kind.kind in "iu" else ""
+        )
+        raise InputError(
+            "image: expected floating-point depths in metres with two axes, found "
+            f"{kind} of shape {_validate.shape_text(depths.shape)}{hint and f'; {hint}'}"
+        )
+    echoes = np.isfinite(depths) & (depths > 0.0)
+    if 2 * np.count_nonzero(echoes & (depths > FARTHEST)) > np.count_nonzero(echoes):
+        warn(f"image: half of the depths are above {FARTHEST:g} m; are they in millimetres?")
+    return np.where(echoes, depths, np.nan)
+
+
+def _intrinsics(K: ArrayLike) -> Floats:
+    """Check an intrinsic matrix."""
+    matrix = _validate.finite_array(K, "K", (3, 3))
+    shaped = matrix[1, 0] == 0.0 and (matrix[2] == [0.0, 0.0, 1.0]).all() and (np.abs(matrix) <= LARGEST).all()
+    if not (shaped and min(matrix[0, 0], matrix[1, 1]) >= SMALLEST):
+        raise InputError(
+            "K: expected an intrinsic matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels, with positive fx and "
+            f"fy, found {matrix.tolist()}"
+        )
+    return matrix
