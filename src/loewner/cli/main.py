@@ -109,6 +109,10 @@ def _parser() -> argparse.ArgumentParser:
         ("--pkg-config-dir", package / "share" / "pkgconfig", "files for pkg-config"),
     ):
         parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
+    schema = package / "share" / "scene.schema.json"
+    parser.add_argument(
+        "--scene-schema", action=PrintPath, path=schema, help="print the path of scene files' JSON Schema"
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     of_bodies, of_robots = (fit, check, clearance, judge), (robot, clash, cover, plan, verify, audit, swept)
     for command in (*of_bodies, *of_robots, report, view, compile, info, paper):

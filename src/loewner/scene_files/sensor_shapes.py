@@ -16,6 +16,7 @@ from loewner._nodes import Node
 from loewner._plausible import doubt_about_unit, warn
 from loewner.bodies import Body
 from loewner.errors import FileError
+from loewner.scene_files.schema import keys_of
 
 # Largest file of numbers in bytes: a cloud of ten million points in text.
 MOST_BYTES = 2**29
@@ -34,28 +35,28 @@ def _boxes(entry: Node) -> Recipe:
 
 
 def _half_space(entry: Node) -> Recipe:
-    given = entry.mapping(("normal", "offset", "extent"), required=("normal", "offset"))
+    given = entry.mapping(*keys_of("half_space"))
     normal, offset = given["normal"].numbers(3), given["offset"].number()
     sizes = {"extent": given["extent"].number()} if "extent" in given else {}
     return (*normal, offset, *sizes.values()), functools.partial(Body.half_space, normal, offset, **sizes)
 
 
 def _cloud(entry: Node) -> Recipe:
-    given = entry.mapping(("file", "radius", "voxel"), required=("file",))
+    given = entry.mapping(*keys_of("cloud"))
     file = _file(given["file"])
     sizes = {key: given[key].number() for key in ("radius", "voxel") if key in given}
     return (file, *sizes.items()), lambda: Body.from_cloud(read_array(file), **sizes)
 
 
 def _voxels(entry: Node) -> Recipe:
-    given = entry.mapping(("file", "size", "origin"), required=("file", "size"))
+    given = entry.mapping(*keys_of("voxels"))
     file, size = _file(given["file"]), given["size"].number()
     origin = given["origin"].numbers(3) if "origin" in given else [0.0] * 3
     return (file, size, *origin), lambda: Body.from_voxels(read_array(file), size, origin=origin)
 
 
 def _height_field(entry: Node) -> Recipe:
-    given = entry.mapping(("file", "spacing", "base"), required=("file", "spacing"))
+    given = entry.mapping(*keys_of("height_field"))
     file, spacing = _file(given["file"]), given["spacing"].numbers(2)
     base = given["base"].number() if "base" in given else None
     return (file, *spacing, base), lambda: Body.height_field(read_array(file), spacing, base=base)

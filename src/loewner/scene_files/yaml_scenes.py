@@ -22,6 +22,7 @@ from loewner._validate import Floats
 from loewner.bodies import ARRAYS, CURVED, Body, body_of_file, checksum_of, packed_of
 from loewner.errors import FileError, InputError
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
+from loewner.scene_files.schema import BODY, SCHEMA, keys_in, keys_of
 from loewner.scene_files.sensor_shapes import SENSOR_SHAPES
 from loewner.scenes import MarginKey, Scene
 
@@ -33,16 +34,15 @@ MOST_BYTES = 2**24
 # Letters of a body's name in the name of its file.
 LONGEST_NAME = 100
 
-TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
-SAVED_KEYS = ("sha256",)
-BODY_KEYS = (*POSE_KEYS, "attach", "follow", "margin", "error")
-BOUND_KEYS = ("speed", "turn", "since", "error")
-MARGIN_KEYS = ("of", "margin", "against", "lower")
 SURFACE_KEYS = ("radius", "solid")
-MESH_KEYS = ("scale", "decompose", "model", *SURFACE_KEYS)
-MODELS = ("hull", "pieces", "surface")
+
+# Keys that need the shape mesh or saved beside them.
+KEYS_OF_SHAPES = {"mesh": ("scale", "decompose", "model", *SURFACE_KEYS), "saved": ("sha256",)}
+MODELS = tuple(BODY["properties"]["model"]["enum"])
+SHAPES = tuple(rule["required"][0] for rule in BODY["oneOf"])
+BODY_KEYS = tuple(key for key in BODY["properties"] if key not in {*SHAPES, *sum(KEYS_OF_SHAPES.values(), ())})
 
 # Shapes given by lengths along the axes, and shapes given by named lengths.
 AXIS_SHAPES: dict[str, Maker] = {"box": Body.box} | {
@@ -51,7 +51,6 @@ AXIS_SHAPES: dict[str, Maker] = {"box": Body.box} | {
 ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     kind.name: (getattr(Body, kind.name), kind.size_names) for kind in CURVED.values() if kind.size_names
 }
-SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", *SENSOR_SHAPES, "mesh", "saved")
 
 
 @guarded
@@ -94,7 +93,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     if file.suffix.lower() in MJCF_SUFFIXES:
         return mjcf_scene(file)
     what = "a scene in YAML"
-    top = read_yaml(read_regular(file, what, MOST_BYTES), file, what).mapping(TOP_KEYS, required=("bodies",))
+    top = read_yaml(read_regular(file, what, MOST_BYTES), file, what).mapping(*keys_in(SCHEMA))
     scene = Scene()
     if "margin" in top:
         scene.set_margin(top["margin"].length())
@@ -117,7 +116,7 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
     if entry.kind != "mapping":
         *items, last = entry.items(2, 3)
     else:
-        keys = entry.mapping(MARGIN_KEYS, required=("margin",))
+        keys = entry.mapping(*keys_in(SCHEMA["definitions"]["margin"]["oneOf"][-1]))
         items, last = keys["of"].items(1, 2) if "of" in keys else [], keys["margin"]
         if "against" in keys:
             options["against"] = keys["against"].text()
@@ -244,7 +243,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     if len(shapes) != 1:
         found = " and ".join(shapes) or some(keys) or "nothing"
         raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {found}")
-    known = (*shapes, *BODY_KEYS, *{"mesh": MESH_KEYS, "saved": SAVED_KEYS}.get(shapes[0], ()))
+    known = (*shapes, *BODY_KEYS, *KEYS_OF_SHAPES.get(shapes[0], ()))
     keys = entry.mapping(known)
     recipe, make = _recipe(shapes[0], keys)
     with keys[shapes[0]].blamed():
@@ -265,7 +264,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
         return
     if error is not None:
         raise keys["error"].error("expected none with attach, since it bounds the pose in the world, found one")
-    attach = keys["attach"].mapping(("link", "touch", "leave", "reach"), required=("link",))
+    attach = keys["attach"].mapping(*keys_of("attach"))
     link = attach["link"].text()
     touch, leave, reach = (
         [item.text() for item in attach[key].items()] if key in attach else [] for key in ("touch", "leave", "reach")
@@ -277,13 +276,14 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
 
 def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry: YamlNode) -> None:
     """Add a body that follows a motion."""
-    keys = entry.mapping(("poses", "repeat", *BOUND_KEYS), required=("poses",))
-    rows = [(row, row.mapping(("time", *POSE_KEYS), required=("time",))) for row in keys["poses"].items()]
+    keys = entry.mapping(*keys_of("follow"))
+    of_row = keys_in(BODY["properties"]["follow"]["properties"]["poses"]["items"])
+    rows = [(row, row.mapping(*of_row)) for row in keys["poses"].items()]
     if not rows:
         raise keys["poses"].error("expected one row or more, found none")
-    times, poses = [of_row["time"].number() for _, of_row in rows], [_pose(row, of_row) for row, of_row in rows]
+    times, poses = [given["time"].number() for _, given in rows], [_pose(row, given) for row, given in rows]
     repeat = "repeat" in keys and keys["repeat"].flag()
-    bounds: dict[str, Any] = {key: keys[key].number() for key in BOUND_KEYS[:3] if key in keys}
+    bounds: dict[str, Any] = {key: keys[key].number() for key in ("speed", "turn", "since") if key in keys}
     if "error" in keys:
         bounds["error"] = keys["error"].numbers(2)
     with entry.blamed():
@@ -299,7 +299,7 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
         return (shape, *axes), functools.partial(AXIS_SHAPES[shape], axes)
     if shape in ROUND_SHAPES:
         make, names = ROUND_SHAPES[shape]
-        given = entry.mapping(names, required=names)
+        given = entry.mapping(*keys_of(shape))
         lengths = [given[name].number() for name in names]
         return (shape, *lengths), functools.partial(make, *lengths)
     if shape == "points":

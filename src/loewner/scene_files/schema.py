@@ -1,0 +1,25 @@
+"""The JSON Schema of scene files: editors use it, and the reader takes its keys from it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+# `loewner --scene-schema` prints this path.
+SCHEMA_FILE = Path(__file__).parents[1] / "share" / "scene.schema.json"
+
+SCHEMA: dict[str, Any] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
+BODY: dict[str, Any] = SCHEMA["definitions"]["body"]
+
+Keys = tuple[tuple[str, ...], tuple[str, ...]]
+
+
+def keys_of(place: str) -> Keys:
+    """Return the keys of a mapping in the entry of a body, and the keys that it must have."""
+    return keys_in(BODY["properties"][place])
+
+
+def keys_in(rule: dict[str, Any]) -> Keys:
+    """Return the keys of a rule for a mapping, and the keys that it must have."""
+    return tuple(rule["properties"]), tuple(rule.get("required", ()))
