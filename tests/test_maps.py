@@ -55,6 +55,47 @@ def test_landmarks_are_where_the_image_shows_them(tmp_path):
         assert not hits(scene, -0.75, 3.75, 0.6)
 
 
+# Values of occupied, free and unknown cells, in the image's own colours.
+MAPS = {
+    "trinary": {"colours": (0, 254, 205)},
+    "negated": {"colours": (255, 1, 50), "negate": 1, "resolution": 0.05, "origin": (3.0, -7.0, 0.0)},
+    "plain": {"colours": (0, 254, 205), "resolution": 0.1, "origin": (-20.0, 5.0, 0.0), "plain": True},
+    "scale": {"png": True, "colours": (0, 255, 0), "mode": "scale", "resolution": 0.25, "origin": (0.5, 0.25, 0.0)},
+    "turned": {"png": True, "colours": (10, 250, 205), "resolution": 0.2, "origin": (1.0, 2.0, 2.5)},
+}
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_five_maps_are_right_side_up(kind, tmp_path):
+    """An F whose foot is in the lower left corner of the image has its foot at the origin, for five kinds of file."""
+    how = {
+        "negate": 0,
+        "resolution": 0.5,
+        "origin": (-1.0, 2.0, 0.0),
+        "mode": "trinary",
+        "plain": False,
+        "png": False,
+        **MAPS[kind],
+    }
+    drawn = ["####", "#...", "###.", "#..?"]  # the first row is on top
+    pixels = np.array([["#.?".index(cell) for cell in row] for row in drawn])
+    image = np.array(how["colours"], "u1")[pixels]
+    written(tmp_path, image, plain=how["plain"])
+    if how["png"]:
+        pytest.importorskip("PIL.Image").fromarray(image).save(tmp_path / "map.png")
+    x, y, yaw = how["origin"]
+    (tmp_path / "nav2.yaml").write_text(
+        f"image: map.{'png' if how['png'] else 'pgm'}\nmode: {how['mode']}\nresolution: {how['resolution']}\norigin: [{x}, {y}, {yaw}]\n"
+        f"negate: {how['negate']}\noccupied_thresh: 0.65\nfree_thresh: 0.19\n"
+    )
+    scene = Scene.from_map(tmp_path / "nav2.yaml", height=0.5)
+    for row in range(4):
+        for column in range(4):
+            along = how["resolution"] * np.array([column + 0.5, 3.5 - row])
+            turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+            assert hits(scene, *(turn @ along + [x, y])) == (drawn[row][column] != "."), (row, column)
+
+
 def test_a_turned_origin_turns_the_map(tmp_path):
     """The origin's third number turns the map about its lowest corner."""
     pixels = np.full((4, 6), WHITE)

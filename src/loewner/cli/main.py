@@ -38,6 +38,7 @@ from loewner.cli import (
     verify,
     view,
 )
+from loewner.cli.completion import SHELLS, PrintCompletion
 from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
 
@@ -112,6 +113,9 @@ def _parser() -> argparse.ArgumentParser:
     schema = package / "share" / "scene.schema.json"
     parser.add_argument(
         "--scene-schema", action=PrintPath, path=schema, help="print the path of scene files' JSON Schema"
+    )
+    parser.add_argument(
+        "--print-completion", action=PrintCompletion, choices=SHELLS, help="print the completion script of a shell"
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     of_bodies, of_robots = (fit, check, clearance, judge), (robot, clash, cover, plan, verify, audit, swept)
