@@ -85,7 +85,8 @@ def test_five_maps_are_right_side_up(kind, tmp_path):
         pytest.importorskip("PIL.Image").fromarray(image).save(tmp_path / "map.png")
     x, y, yaw = how["origin"]
     (tmp_path / "nav2.yaml").write_text(
-        f"image: map.{'png' if how['png'] else 'pgm'}\nmode: {how['mode']}\nresolution: {how['resolution']}\norigin: [{x}, {y}, {yaw}]\n"
+        f"image: map.{'png' if how['png'] else 'pgm'}\nmode: {how['mode']}\n"
+        f"resolution: {how['resolution']}\norigin: [{x}, {y}, {yaw}]\n"
         f"negate: {how['negate']}\noccupied_thresh: 0.65\nfree_thresh: 0.19\n"
     )
     scene = Scene.from_map(tmp_path / "nav2.yaml", height=0.5)

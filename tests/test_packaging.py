@@ -40,6 +40,27 @@ def test_citation():
     assert cff["references"][0]["title"] in (ROOT / "README.md").read_text()
 
 
+def pinned(file):
+    """Names that a file of requirements/ pins, by itself or by the files that it includes."""
+    names = set()
+    for line in (ROOT / "requirements" / file).read_text().splitlines():
+        if line.startswith("-r "):
+            names |= pinned(line.removeprefix("-r "))
+        elif found := re.match(r"([\w-]+)==", line):
+            names.add(found[1].lower().replace("_", "-"))
+    return names
+
+
+def test_groups_are_what_requirements_pin():
+    """Groups have names without versions, all of which are pinned, and the tools of a file are in its group."""
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"]
+    assert groups["dev"] == [{"include-group": name} for name in ("lint", "test", "oracles", "wheel")]
+    files = {"docs": "docs.txt", "wheel": "wheel.txt"}
+    for name, group in groups.items():
+        if name != "dev":
+            assert set(group) <= pinned(files.get(name, "dev.txt")) | pinned("data.txt")
+
+
 def test_conda_recipe():
     """Name, version, license, requirements and the command are the project's."""
     recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
