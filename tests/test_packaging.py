@@ -92,6 +92,24 @@ def test_ros_package():
     assert root.findtext("export/build_type") == "cmake"
 
 
+def test_the_list_of_placeholders_is_true():
+    """Each text that CONTRIBUTING.md lists under "A release" is in its file, and each that it calls missing is not."""
+    section = (ROOT / "CONTRIBUTING.md").read_text().partition("## A release")[2]
+    rows = re.findall(r"^\|[^|]*\| `([^`]+)` \| (no )?`([^`]+)` \|$", section, flags=re.M)
+    assert len(rows) == len(re.findall(r"^\|", section, flags=re.M)) - 2
+    for file, missing, text in rows:
+        assert (text in (ROOT / file).read_text()) != bool(missing), (file, text)
+
+
+def test_pythons_are_the_same_everywhere():
+    """The classifiers name the Pythons for which wheels are tested, from the oldest that is required."""
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
+    tested = [f"3.{build[3:-2]}" for build in tool["cibuildwheel"]["build"]]
+    named = [text.rpartition(" ")[2] for text in PROJECT["classifiers"] if "Python :: 3." in text]
+    assert named == tested
+    assert PROJECT["requires-python"] == f">={named[0]}"
+
+
 def test_changelog_begins_with_the_version():
     """The first heading is that of this version."""
     assert re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)[1] == PROJECT["version"]
