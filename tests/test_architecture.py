@@ -142,9 +142,16 @@ def test_functions_are_small():
     assert large == []
 
 
-# Private names of other projects: the standard library and named tuples; and files that use names of Numba or viser.
+# Private names of other projects: the standard library and named tuples; files that use names of Numba, viser, argparse.
 FOREIGN_NAMES = {"_getframe", "_exit", "_asdict", "_replace"}
-FOREIGN_FILES = {"_kernels/_jit.py", "_kernels/_parts.py", "_kernels/simd/memory.py", "_ptx.py", "viewer/guard.py"}
+FOREIGN_FILES = {
+    "_kernels/_jit.py",
+    "_kernels/_parts.py",
+    "_kernels/simd/memory.py",
+    "_ptx.py",
+    "viewer/guard.py",
+    "cli/completion.py",
+}
 
 
 def bound(tree: ast.Module) -> set[str]:

@@ -598,7 +598,7 @@ class Body(_Bodies):
         q: ArrayLike | None = None,
         clear: float = 0.03,
     ) -> Body:
-        """Make a body of what a depth camera sees, in world coordinates, without the robot.
+        """Make a body of the points of a depth image, in world coordinates, without the robot.
 
         Parameters
         ----------

@@ -158,7 +158,7 @@ def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
 
 
 def _numbered(cells: Ints, order: tuple[int, ...]) -> Ints:
-    """Write the three numbers of each cell as one, those of the first axis in `order` foremost."""
+    """Write the three numbers of each cell as one, beginning with the first axis in `order`."""
     x, y, z = (cells[:, axis] + MOST_CELLS for axis in order)
     return np.asarray((((x << CELL_BITS) | y) << CELL_BITS) | z)
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
+
+from loewner import _json
 
 # `loewner --scene-schema` prints this path.
 SCHEMA_FILE = Path(__file__).parents[1] / "share" / "scene.schema.json"
 
-SCHEMA: dict[str, Any] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
+SCHEMA: dict[str, Any] = _json.parsed(SCHEMA_FILE.read_bytes(), str(SCHEMA_FILE))
 BODY: dict[str, Any] = SCHEMA["definitions"]["body"]
 
 Keys = tuple[tuple[str, ...], tuple[str, ...]]
