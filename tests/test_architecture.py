@@ -142,7 +142,7 @@ def test_functions_are_small():
     assert large == []
 
 
-# Private names of other projects: the standard library and named tuples; files that use names of Numba, viser, argparse.
+# Private names of other projects: the standard library and named tuples; files that use Numba, viser or argparse.
 FOREIGN_NAMES = {"_getframe", "_exit", "_asdict", "_replace"}
 FOREIGN_FILES = {
     "_kernels/_jit.py",
