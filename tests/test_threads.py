@@ -30,6 +30,10 @@ def threads(request):
     set_num_threads(before)
 
 
+ARM = """<robot name="arm"><link name="base"/><link name="arm"><collision><origin xyz="0.5 0 0"/><geometry>
+<box size="1 0.1 0.1"/></geometry></collision></link><joint name="turn" type="revolute"><parent link="base"/>
+<child link="arm"/><axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
 # How long a test waits for a thread that is sure to come, on however busy a machine [s].
 HANG = 600
 
@@ -542,3 +546,35 @@ def test_what_is_kept_is_the_same_for_all_threads():
     assert len({id(value) for value in found}) == 1
     assert owner.value is found[0]
     assert Owner.value.__doc__ == "What it is."
+
+
+def test_eight_callers_get_the_answers_of_one():
+    """1,000 queries of a pair, of a batch and of a robot, on each of eight threads, are those of one thread.
+
+    Python without a global lock would run this test as it is.
+    """
+    rng = np.random.default_rng(7)
+    a, b = Body.from_points(rng.normal(size=(20, 3))), Body.box([1.0, 2.0, 0.5])
+    T = np.tile(np.eye(4), (1000, 1, 1))
+    T[:, :3, 3] = rng.uniform(-2, 2, (1000, 3))
+    scene = loewner.Scene()
+    scene.add("box", b, [[1, 0, 0, 0.8], [0, 1, 0, 0.3], [0, 0, 1, 0], [0, 0, 0, 1]])
+    robot = loewner.Robot.from_urdf(text=ARM)
+    checker, Q = loewner.CollisionChecker(robot, scene), rng.uniform(-3, 3, (1000, 1))
+
+    def answers():
+        pairs = [loewner.collide(a, None, b, T[k]) for k in range(1000)]
+        return [pairs, [bool(checker.collide(q)) for q in Q], loewner.distance(a, None, b, T, exact=True).distance]
+
+    wanted, found = answers(), []
+    callers = [threading.Thread(target=lambda: found.append(answers())) for _ in range(8)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join()
+    assert len(found) == 8
+    for pairs, configurations, distances in found:
+        assert (pairs, configurations) == (wanted[0], wanted[1])
+        assert (distances == wanted[2]).all()
+    assert 0 < sum(wanted[0]) < 1000
+    assert 0 < sum(wanted[1]) < 1000
