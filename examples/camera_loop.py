@@ -64,6 +64,7 @@ def image_of(T_world_camera: np.ndarray, robot: Robot, q: np.ndarray, post: list
     for body, T in placed:
         local = np.linalg.inv(T) @ T_world_camera
         for piece in body.pieces:
+            assert piece.normals is not None  # as for all polytopes
             slopes, room = rays @ local[:3, :3].T @ piece.normals.T, piece.offsets - piece.normals @ local[:3, 3]
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = room / slopes
