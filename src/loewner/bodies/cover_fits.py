@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from loewner._kernels import columns
 from loewner._low_discrepancy import points as even_points
@@ -22,6 +23,9 @@ from loewner.triangles import halved, longest_edges, unit_normals
 # Points of the surface, corners, and points of the inside that balls have to hold at first.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
+# Points of a surface for a square with the protrusion as its edge, and the least share of points and candidates.
+DENSITY, LEAST_SHARE = 8.0, 0.2
+
 # Candidates for the centers of balls.
 CANDIDATES = 2500
 
@@ -34,7 +38,10 @@ STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
 # Limits on the steps of the local search for each ball, and on the points that one step compares.
-STEPS_EACH, SEEN = 50, 500
+STEPS_EACH, SEEN = 50, 128
+
+# Points whose rows are treated at a time, so that they stay in the processor's cache.
+BLOCK = 256
 
 # Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 3 % by which
 # the protrusion grows until the number is proven to suffice.
@@ -73,12 +80,16 @@ class Candidates:
     axis.
     """
 
-    def __init__(self, target: Target, capsules: bool) -> None:
+    def __init__(self, target: Target, capsules: bool, protrusion: float | None = None) -> None:
         self.target, self.grid = target, grid_of(target)
         triangles = target.boundary.triangles
         a, b, c = triangles.transpose(1, 0, 2)
         ends = np.cumsum(lengths(np.cross(b - a, c - a)))
-        where = even_points(SURFACE, 3)
+        share = 1.0
+        if protrusion is not None:
+            # A small surface needs fewer points to be dense for balls of this protrusion.
+            share = float(np.clip(DENSITY * ends[-1] / 2 / protrusion**2 / SURFACE, LEAST_SHARE, 1.0))
+        where = even_points(int(SURFACE * share), 3)
         at = np.minimum(np.searchsorted(ends, where[:, 0] * ends[-1]), len(triangles) - 1)
         u, v = where[:, 1], where[:, 2]
         turned = u + v > 1
@@ -94,9 +105,10 @@ class Candidates:
             normals = unit_normals(triangles)[at]
             middles = [middles[0], self._medial(surface, -normals), inside, surface[::20]]
         centers = np.concatenate(middles)
-        centers = centers[:: -(-len(centers) // CANDIDATES)]
+        centers = centers[:: -(-len(centers) // int(CANDIDATES * share))]
         self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
-        self.far = np.empty((len(self.points), 0), dtype=np.float32)
+        # Large arrays are used again and again, since new pages of memory cost more than the work on them.
+        self.rows = np.empty((0, 0), dtype=np.float32)
         self.add_candidates(centers, np.zeros((1, 3)))
         if capsules:
             self._add_segments()
@@ -123,17 +135,16 @@ class Candidates:
             low, high = np.where(touches, middle, low), np.where(touches, high, middle)
         return points + low[:, None] * inward
 
-    def _far(self, points: Floats, first: int = 0) -> Floats:
-        """Compute the distances of points, in rows, from the axes of the candidates from the first one on."""
-        centers, axes = self.centers[first:], self.axes[first:]
-        squared = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1) - 2 * points @ centers.T
-        long = np.flatnonzero(axes.any(axis=1))
-        if len(long):
-            size = (axes[long] ** 2).sum(axis=1)
-            along = points @ axes[long].T - (centers[long] * axes[long]).sum(axis=1)
-            share = np.clip(along / size, -1.0, 1.0)
-            squared[:, long] += share * (share * size - 2 * along)
-        return np.asarray(np.sqrt(np.maximum(squared, 0.0)), dtype=np.float32)
+    def _find_far(self, point: int, candidate: int) -> None:
+        """Compute the distances of points from the axes of candidates, both from a first one on."""
+        points, centers, axes = self.points[point:], self.centers[candidate:], self.axes[candidate:]
+        far = self.rows[point : len(self.points), candidate:]
+        for k in range(0, len(points), BLOCK):
+            far[k : k + BLOCK] = cdist(points[k : k + BLOCK], centers)
+        for k in np.flatnonzero(axes.any(axis=1)).tolist():
+            arm = points - centers[k]
+            share = np.clip(arm @ axes[k] / (axes[k] @ axes[k]), -1.0, 1.0)
+            far[:, k] = lengths(arm - share[:, None] * axes[k])
 
     def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
         """Choose few candidates whose balls hold all points, greedily and then by exchanges.
@@ -141,14 +152,15 @@ class Candidates:
         Points that are missed again and again get weight, which leads the search out of local minima (Gao, Weise and
         Li: An efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
         """
-        holds = self.far <= (self.depth + (1 - reserve) * protrusion).astype(np.float32)
+        n, limit = len(self.points), (self.depth + (1 - reserve) * protrusion).astype(np.float32)
+        holds = np.less_equal(self.rows[:n], limit, out=self.holds[:n])
         if not holds.any(axis=1).all():
             # Points that no ball holds get candidates of their own.
             missed = self.points[~holds.any(axis=1)]
             self.add_candidates(missed, np.zeros((1, 3)))
             return self.chosen(protrusion, steps, start, reserve)
         found = _greedy(holds, start)
-        return _exchanged(holds, found, steps)
+        return found if steps == 0 else _exchanged(holds, found, steps, self.columns)
 
     def add_candidates(self, centers: Floats, axes: Floats) -> None:
         """Add balls, or capsules whose axes have the given halves."""
@@ -160,12 +172,24 @@ class Candidates:
         first = len(self.centers)
         self.centers, self.axes = np.concatenate([self.centers, centers]), np.concatenate([self.axes, axes])
         self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
-        self.far = np.concatenate([self.far, self._far(self.points, first)], axis=1)
+        rows = self.rows[: len(self.points)] if first else np.empty((len(self.points), 0))
+        self._make_rows(3 * len(self.points) // 2)
+        self.rows[: len(self.points), :first] = rows
+        self._find_far(0, first)
 
     def add_points(self, points: Floats) -> None:
         """Add points that have to be held."""
+        first, rows = len(self.points), self.rows
         self.points = np.concatenate([self.points, points])
-        self.far = np.concatenate([self.far, self._far(points)])
+        if len(self.points) > len(rows):
+            self._make_rows(3 * len(self.points) // 2)
+            self.rows[:first] = rows[:first]
+        self._find_far(first, 0)
+
+    def _make_rows(self, count: int) -> None:
+        """Make room for a number of points: distances from candidates, and which candidates hold them."""
+        self.rows = np.empty((count, len(self.centers)), dtype=np.float32)
+        self.holds, self.columns = np.empty(self.rows.shape, dtype=bool), np.empty(self.rows.shape[::-1], dtype=bool)
 
     def made(self, chosen: Ints, protrusion: float) -> Packed:
         """Make a body of chosen candidates, whose radii are rounded down."""
@@ -208,67 +232,87 @@ class Candidates:
 
 def _greedy(holds: Bools, start: Ints | None) -> Ints:
     """Take the candidate that holds most of the points that are left, until none is left."""
-    left = np.ones(len(holds), dtype=bool)
-    counts = holds.sum(axis=0, dtype=np.int32)
-    found = []
+    left, found = np.ones(len(holds), dtype=bool), []
     for k in start.tolist() if start is not None else ():
-        if counts[k] > 0:
-            gone = left & holds[:, k]
-            counts -= holds[gone].sum(axis=0, dtype=np.int32)
-            left &= ~gone
+        if (holds[:, k] & left).any():
+            left &= ~holds[:, k]
             found.append(k)
-    while left.any():
+    holds = holds[left]
+    counts = holds.sum(axis=0, dtype=np.int32)
+    while counts.any():
         k = int(counts.argmax())
-        gone = left & holds[:, k]
-        counts -= holds[gone].sum(axis=0, dtype=np.int32)
-        left &= ~gone
+        counts -= holds[holds[:, k]].sum(axis=0, dtype=np.int32)
+        holds = holds[~holds[:, k]]
         found.append(k)
     return np.array(found, dtype=np.int64)
 
 
-def _exchanged(holds: Bools, found: Ints, steps: int) -> Ints:
-    """Replace candidates, to hold all points with fewer."""
-    columns = [np.flatnonzero(column) for column in np.ascontiguousarray(holds.T)]
-    chosen, best = found.tolist(), found
-    # How many balls hold a point, and the sum of their numbers, which is the number of a single one.
-    count, holder = np.zeros(len(holds), dtype=np.int64), np.zeros(len(holds), dtype=np.int64)
-    weight, last = np.ones(len(holds)), np.full(len(columns), -10)
+class _Exchange:
+    """A choice of candidates that changes by one at a time."""
 
-    def change(k: int, by: int, step: int) -> None:
-        count[columns[k]] += by
-        holder[columns[k]] += by * k
-        last[k] = step
+    def __init__(self, holds: Bools, found: Ints, columns: Bools) -> None:
+        self.columns, self.chosen, self.n = columns[:, : len(holds)], np.empty(len(found) + 2, dtype=np.int64), 0
+        for k in range(0, len(holds), BLOCK):
+            self.columns[:, k : k + BLOCK] = holds[k : k + BLOCK].T
+        # How many balls hold a point, and the sum of their numbers, which is the number of a single one.
+        self.count, self.holder = np.zeros(len(holds), dtype=np.int64), np.zeros(len(holds), dtype=np.int64)
+        # The weight of points, which are whole numbers; of the points that no other chosen candidate holds.
+        self.weight, self.loss = np.ones(len(holds)), np.zeros(len(self.columns))
+        self.last = np.full(len(self.columns), -10)
+        for k in found.tolist():
+            self.add(k, -10)
 
-    def drop(step: int, waits: int) -> None:
-        single = count == 1
-        loss = np.bincount(holder[single], weight[single], len(columns))[chosen]
-        loss[last[chosen] > step - waits] += 1e9
-        change(chosen.pop(int(loss.argmin())), -1, step)
+    def add(self, k: int, step: int) -> None:
+        held = self.columns[k].nonzero()[0]
+        count, holder = self.count[held], self.holder[held]
+        once = count == 1
+        self.loss -= np.bincount(holder[once], self.weight[held[once]], len(self.loss))
+        self.loss[k] = self.weight[held[count == 0]].sum()
+        self.count[held], self.holder[held] = count + 1, holder + k
+        self.chosen[self.n], self.last[k] = k, step
+        self.n += 1
 
-    for k in chosen:
-        change(k, 1, -10)
-    for step in range(min(steps, STEPS_EACH * len(chosen))):
-        while count.all():
-            best = np.array(chosen, dtype=np.int64)
-            if len(chosen) == 1:
+    def drop(self, step: int, waits: int) -> None:
+        """Take away the candidate whose points have the least weight, and none that changed a few steps ago."""
+        chosen = self.chosen[: self.n]
+        at = int((self.loss[chosen] + 1e9 * (self.last[chosen] > step - waits)).argmin())
+        k = int(chosen[at])
+        chosen[at:-1] = chosen[at + 1 :]
+        self.n -= 1
+        self.last[k] = step
+        held = self.columns[k].nonzero()[0]
+        count, holder = self.count[held] - 1, self.holder[held] - k
+        self.count[held], self.holder[held] = count, holder
+        once = count == 1
+        self.loss += np.bincount(holder[once], self.weight[held[once]], len(self.loss))
+
+
+def _exchanged(holds: Bools, found: Ints, steps: int, columns: Bools) -> Ints:
+    """Replace candidates, to hold all points with fewer; `columns` is memory for the transposed matrix."""
+    search, best = _Exchange(holds, found, columns), found
+    for step in range(min(steps, STEPS_EACH * len(found))):
+        left = (search.count == 0).nonzero()[0]
+        while len(left) == 0:
+            best = search.chosen[: search.n].copy()
+            if search.n == 1:
                 return best
-            drop(step, 0)
-        if len(chosen) > 1:
-            drop(step, 3)
-        left = np.flatnonzero(count == 0)
-        able = np.flatnonzero(holds[left[step * 7919 % len(left)]])
+            search.drop(step, 0)
+            left = (search.count == 0).nonzero()[0]
+        if search.n > 1:
+            search.drop(step, 3)
+            left = (search.count == 0).nonzero()[0]
+        able = holds[left[step * 7919 % len(left)]].nonzero()[0]
         left = left[:: -(-len(left) // SEEN)]
-        gain = weight[left] @ holds[np.ix_(left, able)]
-        gain[last[able] == step] = -1.0
-        chosen.append(int(able[gain.argmax()]))
-        change(chosen[-1], 1, step)
-        weight[count == 0] += 1.0
+        gain = search.weight[left] @ holds[left].take(able, axis=1)
+        gain[search.last[able] == step] = -1.0
+        search.add(int(able[gain.argmax()]), step)
+        search.weight[search.count == 0] += 1.0
     return best
 
 
 def _round(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
     """Fit spheres or capsules."""
-    fit = Candidates(target, kind == "capsules")
+    fit = Candidates(target, kind == "capsules", protrusion)
     report(10, 100)
     if protrusion is not None:
         found = fit.proven(protrusion, STEPS)

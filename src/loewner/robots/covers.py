@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, get_args
@@ -10,8 +11,10 @@ import numpy as np
 
 from loewner import _validate
 from loewner._plausible import warn
+from loewner._threads import at_most, in_shares
 from loewner._validate import Floats, Named, Pair, Progress
-from loewner.bodies import Body
+from loewner.bodies import Body, packed_of
+from loewner.bodies.layout import arrays_of
 from loewner.coverage import CoverReport
 from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
@@ -29,6 +32,9 @@ TRIED = 1000
 
 # Boxes of configurations for the proofs that these pairs never collide; most pairs take some thousands.
 BOXES = 200_000
+
+# Links that are covered at a time, since each takes 100 MB.
+MOST_THREADS = 4
 
 # For a number of shapes: the range of protrusions [m] that is searched, the first one, and the number of steps; and the
 # share of the number that is enough. Numbers of shapes fall about as the protrusion to the power of -1.25.
@@ -99,12 +105,26 @@ def _covered(
     robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
 ) -> dict[str, Body]:
     """Cover all links; of all steps, some were done before."""
-    made = {}
-    for number, (link, body) in enumerate(robot.bodies.items(), 1):
-        made[link] = body.cover(kind, protrusion=protrusion)
+    # Robots have several links of one shape, such as fingers.
+    shapes: dict[tuple[bytes, ...], int] = {}
+    links = {link: shapes.setdefault(_bytes_of(body), len(shapes)) for link, body in robot.bodies.items()}
+    different = [next(robot.bodies[link] for link, shape in links.items() if shape == k) for k in range(len(shapes))]
+
+    def some(first: int, last: int) -> list[Body]:
+        with at_most(1):
+            return [body.cover(kind, protrusion=protrusion) for body in different[first:last]]
+
+    def report(done: int, total: int) -> None:
         if progress is not None:
-            progress(before * len(robot.bodies) + number, steps * len(robot.bodies))
-    return made
+            progress(before * total + done, steps * total)
+
+    with at_most(MOST_THREADS):
+        covers = list(itertools.chain(*in_shares(some, len(different), 1, most=1, progress=report)))
+    return {link: covers[shape] for link, shape in links.items()}
+
+
+def _bytes_of(body: Body) -> tuple[bytes, ...]:
+    return tuple(array.tobytes() for array in arrays_of(packed_of(body)).values())
 
 
 def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
@@ -126,7 +146,7 @@ def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> d
     if best is None:
         raise InputError(f"n: expected more shapes for {len(robot.bodies)} links, found {n}")
     if progress is not None:
-        progress(STEPS * len(robot.bodies), STEPS * len(robot.bodies))
+        progress(1, 1)
     return best
 
 
