@@ -8,7 +8,17 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loewner import Body, CoverReport, InputError, UnknownNameError
+from loewner import (
+    Body,
+    CoverReport,
+    GeometryError,
+    InputError,
+    Robot,
+    UnknownNameError,
+    get_num_threads,
+    set_num_threads,
+)
+from loewner.bodies import packed_of
 
 ANNULUS = trimesh.creation.annulus(0.03, 0.04, 0.1)
 BOX = Body.box([0.2, 0.1, 0.1])
@@ -299,3 +309,73 @@ def test_a_thick_surface_is_not_its_corners():
     box = trimesh.creation.box((2, 2, 2))
     thick = Body.from_surface(box, radius=0.5, solid=False)
     assert thick.covered_by(Body.box([2, 2, 2]), tolerance=0.05).outcome != "covered"
+
+
+@pytest.mark.slow("two fits of spheres")
+def test_spheres_of_a_thick_surface_hold_its_thickness():
+    """Spheres of a surface with a radius hold the balls about its points, not only the points."""
+    points = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0.03]])
+    thick = Body.from_surface((points, np.array([[0, 1, 2], [1, 3, 2]])), radius=0.01)
+    cover = thick.cover("spheres", protrusion=0.02)
+    assert cover.covering.max_protrusion <= 0.02
+    assert thick.covered_by(cover).outcome == "covered"
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(20_000, 3))
+    flat = rng.dirichlet(np.ones(3), size=20_000) @ points[:3]
+    assert in_balls(flat + 0.01 * ways / np.linalg.norm(ways, axis=1, keepdims=True), cover).all()
+    # A solid beside it has no radius, so that a ball about its surface need not hold more than the surface.
+    both = Body.union([thick, Body.from_surface(trimesh.creation.box((0.05, 0.05, 0.05)))])
+    assert both.cover("spheres", protrusion=0.02).covering.max_protrusion <= 0.02
+
+
+@pytest.mark.slow("fits that divide clusters until none sticks out too far")
+@pytest.mark.parametrize(
+    ("kind", "body", "protrusion"),
+    [
+        ("boxes", Body.from_surface(trimesh.creation.icosphere(1, 0.1)), 0.04),
+        ("ellipsoids", BOX, 0.04),
+        pytest.param("boxes", Body.from_surface(trimesh.creation.icosphere(2, 0.1)), 0.01, marks=pytest.mark.verify),
+        pytest.param("ellipsoids", Body.box([0.2, 0.2, 0.2]), 0.01, marks=pytest.mark.verify),
+    ],
+)
+def test_boxes_and_ellipsoids_by_protrusion(kind: str, body: Body, protrusion: float):
+    """Boxes hold what is round, and ellipsoids what has corners, and stick out by no more than they may."""
+    cover = body.cover(kind, protrusion=protrusion)
+    assert cover.covering.max_protrusion <= protrusion
+    assert body.covered_by(cover).outcome == "covered"
+
+
+@pytest.mark.slow("512 ellipsoids, of at least 10,000")
+@pytest.mark.verify
+def test_more_elements_than_there_may_be():
+    """A protrusion that takes too many ellipsoids is an error that states so."""
+    with pytest.raises(GeometryError, match="protrusion: expected one that at most 4096 ellipsoids reach"):
+        Body.box([1.0, 1.0, 1.0]).cover("ellipsoids", protrusion=5e-4)
+
+
+@pytest.mark.slow("fits of spheres for three links, twice")
+def test_covers_of_robots_do_not_depend_on_threads():
+    """One thread or several, and equal links or not: each link has the cover that its body alone has."""
+    links = {"a": "0.2 0.1 0.1", "b": "0.2 0.1 0.1", "c": "0.1 0.1 0.3"}
+    parts = "".join(
+        f'<link name="{name}"><collision><geometry><box size="{size}"/></geometry></collision></link>'
+        for name, size in links.items()
+    )
+    joints = "".join(
+        f'<joint name="to_{x}" type="fixed"><parent link="a"/><child link="{x}"/><origin xyz="0 0 {k}"/></joint>'
+        for k, x in ((1, "b"), (2, "c"))
+    )
+    robot, before = Robot.from_urdf(text=f'<robot name="r">{parts}{joints}</robot>'), get_num_threads()
+    shares: list[float] = []
+    try:
+        for count in (1, 3):
+            set_num_threads(count)
+            covers = robot.cover("spheres", protrusion=0.04, progress=lambda done, total: shares.append(done / total))
+            for link, body in robot.bodies.items():
+                alone = body.cover("spheres", protrusion=0.04)
+                assert (packed_of(covers.bodies[link]).frames == packed_of(alone).frames).all()
+            assert shares == sorted(shares)
+            assert shares.pop() == 1.0
+            shares.clear()
+    finally:
+        set_num_threads(before)

@@ -50,6 +50,10 @@ HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
 # Largest edge of the cells of clusters, relative to the size of the body; and about their largest number.
 CELL, MOST_CELLS = 0.04, 20_000
 
+# After this number of divisions, an element that sticks out by k times the protrusion is expected to take k elements; a
+# fit ends if that makes this many times more elements than there may be.
+JUDGED, HOPELESS = 512, 4
+
 # Half the edge of the cubes that are added where the proof fails, relative to the same size.
 AROUND = 0.005
 
@@ -95,11 +99,15 @@ class Candidates:
         turned = u + v > 1
         u, v = np.where(turned, 1 - u, u)[:, None], np.where(turned, 1 - v, v)[:, None]
         surface = a[at] + u * (b[at] - a[at]) + v * (c[at] - a[at])
-        corners = np.unique(triangles.reshape(-1, 3), axis=0)
+        whole = target.boundary is target.whole
+        radius = target.radius[target.owner] if whole else np.full(len(triangles), target.radius.max())
+        corners = np.unique(np.column_stack([triangles.reshape(-1, 3), np.repeat(radius, 3)]), axis=0)
         corners = corners[:: -(-len(corners) // CORNERS)]
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
-        self.points = np.concatenate([surface, corners, inside])
+        self.points = np.concatenate([surface, corners[:, :3], inside])
+        # Radii of balls about the points that have to be held as well, for surfaces with a radius.
+        self.around = np.concatenate([radius[at], corners[:, 3], np.zeros(len(inside))])
         middles = [(target.low / 2 + target.high / 2)[None], surface]
         if target.solids:
             normals = unit_normals(triangles)[at]
@@ -136,15 +144,15 @@ class Candidates:
         return points + low[:, None] * inward
 
     def _find_far(self, point: int, candidate: int) -> None:
-        """Compute the distances of points from the axes of candidates, both from a first one on."""
+        """Compute how far balls about points reach from the axes of candidates, both from a first one on."""
         points, centers, axes = self.points[point:], self.centers[candidate:], self.axes[candidate:]
-        far = self.rows[point : len(self.points), candidate:]
+        far, around = self.rows[point : len(self.points), candidate:], self.around[point:]
         for k in range(0, len(points), BLOCK):
-            far[k : k + BLOCK] = cdist(points[k : k + BLOCK], centers)
+            far[k : k + BLOCK] = cdist(points[k : k + BLOCK], centers) + around[k : k + BLOCK, None]
         for k in np.flatnonzero(axes.any(axis=1)).tolist():
             arm = points - centers[k]
             share = np.clip(arm @ axes[k] / (axes[k] @ axes[k]), -1.0, 1.0)
-            far[:, k] = lengths(arm - share[:, None] * axes[k])
+            far[:, k] = lengths(arm - share[:, None] * axes[k]) + around
 
     def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
         """Choose few candidates whose balls hold all points, greedily and then by exchanges.
@@ -152,15 +160,24 @@ class Candidates:
         Points that are missed again and again get weight, which leads the search out of local minima (Gao, Weise and
         Li: An efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
         """
-        n, limit = len(self.points), (self.depth + (1 - reserve) * protrusion).astype(np.float32)
-        holds = np.less_equal(self.rows[:n], limit, out=self.holds[:n])
-        if not holds.any(axis=1).all():
+        holds = self._held(protrusion, reserve)
+        missed = ~holds.any(axis=1)
+        if missed.any():
             # Points that no ball holds get candidates of their own.
-            missed = self.points[~holds.any(axis=1)]
-            self.add_candidates(missed, np.zeros((1, 3)))
-            return self.chosen(protrusion, steps, start, reserve)
+            self.add_candidates(self.points[missed], np.zeros((1, 3)))
+            holds = self._held(protrusion, reserve)
+            if not holds.any(axis=1).all():
+                raise GeometryError(
+                    f"protrusion: expected more than {np.ptp(self.target.radius):g} m, by which radii of surfaces "
+                    f"differ, found {protrusion:g} m"
+                )
         found = _greedy(holds, start)
         return found if steps == 0 else _exchanged(holds, found, steps, self.columns)
+
+    def _held(self, protrusion: float, reserve: float) -> Bools:
+        """Return which candidates, in columns, hold which points."""
+        n, limit = len(self.points), (self.depth + (1 - reserve) * protrusion).astype(np.float32)
+        return np.less_equal(self.rows[:n], limit, out=self.holds[:n])
 
     def add_candidates(self, centers: Floats, axes: Floats) -> None:
         """Add balls, or capsules whose axes have the given halves."""
@@ -177,10 +194,10 @@ class Candidates:
         self.rows[: len(self.points), :first] = rows
         self._find_far(0, first)
 
-    def add_points(self, points: Floats) -> None:
-        """Add points that have to be held."""
+    def add_points(self, points: Floats, around: Floats) -> None:
+        """Add points that have to be held, with balls of some radii about them."""
         first, rows = len(self.points), self.rows
-        self.points = np.concatenate([self.points, points])
+        self.points, self.around = np.concatenate([self.points, points]), np.concatenate([self.around, around])
         if len(self.points) > len(rows):
             self._make_rows(3 * len(self.points) // 2)
             self.rows[:first] = rows[:first]
@@ -211,17 +228,17 @@ class Candidates:
         chosen, best, packed = None, None, None
         for round_ in range(ROUNDS + MORE_ROUNDS):
             # Without a proof, balls have to hold points with more room to spare.
-            reserve = RESERVE * 1.5 ** max(0, round_ - ROUNDS + 1)
+            reserve = min(RESERVE * 1.5 ** max(0, round_ - ROUNDS + 1), 0.9)
             chosen = trial = self.chosen(protrusion, steps, chosen, reserve)
             for _ in range(REPAIRS):
                 if best is not None and len(trial) >= best or most is not None and len(trial) > most:
                     break
                 made = self.made(trial, protrusion)
-                missed = first_failures(self.target, made, protrusion)
+                missed, around = first_failures(self.target, made, protrusion)
                 if len(missed) == 0:
                     best, packed = len(trial), made
                     break
-                self.add_points(missed)
+                self.add_points(missed, around)
                 trial = self.chosen(protrusion, 0, trial, reserve)
             if packed is not None and (most is not None or round_ >= ROUNDS - 1):
                 return packed
@@ -320,7 +337,8 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, r
             raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
         return found
     assert n is not None
-    low, high = LEAST_PROTRUSION * target.size, target.size
+    # Balls hold balls about points of surfaces, whose radii may differ.
+    low, high = max(LEAST_PROTRUSION * target.size, 1.1 * float(np.ptp(target.radius))), target.size
     for step in range(HALVINGS):
         middle = float(np.sqrt(low * high)) if low * 4 < high else (low + high) / 2
         reached = len(fit.chosen(middle, FEW_STEPS)) <= n
@@ -348,6 +366,7 @@ class _Clusters:
             cells = np.concatenate([cells[~long], halved(cells[long], edge[long])])
         # Triangles, and cubes of the inside that do not reach the surface, as eight corners.
         step = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
+        self.cell = step
         counts = np.maximum(1, np.ceil((target.high - target.low) / step)).astype(np.int64)
         lattice = target.low + (np.indices(counts).reshape(3, -1).T + 0.5) * (target.high - target.low) / counts
         lattice = lattice[target.holds(lattice)]
@@ -363,8 +382,8 @@ class _Clusters:
         self.elements = [self.element(self.clusters[0])]
         self.excess = [self.sticks(self.elements[0])]
 
-    def element(self, cluster: Ints) -> Packed:
-        """Fit an element around cells."""
+    def element(self, cluster: Ints, more: float = 0.0) -> Packed:
+        """Fit an element around cells, larger by a length."""
         used = np.zeros(len(self.points), dtype=bool)
         used[self.cells[cluster]] = True
         points = self.points[used]
@@ -377,10 +396,12 @@ class _Clusters:
                 turn, half, center = _box(points)
                 axes, least = np.sqrt(3.0) * half, 1e-2 * half.max() + self.spare
             return _placed(
-                primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None]), turn, center
+                primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None] + more),
+                turn,
+                center,
             )
         turn, half, center = _box(points)
-        half = np.maximum(half + self.spare, 1e-3 * half.max())
+        half = np.maximum(half + self.spare, 1e-3 * half.max()) + more
         return _placed(Packed.of(box_pieces(-half[None], half[None])), turn, center)
 
     def sticks(self, element: Packed) -> float:
@@ -408,6 +429,16 @@ class _Clusters:
             raise GeometryError(f"{self.kind}: expected cells that can be divided, found one; use a larger protrusion")
         self.clusters[k : k + 1], self.elements[k : k + 1] = best[1], best[2]
         self.excess[k : k + 1] = [self.sticks(element) for element in best[2]]
+
+    def grow(self, limit: float) -> list[Packed]:
+        """Let elements stick out as far as they may, up to the size of a cell, which closes gaps between the cells."""
+        grown = []
+        for cluster, element, excess in zip(self.clusters, self.elements, self.excess, strict=True):
+            # The corners of a box move by more than its faces.
+            more = min((limit - excess) / (np.sqrt(3.0) if self.kind == "boxes" else 1.0), self.cell)
+            larger = self.element(cluster, more) if more > 0 else element
+            grown.append(larger if self.sticks(larger) <= limit else element)
+        return grown
 
     def hold(self, points: Floats) -> None:
         """Add small cubes around points to the clusters nearest to them."""
@@ -443,14 +474,22 @@ def _placed(packed: Packed, turn: Floats, center: Floats) -> Packed:
 def _others(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
     """Fit boxes or ellipsoids by dividing clusters of cells."""
     fit = _Clusters(target, kind, protrusion)
-    limit = 0.0 if protrusion is None else 0.98 * protrusion
+    limit = 0.0 if protrusion is None else (0.98 if kind == "boxes" else 0.94) * protrusion
     for _ in range(ROUNDS + GROWTHS):
         while len(fit.elements) < (MOST if n is None else n) and max(fit.excess) > limit:
             fit.divide(int(np.argmax(fit.excess)))
+            needed = np.maximum(fit.excess, limit).sum() / limit if limit > 0 else 0.0
+            if len(fit.elements) == JUDGED and needed > HOPELESS * MOST:
+                break
             done = len(fit.elements) / n if n is not None else limit / max(max(fit.excess), limit)
             report(int(5 + 70 * done), 100)
-        packed = as_one(fit.elements)
-        missed = first_failures(target, packed, max(fit.excess) if protrusion is None else protrusion)
+        if protrusion is not None and max(fit.excess) > limit:
+            raise GeometryError(
+                f"protrusion: expected one that at most {MOST} {kind} reach, found {protrusion:g} m, and parts that "
+                "take more; use a larger protrusion, or spheres"
+            )
+        packed = as_one(fit.elements if protrusion is None else fit.grow(limit))
+        missed, _ = first_failures(target, packed, max(fit.excess) if protrusion is None else protrusion)
         if len(missed):
             fit.hold(missed[:: max(1, len(missed) // 60)])
             continue

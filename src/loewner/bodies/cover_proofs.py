@@ -45,6 +45,9 @@ OUTWARD = 1 + 1e-12
 # Divisions of the ball in whose corners points of curved elements are tried.
 DIVISIONS = 2
 
+# Triangles of elements for one search for the largest protrusion.
+FACES = 100_000
+
 # Inradius of the polygons of cylinders and cones.
 _POLYGON = (CURVED[columns.CONE].inradii or (1.0,))[0]
 
@@ -279,7 +282,7 @@ class _Proof:
         self.cells = CELL_ROUNDINGS * (target.reach + float(ends))
         self.witness: Floats | None = None
         self.deepest = 0.0
-        self.outside: list[Floats] = []
+        self.outside: list[Floats] = []  # points and, as a fourth column, the radii of balls about them
 
     def within(self, points: Floats, element: Ints, radius: float) -> Bools:
         """Return whether balls about stored points are in elements."""
@@ -415,7 +418,7 @@ class _Proof:
                 every = np.ones(len(found.cell), dtype=bool)
                 if own:
                     outside += float(found.area[out].sum())
-                    self.outside.append(middle[out])
+                    self.outside.append(np.column_stack([middle[out], self.target.radius[found.owner[out]]]))
                     self.note(middle, least)
                     if first:
                         self._corners(found)
@@ -465,7 +468,7 @@ class _Proof:
             chosen = np.flatnonzero(keep & (least > 0))
             chosen = chosen[target.holds(centers[chosen])]
             self.note(centers[chosen], least[chosen])
-            self.outside.append(centers[chosen])
+            self.outside.append(np.column_stack([centers[chosen], np.zeros(len(chosen))]))
             if self.witness is not None:
                 return None
             done = keep & (flush | (2 * reach <= self.tolerance))
@@ -591,13 +594,20 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     near = max(lower * (1 + RELATIVE), lower + tolerance)
     open_ = [i for i in range(n) if upper[i] > near]
     if open_:
-        chosen = [hulls[i] if i in hulls else _around(packed, i)[0] for i in open_]
-        reached = protrusions(chosen, target.whole, together=True)
-        bounds = np.maximum(reached.bounds - target.radius.min(), 0.0) + target.gap.max()
-        upper[open_] = np.minimum(upper[open_], bounds)
-        flat = [k for k, i in enumerate(open_) if i in model.hulls and reached.found[k] > 0]
-        if flat:
-            lower = max(lower, float(target.below(reached.points[flat]).max()))
+        around = {i: hulls[i] if i in hulls else _around(packed, i)[0] for i in open_}
+        ends = np.cumsum([len(around[i].simplices) for i in open_])
+        groups = np.split(np.array(open_), np.searchsorted(ends, np.arange(FACES, ends[-1], FACES)))
+        # Each search has a limit on its work. In several ones, elements that stick out less than another do not matter.
+        floor = max(0.0, near + float(target.radius.min() - target.gap.max())) if len(groups) > 1 else 0.0
+        for group in groups:
+            if len(group) == 0:
+                continue
+            reached = protrusions([around[i] for i in group.tolist()], target.whole, floor=floor, together=True)
+            bounds = np.maximum(reached.bounds - target.radius.min(), 0.0) + target.gap.max()
+            upper[group] = np.minimum(upper[group], bounds)
+            flat = [k for k, i in enumerate(group.tolist()) if i in model.hulls and reached.found[k] > 0]
+            if flat:
+                lower = max(lower, float(target.below(reached.points[flat]).max()))
     return lower, max(lower, float(np.maximum(upper, 0.0).max()))
 
 
@@ -672,16 +682,25 @@ def prove(
     return CoverReport(outcome, share, depth, proof.witness, sticks)
 
 
-def first_failures(target: Target, model: Packed, protrusion: float) -> Floats:
-    """Return points at which a model fails to cover a body, or fails to be proven to; none if it covers."""
+def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
+    """Return points at which a model fails to cover a body, or fails to be proven to; none if it covers.
+
+    Each comes with the radius of the ball about it that belongs to the body.
+    """
     proof = _Proof(target, Elements(model), 0.02 * protrusion)
     whole = proof.wholes()
     triangles, owner = target.triangles, target.owner
     left = ~whole[owner]
     _, _, rest = proof.surface(triangles[left], owner[left], lambda done, total: None)
-    missed = [*proof.outside, rest.middles()[0] if rest is not None else np.empty((0, 3))]
+    missed = [np.empty((0, 4)), *proof.outside]
+    if rest is not None:
+        missed.append(np.column_stack([rest.middles()[0], target.radius[rest.owner]]))
     points = np.concatenate(missed)
     if len(points) == 0 and not whole.all():
         holes = proof.inside()
-        points = np.concatenate([*proof.outside, np.empty((0, 3)) if holes is None else holes.middles()[0]])
-    return points[:: max(1, len(points) // 1000)]
+        missed = [np.empty((0, 4)), *proof.outside]
+        if holes is not None:
+            missed.append(np.column_stack([holes.middles()[0], np.zeros(len(holes.shape))]))
+        points = np.concatenate(missed)
+    points = points[:: max(1, len(points) // 1000)]
+    return points[:, :3], points[:, 3]
