@@ -595,8 +595,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     open_ = [i for i in range(n) if upper[i] > near]
     if open_:
         around = {i: hulls[i] if i in hulls else _around(packed, i)[0] for i in open_}
-        ends = np.cumsum([len(around[i].simplices) for i in open_])
-        groups = np.split(np.array(open_), np.searchsorted(ends, np.arange(FACES, ends[-1], FACES)))
+        faces = np.cumsum([len(around[i].simplices) for i in open_])
+        groups = np.split(np.array(open_), np.searchsorted(faces, np.arange(FACES, int(faces[-1]), FACES)))
         # Each search has a limit on its work. In several ones, elements that stick out less than another do not matter.
         floor = max(0.0, near + float(target.radius.min() - target.gap.max())) if len(groups) > 1 else 0.0
         for group in groups:
