@@ -1,0 +1,215 @@
+"""Connect poses (x, y, heading) by the shortest ways that a base can drive: Reeds and Shepp's, Dubins's, or turns in place.
+
+A way is a sequence of motions. Each has a length [m], negative backwards, and a turn [rad], both at constant rates: it
+is an arc of a circle, a straight line, or a turn in place.
+
+References
+----------
+J. A. Reeds, L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards", Pacific Journal of
+Mathematics 145(2), 1990; numbers such as (8.7) are those of its formulas. L. E. Dubins, "On curves of minimal length
+with a constraint on average curvature", American Journal of Mathematics 79(3), 1957.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._elementary import arccos, arcsin, arctan2, cos, sin
+from loewner._validate import Floats
+
+HALF, TURN = math.pi, 2.0 * math.pi
+
+# Angles that are smaller than this [rad] count as none, where a forward arc would otherwise become a whole circle.
+NO_TURN = 1e-9
+
+# The same problem driven backwards, mirrored, and both: signs of lengths, and of turns to the left.
+SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
+
+
+class Ways(NamedTuple):
+    """Several ways from each of N poses to another.
+
+    Attributes
+    ----------
+    lengths, turns : ndarray, shape (N, ways, motions)
+        NaN where there is no such way. Motions that a way does not need are 0.
+    """
+
+    lengths: Floats
+    turns: Floats
+
+    @property
+    def costs(self) -> Floats:
+        """Length of each way, and its turns in place times a metre, shape (N, ways); infinite if there is none."""
+        costs = np.where(self.lengths == 0.0, np.abs(self.turns), np.abs(self.lengths)).sum(axis=2)
+        return np.where(np.isfinite(costs), costs, np.inf)
+
+
+class Polar(NamedTuple):
+    """The centre of the last circle, seen from the centre of a first one to the left, for circles of radius 1."""
+
+    x: Floats
+    y: Floats
+    distance: Floats
+    angle: Floats
+
+    @classmethod
+    def of(cls, x: Floats, y: Floats) -> Polar:
+        """Compute distance and angle of vectors."""
+        return cls(x, y, np.sqrt(x * x + y * y), arctan2(y, x))
+
+
+def moved(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
+    """Return the poses behind motions: poses (..., 3), lengths and turns (...)."""
+    half = turns / 2.0
+    chord = lengths * _sinc(half)
+    heading = poses[..., 2] + half
+    return np.stack(
+        [poses[..., 0] + chord * cos(heading), poses[..., 1] + chord * sin(heading), poses[..., 2] + turns], axis=-1
+    )
+
+
+def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
+    """Return the ways of a car from poses a to poses b, shape (N, 3) each.
+
+    With `reverse`, they are all words of Reeds and Shepp, the shortest way among them; otherwise those of Dubins.
+    """
+    x, y, turn = _seen_from(a, b)
+    lengths, steered = _words(x / radius, y / radius, turn, reverse)
+    return Ways(lengths * radius, lengths * steered)
+
+
+def differential(a: Floats, b: Floats) -> Ways:
+    """Return the ways of a base that turns in place, drives straight, forwards or backwards, and turns again."""
+    x, y, turn = _seen_from(a, b)
+    way = np.sqrt(x * x + y * y)
+    bearing = np.where(way > 0.0, arctan2(y, x), 0.0)
+    none = np.zeros_like(way)
+    lengths = np.stack([np.stack([none, sign * way, none], axis=-1) for sign in (1.0, -1.0)], axis=1)
+    first = np.stack([_wrapped(bearing), _wrapped(bearing + HALF)], axis=1)
+    last = _wrapped(turn[:, None] - first)
+    return Ways(lengths, np.stack([first, np.zeros_like(first), last], axis=-1))
+
+
+def _seen_from(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return positions and headings of b in the frames of a."""
+    cosine, sine = cos(a[:, 2]), sin(a[:, 2])
+    x, y = (b - a)[:, 0], (b - a)[:, 1]
+    return cosine * x + sine * y, cosine * y - sine * x, _wrapped(b[:, 2] - a[:, 2])
+
+
+def _words(x: Floats, y: Floats, turn: Floats, reverse: bool) -> tuple[Floats, Floats]:
+    """Return signed lengths (N, words, 5) and steering (words, 5) of the words, for circles of radius 1.
+
+    Each formula is for a word that begins to the left and forwards. It is applied to four problems with other signs,
+    and, where the word read backwards is another one, also to the problem from the goal to the start.
+    """
+    signs = np.array(SIGNS if reverse else SIGNS[::2])
+    X, Y, P = signs[:, :1] * x, signs[:, 1:] * y, signs.prod(axis=1)[:, None] * turn
+    sine, cosine = sin(P), cos(P)
+    made = _forwards(X, Y, P, sine, cosine) if reverse else _all_forward(X, Y, P, sine, cosine)
+    if reverse:
+        made += _from_the_goal(X * cosine + Y * sine, X * sine - Y * cosine, P, sine, cosine)
+    zero = np.zeros_like(X)
+    lengths = np.stack([np.stack([*parts, *[zero] * (5 - len(parts))], axis=-1) for _, parts in made])
+    steered = np.array([[*("RSL".index(letter) - 1.0 for letter in word), *[0.0] * (5 - len(word))] for word, _ in made])
+    lengths = lengths * signs[:, 0, None, None]
+    N = lengths.shape[2]
+    return (
+        np.moveaxis(lengths.reshape(-1, N, 5), 0, 1),
+        (steered[:, None] * signs[:, 1, None]).reshape(-1, 5),
+    )
+
+
+Word = tuple[str, tuple[Floats, ...]]
+
+
+def _forwards(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
+    """Return the words that formulas give from the start to the goal."""
+    same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
+    quarter, made = np.full_like(x, -HALF / 2.0), _curves(same, other, turn)
+    with np.errstate(invalid="ignore"):
+        u = arccos(_inside((2.0 + other.distance) / 4.0))  # (8.7)
+        t, v = _outer(u, -u, other, turn)
+        made.append(("LRLR", (t, u, -u, v)))
+        u = -arccos(_inside((20.0 - other.distance**2) / 16.0, least=0.0))  # (8.8)
+        t, v = _outer(u, u, other, turn)
+        made.append(("LRLR", (t, u, u, v)))
+        made += _with_quarter(same, other, turn, quarter)
+        straight = 4.0 - np.sqrt(other.distance**2 - 4.0)  # (8.11)
+        t = arctan2((4.0 - straight) * other.x - 2.0 * other.y, -2.0 * other.x + (straight - 4.0) * other.y)
+        made.append(("LRSLR", (t, quarter, straight, quarter, _wrapped(t - turn))))
+    return made
+
+
+def _from_the_goal(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
+    """Return the words that are read backwards."""
+    same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
+    made = [_curves(same, other, turn)[2], *_with_quarter(same, other, turn, np.full_like(x, -HALF / 2.0))]
+    return [(word[::-1], parts[::-1]) for word, parts in made]
+
+
+def _curves(same: Polar, other: Polar, turn: Floats) -> list[Word]:
+    """Return the words of three motions: (8.1), (8.2), and (8.3) with (8.4)."""
+    with np.errstate(invalid="ignore"):
+        straight = np.sqrt(other.distance**2 - 4.0)
+        t = _wrapped(other.angle + arctan2(2.0, straight))
+        u = -2.0 * arcsin(_inside(same.distance / 4.0))
+        first = _wrapped(same.angle + u / 2.0 + HALF)
+        return [
+            ("LSL", (same.angle, same.distance, _wrapped(turn - same.angle))),
+            ("LSR", (t, straight, _wrapped(t - turn))),
+            ("LRL", (first, u, _wrapped(turn - first + u))),
+        ]
+
+
+def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> list[Word]:
+    """Return the words of four motions, the second of which is a quarter of a circle: (8.9) and (8.10)."""
+    with np.errstate(invalid="ignore"):
+        far = np.sqrt(same.distance**2 - 4.0)
+        t = _wrapped(same.angle + arctan2(far, -2.0))
+        made: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
+        t = _wrapped(other.angle + HALF / 2.0)
+        far = np.where(other.distance >= 2.0, other.distance, np.nan)
+        made.append(("LRSR", (t, quarter, 2.0 - far, _wrapped(t + HALF / 2.0 - turn))))
+    return made
+
+
+def _outer(u: Floats, v: Floats, other: Polar, turn: Floats) -> tuple[Floats, Floats]:
+    """Return the first and the last arc around two arcs u and v: (8.6)."""
+    delta = _wrapped(u - v)
+    a, b = sin(u) - sin(delta), cos(u) - cos(delta) - 1.0
+    angle = arctan2(other.y * a - other.x * b, other.x * a + other.y * b)
+    opposite = 2.0 * (cos(delta) - cos(v) - cos(u)) + 3.0 < 0.0
+    t = _wrapped(angle + np.where(opposite, HALF, 0.0))
+    return t, _wrapped(t - u + v - turn)
+
+
+def _all_forward(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
+    """Return Dubins's words: an arc backwards ends where the rest of its circle ends forwards."""
+    same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
+    made = _curves(same, other, turn)
+    return [
+        (word, tuple(part if letter == "S" else np.where(part < -NO_TURN, part + TURN, np.maximum(part, 0.0))
+                     for letter, part in zip(word, parts, strict=True)))
+        for word, parts in made
+    ]  # fmt: skip
+
+
+def _inside(x: Floats, least: float = -1.0) -> Floats:
+    """Return NaN for numbers outside a range up to 1."""
+    return np.where((x >= least) & (x <= 1.0), x, np.nan)
+
+
+def _wrapped(angle: Floats) -> Floats:
+    """Return angles within half a turn."""
+    return angle - TURN * np.rint(angle / TURN)
+
+
+def _sinc(x: Floats) -> Floats:
+    """Return sin x / x."""
+    small = np.abs(x) < 1e-4
+    return np.where(small, 1.0 - x * x / 6.0, sin(x) / np.where(small, 1.0, x))
