@@ -1,0 +1,512 @@
+"""Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the way.
+
+The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). Its estimate is the distance
+to the goal on a grid of the map, where places that are blocked at all tried headings count several times. Poses are
+taken from the queue in batches, since a call of the kernel takes as long as the proof of forty arcs.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from loewner import _validate
+from loewner._kernels import codes
+from loewner._validate import Bools, Floats, Ints
+from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.planners import steering
+from loewner.planners.drives import Drive, arcs_of, base_columns
+from loewner.planners.joint_limits import ON_LIMIT
+from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.pose_goals import PoseGoal
+from loewner.planners.space import Space, checked_ends
+from loewner.planners.steering import Ways, moved
+from loewner.queries import Verdict
+from loewner.robots import CollisionChecker, Robot, curves, motions, verdicts
+from loewner.robots.proof_models import model_of
+from loewner.robots.proofs import refuse_starts
+from loewner.robots.robot import unlimited
+
+Kind = Literal["differential", "car"]
+
+# Steps of the lattice: the turn of one arc or of a turn in place [rad].
+STEP = math.pi / 8.0
+
+# Cells of the lattice: edges in steps, and headings in a whole turn.
+EDGE, HEADINGS = 0.5, 32
+
+# Poses that are taken from the queue at a time, and ways to the goal that are tried from each.
+BATCH, SHOTS = 16, 4
+
+# Cells of the grid at most, the headings that are tried in each, and how many times farther a blocked cell counts.
+GRID, TRIED, BLOCKED = 2**13, 4, 5.0
+
+# The estimate counts this many times in the order of the queue: shorter searches, longer ways before shortening.
+GREED = 1.5
+
+# A change between forwards and backwards costs as much as this share of a step.
+CHANGE = 1.0
+
+# A way to the goal is tried if the distance on the grid is at most this many times its length, and a step more.
+DETOUR = 1.15
+
+# Shortening: passes over the way, poses on it, and rounds of each pass.
+PASSES, PLACES, ROUNDS = 3, 32, 48
+
+# Lengths and turns up to this are rounding errors of formulas [m, rad].
+NOTHING = 1e-10
+
+# A pass that saves less than this share is the last.
+GAIN = 0.01
+
+
+class Path(NamedTuple):
+    """Poses of shape (k + 1, 3), and the lengths and turns of the motions between them, shape (k, 2)."""
+
+    poses: Floats
+    motions: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """A base and what it may drive in.
+
+    Attributes
+    ----------
+    radius : float
+        Radius of the lattice's arcs, in metres: of a car, the least one.
+    step : float
+        Length of the lattice's motions.
+    """
+
+    judge: Judge
+    kind: Kind
+    radius: float
+    step: float
+    reverse: bool
+    columns: tuple[int, int, int]
+    still: Floats
+    lower: Floats
+    upper: Floats
+
+    def ways(self, a: Floats, b: Floats) -> Ways:
+        """Return the ways that the base could drive from poses a to poses b if nothing were there."""
+        if self.kind == "car":
+            return steering.car(a, b, self.radius, self.reverse)
+        return steering.differential(a, b)
+
+    def lattice(self) -> Floats:
+        """Return the lattice's motions, shape (motions, 2)."""
+        turn, step = self.step / self.radius, self.step
+        ahead = [[step, 0.0], [step, turn], [step, -turn]]
+        back = [[-length, angle] for length, angle in ahead] if self.reverse else []
+        return np.array(ahead + back + ([[0.0, STEP], [0.0, -STEP]] if self.kind == "differential" else []))
+
+    def inside(self, poses: Floats) -> Bools:
+        """Return which poses, shape (..., 3), are within the limits."""
+        within = (poses >= self.lower - ON_LIMIT) & (poses <= self.upper + ON_LIMIT)
+        return np.asarray(within.all(axis=-1))
+
+    def free_at(self, poses: Floats) -> Bools:
+        """Return which poses, shape (N, 3), are within the limits and free."""
+        free = self.inside(poses)
+        Q = np.tile(self.still, (np.count_nonzero(free), 1))
+        Q[:, list(self.columns)] = poses[free]
+        free[free] = verdicts.free(self.judge.ready, Q)
+        return free
+
+    def free(self, poses: Floats, ways: Floats) -> Bools:
+        """Return which motions, shape (N, 2), from poses, shape (N, 3), are proven free and within the limits."""
+        ends = moved(poses, ways[:, 0], ways[:, 1])
+        free = self.free_at(ends)
+        at = np.flatnonzero(free)
+        if len(at) == 0:
+            return free
+        arcs = arcs_of(poses[at], ways[at, 0], ways[at, 1], ends[at], np.zeros((len(at), 3)))
+        courses = np.tile(self.still, (len(arcs.owner), 8, 1))
+        courses[..., list(self.columns)] = arcs.courses
+        off = np.zeros((len(courses), len(self.still)))
+        off[:, list(self.columns)] = arcs.off
+        if self.judge.joint_error is not None:
+            off += self.judge.joint_error
+        found = motions.settle(self.judge.ready, courses, TOLERANCE, off)
+        refuse_starts(self.judge.ready, courses[:, 0], found)
+        proven = (found.verdicts == codes.FREE) & self.inside(arcs.courses).all(axis=1)
+        free[at] = np.logical_and.reduceat(proven, np.flatnonzero(np.diff(arcs.owner, prepend=-1)))
+        return free
+
+    def free_ways(self, poses: Floats, ways: Floats) -> Bools:
+        """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free."""
+        count = ways.shape[1]
+        begins = np.empty((len(poses), count, 3))
+        place = poses
+        for k in range(count):
+            begins[:, k] = place
+            place = moved(place, ways[:, k, 0], ways[:, k, 1])
+        needed = ways.any(axis=2)
+        free = ~needed
+        free[needed] = self.free(begins[needed], ways[needed])
+        return np.asarray(free.all(axis=1))
+
+    def changes(self, ways: Floats) -> Floats:
+        """Return what changes between forwards and backwards cost on ways, shape (..., motions, 2)."""
+        signs = np.sign(ways[..., 0])
+        changes = np.zeros(signs.shape[:-1])
+        before = signs[..., 0]
+        for k in range(1, signs.shape[-1]):
+            changes += signs[..., k] * before < 0.0
+            before = np.where(signs[..., k] == 0.0, before, signs[..., k])
+        return CHANGE * self.step * changes
+
+    def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
+        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, with changes of direction."""
+        ways = self.ways(a, b)
+        costs, count = ways.costs, min(count, ways.lengths.shape[1])
+        order = np.argpartition(costs, count - 1, axis=1)[:, :count]
+        at = order[..., None]
+        found = np.stack([np.take_along_axis(part, at, axis=1) for part in ways], axis=-1)
+        found = np.nan_to_num(found, nan=0.0)
+        return found, np.take_along_axis(costs, order, axis=1) + self.changes(found)
+
+
+def plan_base(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike | PoseGoal,
+    kind: Any,
+    radius: Any,
+    reverse: Any,
+    *,
+    joint_error: ArrayLike,
+    max_iterations: int,
+    timeout: float,
+    simplify: bool,
+    proof: bool,
+) -> Drive:
+    """Plan what a base drives; see `planning.plan`."""
+    begin = time.monotonic()
+    _validate.choice(kind, "base", ("differential", "car"))
+    columns, back = base_columns(checker.robot), _validate.flag(reverse, "reverse")
+    if kind == "car" and radius is None:
+        raise InputError("radius: expected the least radius of a car's turns, found none")
+    if kind == "differential" and radius is not None:
+        raise InputError("radius: expected none for a differential base, which turns in place")
+    if isinstance(goal, PoseGoal):
+        raise InputError("goal: expected a configuration for a base, found a PoseGoal")
+    least = None if radius is None else _validate.positive_scalar(radius, "radius")
+    judge = Judge.of(checker, 0.0, joint_error)
+    q, goals, names, _ = checked_ends(checker, start, goal)
+    if len(goals) != 1:
+        raise InputError(f"goal: expected one configuration for a base, found {len(goals)}")
+    model = model_of(judge.ready) if proof else None
+    base = _base(judge, kind, least, back, columns, q, goals, names)
+    goal_pose = goals[0, list(columns)]
+    path, iterations = _search(base, q[list(columns)], goal_pose, max_iterations, begin + timeout)
+    candidates = [path]
+    if simplify:
+        candidates[:0] = [_merged(better), better] if (better := _shortened(base, path)) is not path else [_merged(path)]
+    errors = np.zeros(len(q)) if judge.joint_error is None else judge.joint_error
+    for one in candidates:
+        drive = _drive(checker.robot, base, one, goal_pose)
+        curve = curves.curve_of(checker.robot, drive, "drive")
+        seconds = time.monotonic() - begin
+        try:
+            found = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, errors, model)[0]
+        except ConvergenceError as error:
+            raise ConvergenceError(
+                str(error), partial=replace(drive, iterations=iterations, seconds=seconds)
+            ) from None
+        if found.verdict == Verdict.FREE:
+            return replace(drive, proof=found.proof, iterations=iterations, seconds=seconds)
+    raise PlanningError("expected a drive that is proven again as a whole, found one that touches the tolerance")
+
+
+def _base(
+    judge: Judge, kind: Kind, radius: float | None, reverse: bool, columns: tuple[int, int, int], q: Floats,
+    goals: Floats, names: list[str],
+) -> Base:  # fmt: skip
+    """Check the ends, and return the base."""
+    robot, at = judge.checker.robot, np.array(columns)
+    lower, upper = robot.lower[at], robot.upper[at]
+    turning = unlimited(robot)[2][at]
+    if not np.isfinite([lower[:2], upper[:2]]).all():
+        raise InputError(
+            "base: expected limits of x and y, found none; give bounds to Robot.footprint or Robot.add_base"
+        )
+    space = Space(judge.checker, at, q, lower, upper, turning)
+    space.checked_goals(q, goals, judge, names)
+    around = _reach(robot, columns, q) if radius is None else radius
+    return Base(judge, kind, around, STEP * around, reverse, columns, q, lower, upper)
+
+
+def _reach(robot: Robot, columns: tuple[int, int, int], q: Floats) -> float:
+    """Return how far the robot reaches from the point about which it turns in place, in metres."""
+    rest = q.copy()
+    rest[list(columns)] = 0.0
+    poses, reach = robot.forward_kinematics(rest), 0.0
+    for link, body in robot.bodies.items():
+        T, outer = poses[robot.link_names.index(link)], body.outer
+        centers = np.atleast_2d(outer.center) @ T[:3, :3].T + T[:3, 3]
+        sizes = np.atleast_2d(outer.semi_axes).max(axis=1)
+        reach = max(reach, float((np.hypot(centers[:, 0], centers[:, 1]) + sizes).max()))
+    return reach if reach > 0.0 else 1.0
+
+
+# -- search -------------------------------------------------------------------------------------
+
+
+def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) -> tuple[Path, int]:
+    """Search the lattice from the start until a way from one of its poses to the goal is proven."""
+    steps, grid = base.lattice(), Grid.of(base, goal)
+    costs = np.where(steps[:, 0] == 0.0, np.abs(steps[:, 1]), np.abs(steps[:, 0]))
+    poses, reached, parents, taken = [start], [0.0], [-1], [-1]
+    cheapest, closed = {0: 0.0}, set[int]()
+    edge = EDGE * base.step
+    keys = [0]
+    queue, iterations = [(0.0, 0)], 0
+    while queue:
+        batch: list[int] = []
+        while queue and len(batch) < BATCH:
+            node = heapq.heappop(queue)[1]
+            if keys[node] not in closed and cheapest[keys[node]] >= reached[node]:
+                batch.append(node)
+                closed.add(keys[node])
+        if not batch:
+            break
+        iterations += len(batch)
+        a = np.array([poses[node] for node in batch])
+        shot = _shot(base, grid, a, goal, np.array([reached[node] for node in batch]))
+        if shot is not None:
+            return _path(base, poses, parents, taken, steps, batch[shot[0]], shot[1]), iterations
+        if iterations >= most or time.monotonic() > until:
+            break
+        count = len(steps)
+        begins, ways = np.repeat(a, count, axis=0), np.tile(steps, (len(a), 1))
+        ends = moved(begins, ways[:, 0], ways[:, 1])
+        cells = np.floor((ends[:, :2] - base.lower[:2]) / edge).astype(np.int64)
+        turned = np.rint(ends[:, 2] * (HEADINGS / (2.0 * math.pi))).astype(np.int64) % HEADINGS
+        found = (((cells[:, 0] << 24) + cells[:, 1]) * HEADINGS + turned + 1).tolist()
+        wanted, gs = [], []
+        for k, key in enumerate(found):
+            node, j = batch[k // count], k % count
+            if key in closed:
+                continue
+            g = reached[node] + costs[j]
+            if taken[node] >= 0 and steps[taken[node], 0] * steps[j, 0] < 0.0:
+                g += CHANGE * base.step
+            if g < cheapest.get(key, math.inf):
+                wanted.append(k)
+                gs.append(g)
+        if not wanted:
+            continue
+        at = np.array(wanted)
+        free = base.free(begins[at], ways[at]).tolist()
+        estimates = grid.distance(ends[at]).tolist()
+        for k, g, is_free, estimate in zip(wanted, gs, free, estimates, strict=True):
+            if is_free and g < cheapest.get(found[k], math.inf):
+                cheapest[found[k]] = g
+                poses.append(ends[k])
+                reached.append(g)
+                parents.append(batch[k // count])
+                taken.append(k % count)
+                keys.append(found[k])
+                heapq.heappush(queue, (g + GREED * estimate, len(poses) - 1))
+    why = "in time" if time.monotonic() > until else f"from {iterations} poses" + ("" if queue else ", which are all")
+    raise PlanningError(f"expected a way of the base from start to goal, found none {why}")
+
+
+def _shot(base: Base, grid: Grid, a: Floats, goal: Floats, reached: Floats) -> tuple[int, Floats] | None:
+    """Return the number of a pose and the cheapest proven way to the goal; None if there is none."""
+    ways, costs = base.best(a, np.tile(goal, (len(a), 1)), SHOTS)
+    near = grid.distance(a)[:, None] <= DETOUR * costs + base.step
+    numbers, which = np.nonzero(near & np.isfinite(costs))
+    if len(numbers) == 0:
+        return None
+    free = base.free_ways(a[numbers], ways[numbers, which])
+    total = np.where(free, (reached[:, None] + costs)[numbers, which], np.inf)
+    best = int(total.argmin())
+    return (int(numbers[best]), ways[numbers[best], which[best]]) if free[best] else None
+
+
+def _path(
+    base: Base, poses: list[Floats], parents: list[int], taken: list[int], steps: Floats, node: int, shot: Floats
+) -> Path:
+    """Return the way from the start to a node, and on to the goal."""
+    ways = []
+    while parents[node] >= 0:
+        ways.append(steps[taken[node]])
+        node = parents[node]
+    return _along(poses[0], _needed(np.array([*ways[::-1], *shot])))
+
+
+def _needed(ways: Floats) -> Floats:
+    """Leave out motions that are rounding errors."""
+    return ways[np.abs(ways).max(axis=1) > NOTHING]
+
+
+def _along(start: Floats, ways: Floats) -> Path:
+    """Drive motions, shape (k, 2)."""
+    poses = [start]
+    for length, turn in ways:
+        poses.append(moved(poses[-1], length, turn))
+    return Path(np.array(poses), ways)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Distances to the goal on a grid of positions.
+
+    Attributes
+    ----------
+    corner, edge : ndarray, shape (2,)
+    distances : ndarray, shape (p, q)
+    """
+
+    corner: Floats
+    edge: Floats
+    distances: Floats
+
+    @classmethod
+    def of(cls, base: Base, goal: Floats) -> Grid:
+        """Compute distances along eight directions; blocked cells count `BLOCKED` times."""
+        size = base.upper[:2] - base.lower[:2]
+        edge = max(math.sqrt(float(size.prod()) / GRID), float(size.max()) / GRID, 1e-9)
+        shape = np.maximum(np.ceil(size / edge), 1.0).astype(np.int64)
+        edges = size / shape
+        i, j = (k.ravel() for k in np.indices(shape))
+        places = base.lower[:2] + (np.stack([i, j], axis=1) + 0.5) * edges
+        blocked = np.ones(len(places), dtype=bool)
+        for k in range(TRIED):
+            at = np.flatnonzero(blocked)
+            heading = base.lower[2] if np.isfinite(base.lower[2]) else 0.0
+            turned = np.full(len(at), heading + (k * math.pi / TRIED))
+            blocked[at] = ~base.free_at(np.column_stack([places[at], turned]))
+        weight = np.where(blocked, BLOCKED, 1.0).reshape(shape)
+        numbers = np.arange(len(places)).reshape(shape)
+        rows, columns, lengths = [], [], []
+        for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
+            one = slice(0, shape[0] - di), slice(max(0, -dj), shape[1] - max(0, dj))
+            other = slice(di, shape[0]), slice(max(0, dj), shape[1] - max(0, -dj))
+            rows.append(numbers[one].ravel())
+            columns.append(numbers[other].ravel())
+            way = math.hypot(di * edges[0], dj * edges[1])
+            lengths.append((way * np.maximum(weight[one], weight[other])).ravel())
+        data = np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))
+        graph = csr_matrix(data, shape=(len(places), len(places)))
+        made = cls(base.lower[:2], edges, weight)
+        first = int(np.ravel_multi_index(made._cells(goal[None]), tuple(shape))[0])
+        return replace(made, distances=dijkstra(graph, directed=False, indices=first).reshape(shape))
+
+    def _cells(self, poses: Floats) -> tuple[Ints, Ints]:
+        cells = np.floor((poses[:, :2] - self.corner) / self.edge).astype(np.int64)
+        i, j = np.clip(cells, 0, np.array(self.distances.shape) - 1).T
+        return i, j
+
+    def distance(self, poses: Floats) -> Floats:
+        """Return the distances of poses to the goal."""
+        return np.asarray(self.distances[self._cells(poses)])
+
+
+# -- shortening ---------------------------------------------------------------------------------
+
+
+def _shortened(base: Base, path: Path) -> Path:
+    """Replace parts of a way by direct ways between poses on it, until a pass hardly shortens it."""
+    for _ in range(PASSES):
+        better, before, after = _pass(base, path)
+        if not after < before:
+            return path
+        path = better
+        if after > (1.0 - GAIN) * before:
+            return path
+    return path
+
+
+def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
+    """Search the cheapest proven sequence of direct ways between poses on a path."""
+    path = _cut(path)
+    ways = path.motions[:, None]
+    plain = np.where(ways[..., 0] == 0.0, np.abs(ways[..., 1]), np.abs(ways[..., 0]))[:, 0]
+    n = len(path.poses)
+    i, j = np.triu_indices(n, 1)
+    found, costs = base.best(path.poses[i], path.poses[j], 1)
+    cost, proven = np.full((n, n), np.inf), np.zeros((n, n), dtype=bool)
+    cost[i, j] = costs[:, 0]
+    shots = np.zeros((n, n, *found.shape[2:]))
+    shots[i, j] = found[:, 0]
+    k = np.arange(n - 1)
+    shots[k, k + 1], cost[k, k + 1], proven[k, k + 1] = 0.0, plain, True
+    shots[k, k + 1, 0] = path.motions
+    before = float(plain.sum() + base.changes(path.motions))
+    for _ in range(ROUNDS):
+        nodes = _cheapest(cost)
+        edges = np.array(nodes[:-1]), np.array(nodes[1:])
+        doubtful = np.flatnonzero(~proven[edges])
+        if len(doubtful) == 0:
+            break
+        one, other = edges[0][doubtful], edges[1][doubtful]
+        free = base.free_ways(path.poses[one], shots[one, other])
+        proven[one, other] = free
+        cost[one[~free], other[~free]] = np.inf
+    else:
+        nodes = _cheapest(np.where(proven, cost, np.inf))
+    ways = np.concatenate([shots[one, other] for one, other in zip(nodes[:-1], nodes[1:], strict=True)])
+    ways = _needed(ways)
+    after = np.where(ways[:, 0] == 0.0, np.abs(ways[:, 1]), np.abs(ways[:, 0])).sum() + base.changes(ways)
+    return _along(path.poses[0], ways), before, float(after)
+
+
+def _cheapest(cost: Floats) -> list[int]:
+    """Return the nodes of the cheapest sequence from the first to the last, of edges to later nodes only."""
+    n = len(cost)
+    least, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
+    least[0] = 0.0
+    for j in range(1, n):
+        sums = least[:j] + cost[:j, j]
+        before[j] = sums.argmin()
+        least[j] = sums[before[j]]
+    nodes = [n - 1]
+    while nodes[-1]:
+        nodes.append(int(before[nodes[-1]]))
+    return nodes[::-1]
+
+
+def _cut(path: Path) -> Path:
+    """Cut the motions of a way into equal parts, so that it has about `PLACES` poses."""
+    path = _merged(path)
+    sizes = np.abs(path.motions).max(axis=1)
+    counts = np.maximum(np.ceil(sizes / (sizes.sum() / PLACES)), 1.0).astype(np.int64)
+    return _along(path.poses[0], np.repeat(path.motions / counts[:, None], counts, axis=0))
+
+
+def _merged(path: Path) -> Path:
+    """Join motions on the same circle, line or place, as long as they turn by no more than half a turn."""
+    ways = [path.motions[0]]
+    for way in path.motions[1:]:
+        (length, turn), sums = ways[-1], ways[-1] + way
+        same = abs(length * way[1] - turn * way[0]) <= 1e-12 * (abs(length) + abs(turn)) * (abs(way[0]) + abs(way[1]))
+        ahead = length * way[0] >= 0.0 and turn * way[1] >= 0.0
+        if same and ahead and abs(sums[1]) <= math.pi:
+            ways[-1] = sums
+        else:
+            ways.append(way)
+    return _along(path.poses[0], np.array(ways))
+
+
+def _drive(robot: Robot, base: Base, path: Path, goal: Floats) -> Drive:
+    """Make a drive that ends exactly at the goal, up to whole turns."""
+    poses = path.poses.copy()
+    if len(path.motions) == 0:
+        raise PlanningError("expected a goal that differs from the start, found the same pose")
+    turns = np.rint((poses[-1, 2] - goal[2]) / (2.0 * math.pi)) if not np.isfinite(base.lower[2]) else 0.0
+    poses[-1] = goal + [0.0, 0.0, 2.0 * math.pi * turns]
+    return Drive.through(robot, base.still, poses, path.motions, base.columns)

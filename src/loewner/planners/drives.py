@@ -1,0 +1,320 @@
+"""Define `Drive`: what a mobile base drives, which is a sequence of arcs, straight lines and turns in place.
+
+The engine proves polynomials, and an arc is none. Each piece of an arc becomes the polynomial of degree 7 that agrees
+with it at both ends in position and three derivatives, and the proof covers all configurations that deviate from it by
+as much as the arc does; docs/certified.md derives the bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._elementary import cos, sin
+from loewner._guard import guarded
+from loewner._kernels import columns as kernel_columns
+from loewner._kernels import tolerances
+from loewner._pictures import POINTS, curves, pictured
+from loewner._read_only import KeepsReadOnly
+from loewner._validate import Floats, Ints
+from loewner.errors import InputError
+from loewner.planners.steering import moved
+from loewner.robots import Proof, Robot
+from loewner.robots.curves import Curve, form_of
+
+# Largest distance of an arc from the polynomial that stands for it [m], and the largest turn of one piece [rad].
+DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0
+
+# The remainder of such a polynomial is at most the eighth derivative over this number: 8! 2^8.
+REMAINDER = 40320.0 * 256.0
+
+# Bound on the rounding of courses and of positions on arcs, in units of positions, and of lengths times 1 + turns.
+ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 49, certified.md B70
+
+# Poses of the base's link in the world are those of a base in a plane up to this [m, or a cosine].
+PLANAR = 1e-9
+
+
+class Arcs(NamedTuple):
+    """The courses of N motions.
+
+    Attributes
+    ----------
+    courses : ndarray, shape (pieces, 8, 3)
+        Control points of x, y and theta.
+    off : ndarray, shape (pieces, 3)
+        How far the values may be from the courses.
+    owner : ndarray of int, shape (pieces,)
+        The motion of each piece, in order.
+    """
+
+    courses: Floats
+    off: Floats
+    owner: Ints
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Drive(KeepsReadOnly):
+    """What a base drives: arcs of circles, straight lines and turns in place; made by `plan` with `base`, or by `of`.
+
+    `CollisionChecker.certify_trajectory` takes it as a curve, and proves the arcs themselves.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the columns, as in `Robot.configuration_names`.
+    path : ndarray, shape (k + 1, dof)
+        Configurations at which motions begin, and the last one. Between two of them the base does not move straight:
+        use `positions`.
+    motions : ndarray, shape (k, 2)
+        Of each motion the length [m], negative backwards, and the turn [rad], positive to the left. An arc has both, a
+        straight line no turn, and a turn in place no length.
+    columns : tuple of int
+        The columns of x, y and theta.
+    times : ndarray, shape (k + 1,)
+        Seconds; within a motion, the base drives and turns at constant rates. Drives of `plan` and `of` are so fast
+        that they never exceed 1 m/s and 1 rad/s; ``dataclasses.replace(drive, times=drive.times / 0.5)`` drives half as
+        fast.
+    iterations : int
+        Number of poses from which the search went on.
+    seconds : float
+        Duration of the search.
+    proof : Proof or None
+        A proof that the drive is free, if one was requested.
+
+    Examples
+    --------
+    >>> base = Robot.footprint([[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]], height=0.5)
+    >>> drive = Drive.of(base, [0, 0, 0], [[1.0, 0.0], [0.5, 1.0]])
+    >>> drive
+    Drive(1.5 m, 2 motions, 0 changes of direction)
+    >>> drive.positions(1.0)
+    array([1., 0., 0.])
+    """
+
+    names: tuple[str, ...]
+    path: Floats
+    motions: Floats
+    columns: tuple[int, int, int]
+    times: Floats
+    iterations: int = 0
+    seconds: float = 0.0
+    proof: Proof | None = None
+
+    @classmethod
+    @guarded
+    def of(cls, robot: Robot, start: ArrayLike, motions: ArrayLike) -> Drive:
+        """Drive given motions.
+
+        Parameters
+        ----------
+        robot : Robot
+            With a planar base, see `Robot.footprint` and `Robot.add_base`; all other joints keep their values.
+        start : array_like, shape (dof,)
+        motions : array_like, shape (k, 2)
+            As the attribute.
+
+        Returns
+        -------
+        Drive
+
+        Raises
+        ------
+        InputError
+            If an argument has the wrong shape or value, a motion neither drives nor turns, or the robot has no planar
+            base.
+        """
+        q, given = robot.checked_one(start, "start"), _validate.finite_array(motions, "motions", ("k", 2))
+        if len(given) == 0 or not given.any(axis=1).all():
+            raise InputError("motions: expected one or more, each with a length or a turn, found others")
+        poses, columns = [q[list(base_columns(robot))]], base_columns(robot)
+        for length, turn in given:
+            poses.append(moved(poses[-1], length, turn))
+        if not np.isfinite(poses[-1]).all():
+            raise InputError("motions: expected lengths that add up to finite positions, found others")
+        return cls.through(robot, q, np.array(poses), given, columns)
+
+    @classmethod
+    def through(cls, robot: Robot, q: Floats, poses: Floats, motions: Floats, columns: tuple[int, int, int]) -> Drive:
+        """Make a drive of poses, shape (k + 1, 3), and the motions between them, with the other joints as in q."""
+        path = np.tile(q, (len(poses), 1))
+        path[:, list(columns)] = poses
+        times = np.append(0.0, np.abs(motions).max(axis=1).cumsum())
+        made = cls(robot.configuration_names, path, motions.copy(), columns, times)
+        for array in (made.path, made.motions, made.times):
+            array.flags.writeable = False
+        return made
+
+    def __repr__(self) -> str:
+        count = len(self.motions)
+        return (
+            f"Drive({self.length:.4g} m, {count} motion{'s' * (count != 1)}, {self.reversals} "
+            f"change{'s' * (self.reversals != 1)} of direction)"
+        )
+
+    @pictured
+    def _repr_html_(self) -> str:
+        t = np.linspace(self.times[0], self.times[-1], POINTS)
+        return curves(self.names, t, self.positions(t))
+
+    @property
+    def length(self) -> float:
+        """Length of the way, in metres."""
+        return float(np.abs(self.motions[:, 0]).sum())
+
+    @property
+    def turn(self) -> float:
+        """Sum of the turns to both sides, in radians."""
+        return float(np.abs(self.motions[:, 1]).sum())
+
+    @property
+    def reversals(self) -> int:
+        """Number of changes between forwards and backwards."""
+        signs = np.sign(self.motions[:, 0])
+        return int(np.count_nonzero(np.diff(signs[signs != 0.0])))
+
+    def positions(self, t: ArrayLike) -> Floats:
+        """Compute the configurations at given times.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Seconds, between the first and the last of `times`.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+
+        Raises
+        ------
+        InputError
+            If a time is not a number, or is outside the drive.
+
+        Examples
+        --------
+        >>> base = Robot.footprint([[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]], height=0.5)
+        >>> Drive.of(base, [0, 0, 0], [[2.0, 0.0]]).positions([0.5, 2.0])
+        array([[0.5, 0. , 0. ],
+               [2. , 0. , 0. ]])
+        """
+        ticks = _validate.finite_array(t, "t", ("...",))
+        if not ((ticks >= self.times[0]) & (ticks <= self.times[-1])).all():
+            raise InputError(f"t: expected times from {self.times[0]:g} to {self.times[-1]:g}, found others")
+        k = np.clip(np.searchsorted(self.times, ticks, side="right") - 1, 0, len(self.motions) - 1)
+        shares = (ticks - self.times[k]) / (self.times[k + 1] - self.times[k])
+        found, columns = self.path[k].copy(), list(self.columns)
+        found[..., columns] = moved(found[..., columns], shares * self.motions[k, 0], shares * self.motions[k, 1])
+        return np.where((shares == 1.0)[..., None], self.path[k + 1], found)
+
+
+@form_of.register(Drive)
+def _form(given: Drive, name: str) -> Curve:
+    """Make the curve of polynomials that stand for arcs; see `CollisionChecker.certify_trajectory`."""
+    columns = list(given.columns)
+    arcs = arcs_between(given.path[:, columns], given.motions)
+    courses = np.repeat(given.path[arcs.owner, None], 8, axis=1)
+    courses[..., columns] = arcs.courses
+    off = np.zeros((len(courses), given.path.shape[1]))
+    off[:, columns] = arcs.off
+    count = np.bincount(arcs.owner)
+    place = np.arange(len(arcs.owner)) - np.repeat(np.cumsum(count) - count, count)
+    steps = np.diff(given.times)
+    times = given.times[arcs.owner] + steps[arcs.owner] * (place / count[arcs.owner])
+    return Curve(given.names, np.append(times, given.times[-1]), courses, off)
+
+
+def arcs_between(poses: Floats, motions: Floats) -> Arcs:
+    """Return the courses of motions that begin at all poses but the last, shape (k + 1, 3), and end at the next."""
+    ends = moved(poses[:-1], motions[:, 0], motions[:, 1])
+    return arcs_of(poses[:-1], motions[:, 0], motions[:, 1], poses[1:], np.abs(ends - poses[1:]))
+
+
+def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: Floats) -> Arcs:
+    """Return the courses of N motions.
+
+    Parameters
+    ----------
+    poses, ends : ndarray, shape (N, 3)
+        The pose at which each motion begins, and the one at which its course ends.
+    lengths, turns : ndarray, shape (N,)
+    gaps : ndarray, shape (N, 3)
+        How far the courses' ends are from those of the motions.
+    """
+    ways, angles = np.abs(lengths), np.abs(turns)
+    count = np.maximum(np.ceil((ways * angles**7 / (REMAINDER * DEVIATION)) ** 0.125), np.ceil(angles / LARGEST_TURN))
+    count = np.maximum(count, 1.0).astype(np.int64)
+    owner = np.repeat(np.arange(len(poses)), count)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    n, last = count[owner], place + 1 == count[owner]
+    first, length, turn = poses[owner], lengths[owner], turns[owner]
+    a = np.where((place == 0)[:, None], first, moved(first, length * (place / n), turn * (place / n)))
+    b = np.where(last[:, None], ends[owner], moved(first, length * ((place + 1) / n), turn * ((place + 1) / n)))
+    length, turn = length / n, turn / n
+    courses = np.empty((len(owner), 8, 3))
+    courses[..., 2] = a[:, 2, None] + (b - a)[:, 2, None] * (np.arange(8) / 7.0)
+    courses[:, -1, 2] = b[:, 2]
+    for pose, sign, order in ((a, 1.0, (0, 1, 2, 3)), (b, -1.0, (7, 6, 5, 4))):
+        along = np.stack([cos(pose[:, 2]), sin(pose[:, 2])], axis=1) * length[:, None]
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1) * turn[:, None]
+        third = along * (turn * turn)[:, None]
+        place0, once, twice, thrice = order
+        courses[:, place0, :2] = pose[:, :2]
+        courses[:, once, :2] = pose[:, :2] + sign * along / 7.0
+        courses[:, twice, :2] = pose[:, :2] + (sign * (2.0 / 7.0) * along + across / 42.0)
+        courses[:, thrice, :2] = pose[:, :2] + (sign * (3.0 / 7.0) * along + across / 14.0 - sign * third / 210.0)
+    turned = np.abs(courses[..., 2]).max(axis=1) + angles[owner]
+    size = np.abs(courses[..., :2]).max(axis=(1, 2)) + ways[owner] * (1.0 + turned)
+    off = gaps[owner] + ARC_ROUNDINGS * np.stack([size, size, turned], axis=1)
+    off[:, :2] += (np.abs(length) * np.abs(turn) ** 7 / REMAINDER * (1.0 + 1e-9))[:, None]
+    return Arcs(courses, off, owner)
+
+
+def base_columns(robot: Robot) -> tuple[int, int, int]:
+    """Find the columns of a planar base: x, y and an angle at the root of the robot, which nothing else follows.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    tree = robot.tree
+    moving = tree.kind != kernel_columns.FIXED
+    for link in np.flatnonzero(moving).tolist():
+        if tree.kind[link] == kernel_columns.PLANAR:
+            chain, first = (int(tree.column[link]),), link
+            columns = [int(tree.column[link]) + k for k in range(3)]
+        else:
+            second = int(tree.parent[link])
+            first = int(tree.parent[second]) if second >= 0 else -1
+            chain = tuple(int(tree.column[k]) for k in (first, second, link))
+            columns = list(chain)
+        alone = all(np.count_nonzero(moving & (tree.column == column)) == 1 for column in chain)
+        if first >= 0 and tree.parent[first] < 0 and alone and _is_planar(robot, link, columns):
+            x, y, theta = columns
+            return x, y, theta
+    raise InputError(
+        "base: expected a robot whose root slides along x and y and turns, as Robot.footprint or "
+        f"add_base('planar') makes it, found the joints {_validate.short(', '.join(robot.joint_names))}"
+    )
+
+
+def _is_planar(robot: Robot, link: int, columns: list[int]) -> bool:
+    """Return whether three values are a position in a plane and a turn from its first axis to its second."""
+    if len(set(columns)) < 3:
+        return False
+    Q = np.tile(robot.configuration(), (4, 1))
+    Q[:, columns] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.pi / 2.0]]
+    rest, *others = robot.forward_kinematics(Q)[:, link]
+    x, y = (one[:3, 3] - rest[:3, 3] for one in others[:2])
+    turned = others[2][:3, :3] @ rest[:3, :3].T
+    wanted = np.array([x @ x - 1.0, y @ y - 1.0, x @ y, *(turned @ x - y), *(turned @ y + x)])
+    still = [(one - rest)[:3, :3].ravel() for one in others[:2]] + [(others[2] - rest)[:3, 3]]
+    return bool((np.abs(np.concatenate([wanted, *still])) <= PLANAR).all())
+
