@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_ends
-from loewner.planners.steering import Ways, moved
+from loewner.planners.steering import Ways, driven, moved
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, curves, motions, verdicts
 from loewner.robots.proof_models import model_of
@@ -42,7 +43,7 @@ Kind = Literal["differential", "car"]
 STEP = math.pi / 8.0
 
 # Cells of the lattice: edges in steps, and headings in a whole turn.
-EDGE, HEADINGS = 0.5, 32
+EDGE, HEADINGS = 0.8, 24
 
 # Poses that are taken from the queue at a time, and ways to the goal that are tried from each.
 BATCH, SHOTS = 16, 4
@@ -56,11 +57,12 @@ GREED = 1.5
 # A change between forwards and backwards costs as much as this share of a step.
 CHANGE = 1.0
 
-# A way to the goal is tried if the distance on the grid is at most this many times its length, and a step more.
-DETOUR = 1.15
+# Ways to the goal are tried from the first few poses of a batch for which the distance on the grid is at most this many
+# times the straight one, and two radii.
+MOST_SHOOTING, DETOUR = 4, 1.15
 
-# Shortening: passes over the way, poses on it, and rounds of each pass.
-PASSES, PLACES, ROUNDS = 3, 32, 48
+# Shortening: passes over the way, and poses on it.
+PASSES, PLACES = 3, 32
 
 # Lengths and turns up to this are rounding errors of formulas [m, rad].
 NOTHING = 1e-10
@@ -125,13 +127,21 @@ class Base:
         return free
 
     def free(self, poses: Floats, ways: Floats) -> Bools:
-        """Return which motions, shape (N, 2), from poses, shape (N, 3), are proven free and within the limits."""
-        ends = moved(poses, ways[:, 0], ways[:, 1])
-        free = self.free_at(ends)
-        at = np.flatnonzero(free)
+        """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free and within the limits.
+
+        Middles and ends of motions are tried first, since nothing else needs to be proven of a way that collides there.
+        """
+        places = driven(poses, ways[..., 0], ways[..., 1])
+        begins, ends = places[:, :-1], places[:, 1:]
+        needed, free = ways.any(axis=2), np.ones(len(ways), dtype=bool)
+        for tried in (ends, moved(begins, ways[..., 0] / 2.0, ways[..., 1] / 2.0)):
+            at = np.flatnonzero(free)
+            free[at] = (self.free_at(tried[at].reshape(-1, 3)).reshape(needed[at].shape) | ~needed[at]).all(axis=1)
+        at, motion = np.nonzero(needed & free[:, None])
         if len(at) == 0:
             return free
-        arcs = arcs_of(poses[at], ways[at, 0], ways[at, 1], ends[at], np.zeros((len(at), 3)))
+        lengths, turns = ways[at, motion].T
+        arcs = arcs_of(begins[at, motion], lengths, turns, ends[at, motion], np.zeros((len(at), 3)))
         courses = np.tile(self.still, (len(arcs.owner), 8, 1))
         courses[..., list(self.columns)] = arcs.courses
         off = np.zeros((len(courses), len(self.still)))
@@ -141,31 +151,8 @@ class Base:
         found = motions.settle(self.judge.ready, courses, TOLERANCE, off)
         refuse_starts(self.judge.ready, courses[:, 0], found)
         proven = (found.verdicts == codes.FREE) & self.inside(arcs.courses).all(axis=1)
-        free[at] = np.logical_and.reduceat(proven, np.flatnonzero(np.diff(arcs.owner, prepend=-1)))
+        np.logical_and.at(free, at[arcs.owner], proven)
         return free
-
-    def free_ways(self, poses: Floats, ways: Floats) -> Bools:
-        """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free."""
-        count = ways.shape[1]
-        begins = np.empty((len(poses), count, 3))
-        place = poses
-        for k in range(count):
-            begins[:, k] = place
-            place = moved(place, ways[:, k, 0], ways[:, k, 1])
-        needed = ways.any(axis=2)
-        free = ~needed
-        free[needed] = self.free(begins[needed], ways[needed])
-        return np.asarray(free.all(axis=1))
-
-    def changes(self, ways: Floats) -> Floats:
-        """Return what changes between forwards and backwards cost on ways, shape (..., motions, 2)."""
-        signs = np.sign(ways[..., 0])
-        changes = np.zeros(signs.shape[:-1])
-        before = signs[..., 0]
-        for k in range(1, signs.shape[-1]):
-            changes += signs[..., k] * before < 0.0
-            before = np.where(signs[..., k] == 0.0, before, signs[..., k])
-        return CHANGE * self.step * changes
 
     def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
         """Return the cheapest ways, shape (N, count, motions, 2), and their costs, with changes of direction."""
@@ -175,7 +162,7 @@ class Base:
         at = order[..., None]
         found = np.stack([np.take_along_axis(part, at, axis=1) for part in ways], axis=-1)
         found = np.nan_to_num(found, nan=0.0)
-        return found, np.take_along_axis(costs, order, axis=1) + self.changes(found)
+        return found, np.take_along_axis(costs, order, axis=1) + CHANGE * self.step * _changes(found).sum(axis=-1)
 
 
 def plan_base(
@@ -267,7 +254,7 @@ def _reach(robot: Robot, columns: tuple[int, int, int], q: Floats) -> float:
 def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) -> tuple[Path, int]:
     """Search the lattice from the start until a way from one of its poses to the goal is proven."""
     steps, grid = base.lattice(), Grid.of(base, goal)
-    costs = np.where(steps[:, 0] == 0.0, np.abs(steps[:, 1]), np.abs(steps[:, 0]))
+    costs = _costs(steps)
     poses, reached, parents, taken = [start], [0.0], [-1], [-1]
     cheapest, closed = {0: 0.0}, set[int]()
     edge = EDGE * base.step
@@ -309,7 +296,7 @@ def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) ->
         if not wanted:
             continue
         at = np.array(wanted)
-        free = base.free(begins[at], ways[at]).tolist()
+        free = base.free(begins[at], ways[at, None]).tolist()
         estimates = grid.distance(ends[at]).tolist()
         for k, g, is_free, estimate in zip(wanted, gs, free, estimates, strict=True):
             if is_free and g < cheapest.get(found[k], math.inf):
@@ -326,15 +313,18 @@ def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) ->
 
 def _shot(base: Base, grid: Grid, a: Floats, goal: Floats, reached: Floats) -> tuple[int, Floats] | None:
     """Return the number of a pose and the cheapest proven way to the goal; None if there is none."""
-    ways, costs = base.best(a, np.tile(goal, (len(a), 1)), SHOTS)
-    near = grid.distance(a)[:, None] <= DETOUR * costs + base.step
-    numbers, which = np.nonzero(near & np.isfinite(costs))
-    if len(numbers) == 0:
+    straight = np.sqrt(np.square(goal[:2] - a[:, :2]).sum(axis=1))
+    at = np.flatnonzero(grid.distance(a) <= DETOUR * straight + 2.0 * base.radius)[:MOST_SHOOTING]
+    if len(at) == 0:
         return None
-    free = base.free_ways(a[numbers], ways[numbers, which])
-    total = np.where(free, (reached[:, None] + costs)[numbers, which], np.inf)
+    ways, costs = base.best(a[at], np.tile(goal, (len(at), 1)), SHOTS)
+    which, way = np.nonzero(np.isfinite(costs))
+    if len(which) == 0:
+        return None
+    free = base.free(a[at[which]], ways[which, way])
+    total = np.where(free, reached[at[which]] + costs[which, way], np.inf)
     best = int(total.argmin())
-    return (int(numbers[best]), ways[numbers[best], which[best]]) if free[best] else None
+    return (int(at[which[best]]), ways[which[best], way[best]]) if free[best] else None
 
 
 def _path(
@@ -348,6 +338,21 @@ def _path(
     return _along(poses[0], _needed(np.array([*ways[::-1], *shot])))
 
 
+def _costs(ways: Floats) -> Floats:
+    """Return the costs of motions, shape (..., 2): metres, or radians in place."""
+    return np.where(ways[..., 0] == 0.0, np.abs(ways[..., 1]), np.abs(ways[..., 0]))
+
+
+def _changes(ways: Floats) -> Floats:
+    """Mark the motions, shape (..., k, 2), that go the other way than the last one before them that goes any way."""
+    signs = np.sign(ways[..., 0])
+    for k in range(1, signs.shape[-1]):
+        signs[..., k] = np.where(signs[..., k] == 0.0, signs[..., k - 1], signs[..., k])
+    changes = np.zeros(signs.shape)
+    changes[..., 1:] = signs[..., 1:] * signs[..., :-1] < 0.0
+    return changes
+
+
 def _needed(ways: Floats) -> Floats:
     """Leave out motions that are rounding errors."""
     return ways[np.abs(ways).max(axis=1) > NOTHING]
@@ -355,10 +360,7 @@ def _needed(ways: Floats) -> Floats:
 
 def _along(start: Floats, ways: Floats) -> Path:
     """Drive motions, shape (k, 2)."""
-    poses = [start]
-    for length, turn in ways:
-        poses.append(moved(poses[-1], length, turn))
-    return Path(np.array(poses), ways)
+    return Path(driven(start, ways[:, 0], ways[:, 1]), ways)
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,37 +434,21 @@ def _shortened(base: Base, path: Path) -> Path:
 
 
 def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
-    """Search the cheapest proven sequence of direct ways between poses on a path."""
+    """Search the cheapest sequence of motions of a path and proven ways between its poses; return both costs."""
     path = _cut(path)
-    ways = path.motions[:, None]
-    plain = np.where(ways[..., 0] == 0.0, np.abs(ways[..., 1]), np.abs(ways[..., 0]))[:, 0]
-    n = len(path.poses)
+    n, ways = len(path.poses), path.motions[:, None]
+    plain = _costs(path.motions) + CHANGE * base.step * _changes(path.motions)
+    along = np.append(0.0, plain.cumsum())
     i, j = np.triu_indices(n, 1)
-    found, costs = base.best(path.poses[i], path.poses[j], 1)
-    cost, proven = np.full((n, n), np.inf), np.zeros((n, n), dtype=bool)
-    cost[i, j] = costs[:, 0]
-    shots = np.zeros((n, n, *found.shape[2:]))
-    shots[i, j] = found[:, 0]
-    k = np.arange(n - 1)
-    shots[k, k + 1], cost[k, k + 1], proven[k, k + 1] = 0.0, plain, True
-    shots[k, k + 1, 0] = path.motions
-    before = float(plain.sum() + base.changes(path.motions))
-    for _ in range(ROUNDS):
-        nodes = _cheapest(cost)
-        edges = np.array(nodes[:-1]), np.array(nodes[1:])
-        doubtful = np.flatnonzero(~proven[edges])
-        if len(doubtful) == 0:
-            break
-        one, other = edges[0][doubtful], edges[1][doubtful]
-        free = base.free_ways(path.poses[one], shots[one, other])
-        proven[one, other] = free
-        cost[one[~free], other[~free]] = np.inf
-    else:
-        nodes = _cheapest(np.where(proven, cost, np.inf))
-    ways = np.concatenate([shots[one, other] for one, other in zip(nodes[:-1], nodes[1:], strict=True)])
-    ways = _needed(ways)
-    after = np.where(ways[:, 0] == 0.0, np.abs(ways[:, 1]), np.abs(ways[:, 0])).sum() + base.changes(ways)
-    return _along(path.poses[0], ways), before, float(after)
+    found, costs = (part[:, 0] for part in base.best(path.poses[i], path.poses[j], 1))
+    at = np.flatnonzero(costs < along[j] - along[i])
+    at = at[base.free(path.poses[i[at]], found[at])]
+    cost, number = np.full((n, n), np.inf), np.full((n, n), -1)
+    cost[np.arange(n - 1), np.arange(1, n)] = plain
+    cost[i[at], j[at]], number[i[at], j[at]] = costs[at], at
+    nodes = _cheapest(cost)
+    parts = [ways[a] if number[a, b] < 0 else found[number[a, b]] for a, b in pairwise(nodes)]
+    return _along(path.poses[0], _needed(np.concatenate(parts))), float(along[-1]), float(cost[nodes[:-1], nodes[1:]].sum())
 
 
 def _cheapest(cost: Floats) -> list[int]:

@@ -64,12 +64,19 @@ class Polar(NamedTuple):
 
 def moved(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
     """Return the poses behind motions: poses (..., 3), lengths and turns (...)."""
-    half = turns / 2.0
-    chord = lengths * _sinc(half)
-    heading = poses[..., 2] + half
-    return np.stack(
-        [poses[..., 0] + chord * cos(heading), poses[..., 1] + chord * sin(heading), poses[..., 2] + turns], axis=-1
-    )
+    return driven(poses, lengths[..., None], turns[..., None])[..., 1, :]
+
+
+def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
+    """Return the poses (..., k + 1, 3) before, between and behind motions: poses (..., 3), lengths and turns (..., k)."""
+    half, found = turns / 2.0, np.empty((*lengths.shape[:-1], lengths.shape[-1] + 1, 3))
+    found[..., 0, :] = poses
+    found[..., 1:, 2] = turns
+    found[..., 2].cumsum(axis=-1, out=found[..., 2])
+    heading, chord = found[..., :-1, 2] + half, lengths * _sinc(half)
+    found[..., 1:, 0], found[..., 1:, 1] = chord * cos(heading), chord * sin(heading)
+    found[..., :2].cumsum(axis=-2, out=found[..., :2])
+    return found
 
 
 def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
