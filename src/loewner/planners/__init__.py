@@ -2,6 +2,7 @@
 
 from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.coordination import coordinate
+from loewner.planners.drives import Drive
 from loewner.planners.gates import Gate, GateAnswer, GateState
 from loewner.planners.improving import Plan
 from loewner.planners.joint_limits import JointLimits
@@ -16,6 +17,7 @@ from loewner.planners.velocity_tuning import time_path
 
 __all__ = [
     "ControllerPoints",
+    "Drive",
     "Gate",
     "GateAnswer",
     "GateState",

@@ -10,10 +10,9 @@ from __future__ import annotations
 import heapq
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,11 +63,22 @@ MOST_SHOOTING, DETOUR = 4, 1.15
 # Shortening: passes over the way, and poses on it.
 PASSES, PLACES = 3, 32
 
+# Largest radius, and largest distance of limits [m].
+LARGEST = 1e6
+
 # Lengths and turns up to this are rounding errors of formulas [m, rad].
 NOTHING = 1e-10
 
 # A pass that saves less than this share is the last.
 GAIN = 0.01
+
+
+class Options(TypedDict, total=False):
+    """The options of `plan` for bases."""
+
+    base: Kind | None
+    radius: float | None
+    reverse: bool
 
 
 class Path(NamedTuple):
@@ -104,7 +114,7 @@ class Base:
         """Return the ways that the base could drive from poses a to poses b if nothing were there."""
         if self.kind == "car":
             return steering.car(a, b, self.radius, self.reverse)
-        return steering.differential(a, b)
+        return steering.differential(a, b, self.reverse)
 
     def lattice(self) -> Floats:
         """Return the lattice's motions, shape (motions, 2)."""
@@ -121,7 +131,7 @@ class Base:
     def free_at(self, poses: Floats) -> Bools:
         """Return which poses, shape (N, 3), are within the limits and free."""
         free = self.inside(poses)
-        Q = np.tile(self.still, (np.count_nonzero(free), 1))
+        Q = np.tile(self.still, (int(np.count_nonzero(free)), 1))
         Q[:, list(self.columns)] = poses[free]
         free[free] = verdicts.free(self.judge.ready, Q)
         return free
@@ -133,7 +143,7 @@ class Base:
         """
         places = driven(poses, ways[..., 0], ways[..., 1])
         begins, ends = places[:, :-1], places[:, 1:]
-        needed, free = ways.any(axis=2), np.ones(len(ways), dtype=bool)
+        needed, free = (ways != 0.0).any(axis=2), np.ones(len(ways), dtype=bool)
         for tried in (ends, moved(begins, ways[..., 0] / 2.0, ways[..., 1] / 2.0)):
             at = np.flatnonzero(free)
             free[at] = (self.free_at(tried[at].reshape(-1, 3)).reshape(needed[at].shape) | ~needed[at]).all(axis=1)
@@ -169,9 +179,7 @@ def plan_base(
     checker: CollisionChecker,
     start: ArrayLike,
     goal: ArrayLike | PoseGoal,
-    kind: Any,
-    radius: Any,
-    reverse: Any,
+    of_base: Options,
     *,
     joint_error: ArrayLike,
     max_iterations: int,
@@ -181,40 +189,52 @@ def plan_base(
 ) -> Drive:
     """Plan what a base drives; see `planning.plan`."""
     begin = time.monotonic()
-    _validate.choice(kind, "base", ("differential", "car"))
-    columns, back = base_columns(checker.robot), _validate.flag(reverse, "reverse")
-    if kind == "car" and radius is None:
-        raise InputError("radius: expected the least radius of a car's turns, found none")
-    if kind == "differential" and radius is not None:
-        raise InputError("radius: expected none for a differential base, which turns in place")
+    kind, radius, reverse = checked_options(of_base)
+    columns = base_columns(checker.robot)
     if isinstance(goal, PoseGoal):
         raise InputError("goal: expected a configuration for a base, found a PoseGoal")
-    least = None if radius is None else _validate.positive_scalar(radius, "radius")
     judge = Judge.of(checker, 0.0, joint_error)
     q, goals, names, _ = checked_ends(checker, start, goal)
     if len(goals) != 1:
         raise InputError(f"goal: expected one configuration for a base, found {len(goals)}")
     model = model_of(judge.ready) if proof else None
-    base = _base(judge, kind, least, back, columns, q, goals, names)
-    goal_pose = goals[0, list(columns)]
-    path, iterations = _search(base, q[list(columns)], goal_pose, max_iterations, begin + timeout)
-    candidates = [path]
+    base = _base(judge, kind, radius, reverse, columns, q, goals, names)
+    here, there = q[list(columns)], goals[0, list(columns)]
+    path, iterations = _search(base, here, there, max_iterations, begin + timeout)
+    ways = [path]
     if simplify:
-        candidates[:0] = [_merged(better), better] if (better := _shortened(base, path)) is not path else [_merged(path)]
+        better = _shortened(base, path)
+        ways = [_merged(better), better, path]
     errors = np.zeros(len(q)) if judge.joint_error is None else judge.joint_error
-    for one in candidates:
-        drive = _drive(checker.robot, base, one, goal_pose)
+    for way in ways:  # what was proven motion by motion is nearly always proven again as a whole
+        drive = replace(
+            _drive(checker.robot, base, way, there), iterations=iterations, seconds=time.monotonic() - begin
+        )
         curve = curves.curve_of(checker.robot, drive, "drive")
-        seconds = time.monotonic() - begin
         try:
             found = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, errors, model)[0]
         except ConvergenceError as error:
-            raise ConvergenceError(
-                str(error), partial=replace(drive, iterations=iterations, seconds=seconds)
-            ) from None
+            raise ConvergenceError(str(error), partial=drive) from None
         if found.verdict == Verdict.FREE:
-            return replace(drive, proof=found.proof, iterations=iterations, seconds=seconds)
-    raise PlanningError("expected a drive that is proven again as a whole, found one that touches the tolerance")
+            return replace(drive, proof=found.proof)
+    raise PlanningError("expected a drive that is proven as a whole, found one that comes too near to contact")
+
+
+def checked_options(given: Options) -> tuple[Kind, float | None, bool]:
+    """Check the options of `plan` for bases: the kind, the radius of a car, and whether it may reverse."""
+    kind: Any = given.get("base")
+    _validate.choice(kind, "base", ("differential", "car"))
+    radius, reverse = given.get("radius"), _validate.flag(given.get("reverse", True), "reverse")
+    if kind == "car" and radius is None:
+        raise InputError("radius: expected the least radius of a car's turns, found none")
+    if kind == "differential" and radius is not None:
+        raise InputError("radius: expected none for a differential base, which turns in place")
+    if radius is None:
+        return kind, None, reverse
+    least = _validate.positive_scalar(radius, "radius")
+    if not least <= LARGEST:
+        raise InputError(f"radius: expected {LARGEST:g} m at most, found {least:g}")
+    return kind, least, reverse
 
 
 def _base(
@@ -224,13 +244,19 @@ def _base(
     """Check the ends, and return the base."""
     robot, at = judge.checker.robot, np.array(columns)
     lower, upper = robot.lower[at], robot.upper[at]
-    turning = unlimited(robot)[2][at]
-    if not np.isfinite([lower[:2], upper[:2]]).all():
+    below, above, _ = unlimited(robot)
+    if (below | above)[at[:2]].any() or not (upper - lower)[:2].max() <= LARGEST:
         raise InputError(
-            "base: expected limits of x and y, found none; give bounds to Robot.footprint or Robot.add_base"
+            f"base: expected limits of x and y, at most {LARGEST:g} m apart, found others; give bounds to "
+            "Robot.footprint or Robot.add_base"
         )
-    space = Space(judge.checker, at, q, lower, upper, turning)
+    if not (below & above)[at[2]]:
+        raise InputError("base: expected a base that turns without limits, found one with limits")
+    lower[2], upper[2] = -np.inf, np.inf
+    space = Space(judge.checker, at, q, lower, upper, np.array([False, False, True]))
     space.checked_goals(q, goals, judge, names)
+    if (np.abs((goals[0] - q)[at[:2]]) <= NOTHING).all() and abs(math.sin((goals[0] - q)[at[2]] / 2.0)) <= NOTHING:
+        raise InputError("goal: expected a pose of the base that differs from the start, found the same")
     around = _reach(robot, columns, q) if radius is None else radius
     return Base(judge, kind, around, STEP * around, reverse, columns, q, lower, upper)
 
@@ -355,7 +381,8 @@ def _changes(ways: Floats) -> Floats:
 
 def _needed(ways: Floats) -> Floats:
     """Leave out motions that are rounding errors."""
-    return ways[np.abs(ways).max(axis=1) > NOTHING]
+    needed: Floats = ways[np.abs(ways).max(axis=1) > NOTHING]
+    return needed
 
 
 def _along(start: Floats, ways: Floats) -> Path:
@@ -383,14 +410,13 @@ class Grid:
         size = base.upper[:2] - base.lower[:2]
         edge = max(math.sqrt(float(size.prod()) / GRID), float(size.max()) / GRID, 1e-9)
         shape = np.maximum(np.ceil(size / edge), 1.0).astype(np.int64)
-        edges = size / shape
-        i, j = (k.ravel() for k in np.indices(shape))
+        edges = np.maximum(size / shape, 1e-9)
+        i, j = np.divmod(np.arange(int(shape.prod())), shape[1])
         places = base.lower[:2] + (np.stack([i, j], axis=1) + 0.5) * edges
         blocked = np.ones(len(places), dtype=bool)
         for k in range(TRIED):
             at = np.flatnonzero(blocked)
-            heading = base.lower[2] if np.isfinite(base.lower[2]) else 0.0
-            turned = np.full(len(at), heading + (k * math.pi / TRIED))
+            turned = np.full(len(at), k * math.pi / TRIED)
             blocked[at] = ~base.free_at(np.column_stack([places[at], turned]))
         weight = np.where(blocked, BLOCKED, 1.0).reshape(shape)
         numbers = np.arange(len(places)).reshape(shape)
@@ -448,7 +474,11 @@ def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
     cost[i[at], j[at]], number[i[at], j[at]] = costs[at], at
     nodes = _cheapest(cost)
     parts = [ways[a] if number[a, b] < 0 else found[number[a, b]] for a, b in pairwise(nodes)]
-    return _along(path.poses[0], _needed(np.concatenate(parts))), float(along[-1]), float(cost[nodes[:-1], nodes[1:]].sum())
+    return (
+        _along(path.poses[0], _needed(np.concatenate(parts))),
+        float(along[-1]),
+        float(cost[nodes[:-1], nodes[1:]].sum()),
+    )
 
 
 def _cheapest(cost: Floats) -> list[int]:
@@ -491,8 +521,6 @@ def _merged(path: Path) -> Path:
 def _drive(robot: Robot, base: Base, path: Path, goal: Floats) -> Drive:
     """Make a drive that ends exactly at the goal, up to whole turns."""
     poses = path.poses.copy()
-    if len(path.motions) == 0:
-        raise PlanningError("expected a goal that differs from the start, found the same pose")
-    turns = np.rint((poses[-1, 2] - goal[2]) / (2.0 * math.pi)) if not np.isfinite(base.lower[2]) else 0.0
+    turns = np.rint((poses[-1, 2] - goal[2]) / (2.0 * math.pi))
     poses[-1] = goal + [0.0, 0.0, 2.0 * math.pi * turns]
-    return Drive.through(robot, base.still, poses, path.motions, base.columns)
+    return Drive._through(robot, base.still, poses, path.motions, base.columns)

@@ -23,7 +23,7 @@ from loewner._pictures import POINTS, curves, pictured
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
-from loewner.planners.steering import moved
+from loewner.planners.steering import driven, moved
 from loewner.robots import Proof, Robot
 from loewner.robots.curves import Curve, form_of
 
@@ -130,17 +130,17 @@ class Drive(KeepsReadOnly):
             base.
         """
         q, given = robot.checked_one(start, "start"), _validate.finite_array(motions, "motions", ("k", 2))
-        if len(given) == 0 or not given.any(axis=1).all():
+        if len(given) == 0 or not (given != 0.0).any(axis=1).all():
             raise InputError("motions: expected one or more, each with a length or a turn, found others")
-        poses, columns = [q[list(base_columns(robot))]], base_columns(robot)
-        for length, turn in given:
-            poses.append(moved(poses[-1], length, turn))
-        if not np.isfinite(poses[-1]).all():
-            raise InputError("motions: expected lengths that add up to finite positions, found others")
-        return cls.through(robot, q, np.array(poses), given, columns)
+        columns = base_columns(robot)
+        with np.errstate(over="ignore", invalid="ignore"):  # refused below
+            poses = driven(q[list(columns)], given[:, 0], given[:, 1])
+        if not np.isfinite(poses).all():
+            raise InputError("motions: expected lengths and turns that add up to finite poses, found others")
+        return cls._through(robot, q, poses, given, columns)
 
     @classmethod
-    def through(cls, robot: Robot, q: Floats, poses: Floats, motions: Floats, columns: tuple[int, int, int]) -> Drive:
+    def _through(cls, robot: Robot, q: Floats, poses: Floats, motions: Floats, columns: tuple[int, int, int]) -> Drive:
         """Make a drive of poses, shape (k + 1, 3), and the motions between them, with the other joints as in q."""
         path = np.tile(q, (len(poses), 1))
         path[:, list(columns)] = poses
@@ -288,13 +288,12 @@ def base_columns(robot: Robot) -> tuple[int, int, int]:
     moving = tree.kind != kernel_columns.FIXED
     for link in np.flatnonzero(moving).tolist():
         if tree.kind[link] == kernel_columns.PLANAR:
-            chain, first = (int(tree.column[link]),), link
-            columns = [int(tree.column[link]) + k for k in range(3)]
+            chain, first = [int(tree.column[link])], link
+            columns = [chain[0] + k for k in range(3)]
         else:
             second = int(tree.parent[link])
             first = int(tree.parent[second]) if second >= 0 else -1
-            chain = tuple(int(tree.column[k]) for k in (first, second, link))
-            columns = list(chain)
+            columns = chain = [int(tree.column[k]) for k in (first, second, link)]
         alone = all(np.count_nonzero(moving & (tree.column == column)) == 1 for column in chain)
         if first >= 0 and tree.parent[first] < 0 and alone and _is_planar(robot, link, columns):
             x, y, theta = columns
@@ -317,4 +316,3 @@ def _is_planar(robot: Robot, link: int, columns: list[int]) -> bool:
     wanted = np.array([x @ x - 1.0, y @ y - 1.0, x @ y, *(turned @ x - y), *(turned @ y + x)])
     still = [(one - rest)[:3, :3].ravel() for one in others[:2]] + [(others[2] - rest)[:3, 3]]
     return bool((np.abs(np.concatenate([wanted, *still])) <= PLANAR).all())
-

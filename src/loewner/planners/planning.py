@@ -13,8 +13,9 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import ConvergenceError, InputError, PlanningError
-from loewner.planners import compiled, improving, ompl_planners
+from loewner.planners import bases, compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
+from loewner.planners.drives import Drive
 from loewner.planners.in_time import Times, plan_in_time
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker, refuse_unfree
 from loewner.planners.kept_axes import KeptAxis
@@ -55,7 +56,7 @@ class Options(OfPaths, Common, total=False):
     resolution: float
 
 
-class Rare(OfPaths, Times, total=False):
+class Rare(OfPaths, Times, bases.Options, total=False):
     """Options of `plan` that few calls name."""
 
 
@@ -78,6 +79,11 @@ def plan(
     checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, *, start_time: float,
     velocity: ArrayLike | None = ..., arrive_by: float | None = ..., **options: Unpack[Common],
 ) -> Trajectory: ...  # fmt: skip
+@overload
+def plan(
+    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike, *, base: bases.Kind, radius: float | None = ...,
+    reverse: bool = ..., proof: bool = ..., **options: Unpack[Common],
+) -> Drive: ...  # fmt: skip
 @guarded
 def plan(
     checker: CollisionChecker,
@@ -95,7 +101,7 @@ def plan(
     seed: int = 0,
     full: bool = False,
     **rare: Unpack[Rare],
-) -> Floats | improving.Plan | Trajectory:
+) -> Floats | improving.Plan | Trajectory | Drive:
     """Find a path from start to goal that is proven free of collisions everywhere, or a trajectory in time.
 
     Parameters
@@ -160,6 +166,17 @@ def plan(
     arrive_by : float, optional
         In time, the latest arrival [s], on the same clock as `start_time`. Default, and at most: four times as long as
         the joints need to cross their ranges, after the end of all motions; of motions that repeat, two periods count.
+    base : {"differential", "car"}, optional
+        Plan for a mobile base that cannot drive sideways, on the joints x, y and theta of `Robot.footprint` or
+        `Robot.add_base`; at theta = 0, forwards is along x. The point that drives is the origin of the base: put it
+        midway between the driven wheels of a differential base, and in the middle of the rear axle of a car. Nothing
+        else moves, so the goal has the start's values of all other joints. With it, only `radius`, `reverse`,
+        `joint_error`, `max_iterations` (poses from which the search goes on), `timeout`, `simplify`, `seed` (which
+        changes nothing) and `proof` may be given as well.
+    radius : float, optional
+        Least radius of a car's turns [m]; required for a car.
+    reverse : bool, optional
+        Whether the base may drive backwards. Default: True. Without it, a car's arcs may turn by more than half a turn.
 
     Returns
     -------
@@ -171,6 +188,9 @@ def plan(
         If `start_time` is given. Between its times the robot moves straight at a constant rate, or waits. Its times
         count from its own `start_time`, at which ``checker.certify_trajectory(found)`` proves it FREE. Every velocity
         is at most its limit, up to two units of rounding.
+    Drive
+        If `base` is given: arcs, straight lines and turns in place, as a whole proven FREE. It ends at the goal, or
+        whole turns from it.
 
     Raises
     ------
@@ -221,6 +241,11 @@ def plan(
     goals at several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not
     arrive as early as possible. Contact that `Scene.leave` or `Scene.reach` would permit counts as a collision.
 
+    For a base, A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one
+    of its poses is connected to the goal by a way of Reeds and Shepp, of Dubins if the base may not reverse, or by a
+    turn, a line and a turn. Then such ways replace parts of the path where they are shorter. Contact that `Scene.leave`
+    or `Scene.reach` would permit counts as a collision.
+
     Examples
     --------
     >>> from loewner import CollisionChecker, Robot
@@ -241,6 +266,12 @@ def plan(
     full, robot = _validate.flag(full, "full"), checked_checker(checker).robot
     times: Any = {name: rare.pop(name) for name in Times.__optional_keys__ if name in rare}  # type: ignore[misc]
     timed = any(value is not None for value in times.values())
+    of_base: Any = {
+        name: rare.pop(name)  # type: ignore[misc]
+        for name in bases.Options.__optional_keys__
+        if name in rare
+    }
+    driving = of_base.get("base") is not None
     better, keep = None, rare.pop("keep", None)
     proof = _validate.flag(rare.pop("proof", False), "proof")
     if proof and timed:
@@ -248,15 +279,22 @@ def plan(
             "proof: plans in time have no proofs yet, and start_time=, arrive_by= or velocity= makes one; leave out "
             "proof=, and each motion is proven all the same; certify_trajectory proves the trajectory again"
         )
-    if proof and not full:
+    if proof and not full and not driving:
         raise InputError("proof=True needs full=True: the proof is an attribute of the Plan")
     if proof and step:
         raise InputError("proof=True needs certified=True: sampled motions have no proof")
     if rare or full:
         better = improving.Improvement.of(robot, rare, full, make is None, timeout)
+    given = {"planner": make is not None, "certified=False": step > 0, "full=True": full, "keep": keep is not None}
+    others = [*(name for name, is_given in given.items() if is_given), *rare]
     if timed:
-        others = {"planner": make is not None, "certified=False": step > 0, "full=True": full, "keep": keep is not None}
-        _expect_in_time(times, [*(name for name, given in others.items() if given), *rare])
+        _expect_in_time(times, others + ["base"] * driving)
+    if driving or of_base.get("radius") is not None:
+        _expect_of_base(driving, others + ["joints"] * (joints is not None))
+        return bases.plan_base(
+            checker, start, goal, of_base, joint_error=joint_error, max_iterations=max_iterations, timeout=timeout,
+            simplify=simplify, proof=proof,
+        )  # fmt: skip
     posed = isinstance(goal, PoseGoal)
     if joints is None and isinstance(goal, PoseGoal):
         joints = joints_of(goal, robot)  # fingers that hold something keep their places
@@ -315,6 +353,16 @@ def _expect_in_time(times: Times, others: list[str]) -> None:
         raise InputError(
             f"start_time: expected no {' or '.join(others)} with it; plans in time are proven and shortened, by a "
             "search of their own"
+        )
+
+
+def _expect_of_base(driving: bool, others: list[str]) -> None:
+    """Check that a base is given, and no arguments of other plans."""
+    if not driving:
+        raise InputError("radius: expected base='car' with it, found no base")
+    if others:
+        raise InputError(
+            f"base: expected no {' or '.join(others)} with it; drives are proven, by a search of their own"
         )
 
 

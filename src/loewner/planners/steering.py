@@ -1,4 +1,4 @@
-"""Connect poses (x, y, heading) by the shortest ways that a base can drive: Reeds and Shepp's, Dubins's, or turns in place.
+"""Connect poses (x, y, heading) by ways that a base can drive: Reeds and Shepp's, Dubins's, or turns in place.
 
 A way is a sequence of motions. Each has a length [m], negative backwards, and a turn [rad], both at constant rates: it
 is an arc of a circle, a straight line, or a turn in place.
@@ -22,8 +22,11 @@ from loewner._validate import Floats
 
 HALF, TURN = math.pi, 2.0 * math.pi
 
-# Angles that are smaller than this [rad] count as none, where a forward arc would otherwise become a whole circle.
+# Angles and lengths up to this [rad, radii] count as none, where a forward arc would otherwise become a whole circle.
 NO_TURN = 1e-9
+
+# Circles that touch up to this [radii] touch.
+TOUCH = 1e-12
 
 # The same problem driven backwards, mirrored, and both: signs of lengths, and of turns to the left.
 SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
@@ -68,7 +71,7 @@ def moved(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
 
 
 def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
-    """Return the poses (..., k + 1, 3) before, between and behind motions: poses (..., 3), lengths and turns (..., k)."""
+    """Return all poses (..., k + 1, 3) on the way of motions: poses (..., 3), lengths and turns (..., k)."""
     half, found = turns / 2.0, np.empty((*lengths.shape[:-1], lengths.shape[-1] + 1, 3))
     found[..., 0, :] = poses
     found[..., 1:, 2] = turns
@@ -89,14 +92,14 @@ def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
     return Ways(lengths * radius, lengths * steered)
 
 
-def differential(a: Floats, b: Floats) -> Ways:
-    """Return the ways of a base that turns in place, drives straight, forwards or backwards, and turns again."""
+def differential(a: Floats, b: Floats, reverse: bool = True) -> Ways:
+    """Return the ways of a base that turns in place, drives straight, also backwards if it may, and turns again."""
     x, y, turn = _seen_from(a, b)
     way = np.sqrt(x * x + y * y)
     bearing = np.where(way > 0.0, arctan2(y, x), 0.0)
     none = np.zeros_like(way)
-    lengths = np.stack([np.stack([none, sign * way, none], axis=-1) for sign in (1.0, -1.0)], axis=1)
-    first = np.stack([_wrapped(bearing), _wrapped(bearing + HALF)], axis=1)
+    lengths = np.stack([np.stack([none, sign * way, none], axis=-1) for sign in (1.0, -1.0)[: 1 + reverse]], axis=1)
+    first = np.stack([_wrapped(bearing), _wrapped(bearing + HALF)][: 1 + reverse], axis=1)
     last = _wrapped(turn[:, None] - first)
     return Ways(lengths, np.stack([first, np.zeros_like(first), last], axis=-1))
 
@@ -122,7 +125,9 @@ def _words(x: Floats, y: Floats, turn: Floats, reverse: bool) -> tuple[Floats, F
         made += _from_the_goal(X * cosine + Y * sine, X * sine - Y * cosine, P, sine, cosine)
     zero = np.zeros_like(X)
     lengths = np.stack([np.stack([*parts, *[zero] * (5 - len(parts))], axis=-1) for _, parts in made])
-    steered = np.array([[*("RSL".index(letter) - 1.0 for letter in word), *[0.0] * (5 - len(word))] for word, _ in made])
+    steered = np.array(
+        [[*("RSL".index(letter) - 1.0 for letter in word), *[0.0] * (5 - len(word))] for word, _ in made]
+    )
     lengths = lengths * signs[:, 0, None, None]
     N = lengths.shape[2]
     return (
@@ -138,17 +143,16 @@ def _forwards(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) 
     """Return the words that formulas give from the start to the goal."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
     quarter, made = np.full_like(x, -HALF / 2.0), _curves(same, other, turn)
-    with np.errstate(invalid="ignore"):
-        u = arccos(_inside((2.0 + other.distance) / 4.0))  # (8.7)
-        t, v = _outer(u, -u, other, turn)
-        made.append(("LRLR", (t, u, -u, v)))
-        u = -arccos(_inside((20.0 - other.distance**2) / 16.0, least=0.0))  # (8.8)
-        t, v = _outer(u, u, other, turn)
-        made.append(("LRLR", (t, u, u, v)))
-        made += _with_quarter(same, other, turn, quarter)
-        straight = 4.0 - np.sqrt(other.distance**2 - 4.0)  # (8.11)
-        t = arctan2((4.0 - straight) * other.x - 2.0 * other.y, -2.0 * other.x + (straight - 4.0) * other.y)
-        made.append(("LRSLR", (t, quarter, straight, quarter, _wrapped(t - turn))))
+    u = arccos(_inside((2.0 + other.distance) / 4.0))  # (8.7)
+    t, v = _outer(u, -u, other, turn)
+    made.append(("LRLR", (t, u, -u, v)))
+    u = -arccos(_inside((20.0 - other.distance**2) / 16.0, least=0.0))  # (8.8)
+    t, v = _outer(u, u, other, turn)
+    made.append(("LRLR", (t, u, u, v)))
+    made += _with_quarter(same, other, turn, quarter)
+    straight = 4.0 - _root(other.distance**2 - 4.0)  # (8.11)
+    t = arctan2((4.0 - straight) * other.x - 2.0 * other.y, -2.0 * other.x + (straight - 4.0) * other.y)
+    made.append(("LRSLR", (t, quarter, straight, quarter, _wrapped(t - turn))))
     return made
 
 
@@ -161,27 +165,26 @@ def _from_the_goal(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Flo
 
 def _curves(same: Polar, other: Polar, turn: Floats) -> list[Word]:
     """Return the words of three motions: (8.1), (8.2), and (8.3) with (8.4)."""
-    with np.errstate(invalid="ignore"):
-        straight = np.sqrt(other.distance**2 - 4.0)
-        t = _wrapped(other.angle + arctan2(2.0, straight))
-        u = -2.0 * arcsin(_inside(same.distance / 4.0))
-        first = _wrapped(same.angle + u / 2.0 + HALF)
-        return [
-            ("LSL", (same.angle, same.distance, _wrapped(turn - same.angle))),
-            ("LSR", (t, straight, _wrapped(t - turn))),
-            ("LRL", (first, u, _wrapped(turn - first + u))),
-        ]
+    straight = _root(other.distance**2 - 4.0)
+    t = _wrapped(other.angle + arctan2(2.0, straight))
+    begin = np.where(same.distance > NO_TURN, same.angle, 0.0)
+    u = -2.0 * arcsin(_inside(same.distance / 4.0))
+    first = _wrapped(same.angle + u / 2.0 + HALF)
+    return [
+        ("LSL", (begin, same.distance, _wrapped(turn - begin))),
+        ("LSR", (t, straight, _wrapped(t - turn))),
+        ("LRL", (first, u, _wrapped(turn - first + u))),
+    ]
 
 
 def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> list[Word]:
     """Return the words of four motions, the second of which is a quarter of a circle: (8.9) and (8.10)."""
-    with np.errstate(invalid="ignore"):
-        far = np.sqrt(same.distance**2 - 4.0)
-        t = _wrapped(same.angle + arctan2(far, -2.0))
-        made: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
-        t = _wrapped(other.angle + HALF / 2.0)
-        far = np.where(other.distance >= 2.0, other.distance, np.nan)
-        made.append(("LRSR", (t, quarter, 2.0 - far, _wrapped(t + HALF / 2.0 - turn))))
+    far = _root(same.distance**2 - 4.0)
+    t = _wrapped(same.angle + arctan2(far, -2.0))
+    made: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
+    t = _wrapped(other.angle + HALF / 2.0)
+    far = np.where(other.distance >= 2.0, other.distance, np.nan)
+    made.append(("LRSR", (t, quarter, 2.0 - far, _wrapped(t + HALF / 2.0 - turn))))
     return made
 
 
@@ -208,7 +211,12 @@ def _all_forward(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Float
 
 def _inside(x: Floats, least: float = -1.0) -> Floats:
     """Return NaN for numbers outside a range up to 1."""
-    return np.where((x >= least) & (x <= 1.0), x, np.nan)
+    return np.where((x >= least) & (x <= 1.0 + TOUCH), np.minimum(x, 1.0), np.nan)
+
+
+def _root(x: Floats) -> Floats:
+    """Return square roots, and NaN for numbers below 0."""
+    return np.where(x >= -TOUCH, np.sqrt(np.maximum(x, 0.0)), np.nan)
 
 
 def _wrapped(angle: Floats) -> Floats:
