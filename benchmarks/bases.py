@@ -32,6 +32,7 @@ from loewner.robots.curves import form_of
 from samples import Array
 
 CELL, RADIUS, WALL = 0.05, 0.8, 0.2  # metres
+LONGEST = 5.0  # seconds of wall time for the other program
 FOOTPRINT = [[0.6, 0.25], [-0.2, 0.25], [-0.2, -0.25], [0.6, -0.25]]
 KINDS: tuple[dict[str, Any], ...] = ({"base": "car", "radius": RADIUS}, {"base": "differential"})
 
@@ -142,7 +143,7 @@ def rivals(name: str, checker: CollisionChecker, ends: Array, space_name: str, r
         planner = geometric.RRTConnect(information)
         planner.setProblemDefinition(problem)
         planner.setup()
-        done = planner.solve(20.0)
+        done = planner.solve(LONGEST)
         if done and problem.hasExactSolution():
             path = problem.getSolutionPath()
             geometric.PathSimplifier(information).reduceVertices(path)

@@ -385,6 +385,14 @@ def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
 
+def footprint() -> Robot:
+    return Robot.footprint([[0.5, 0.25], [-0.5, 0.25], [-0.5, -0.25], [0.5, -0.25]], height=0.5)
+
+
+def driven() -> planners.Drive:
+    return planners.Drive.of(footprint(), [0.0, 0.0, 0.0], [[1.0, 0.5]])
+
+
 def gate() -> planners.Gate:
     made = planners.Gate(checker(), acceleration=1.0)
     made.check(PATH[0], np.zeros(3), [PATH[0], PATH[0]], 0.5)
@@ -1431,9 +1439,21 @@ CALLS: dict[str, Call] = {
             "start_time": arg(None, NONE),
             "velocity": arg(None, NONE),
             "arrive_by": arg(None, NONE),
+            "base": arg(None, NONE),
+            "radius": arg(None, NONE),
+            "reverse": flag(True),
         },
         varies=True,
     ),
+    "planners.Drive.of": Call(
+        lambda **given: planners.Drive.of(**given),
+        {
+            "robot": arg(footprint),
+            "start": array([0.0, 0.5, 0.25]),
+            "motions": array([[0.5, 0.25], [1.0, 0.0]], FINITE),
+        },
+    ),
+    "planners.Drive.positions": Call(on(driven, "positions"), {"t": array([0.0, 0.5, 1.0], FINITE)}),
     "planners.PoseGoal": Call(
         lambda **given: planners.PoseGoal(**given).configurations(checker(), PATH[0]),
         {
@@ -2061,7 +2081,7 @@ RECORDS = {
     "Overlaps", "PairDistances",
     "PosePath", "Reached", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.JointLimits",
-    "planners.GateAnswer", "planners.Plan", "planners.Trajectory",
+    "planners.GateAnswer", "planners.Drive", "planners.Plan", "planners.Trajectory",
     "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.

@@ -90,7 +90,7 @@ class Path(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """A base and what it may drive in.
+    """A base, and the space in which it may drive.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ def plan_base(
     simplify: bool,
     proof: bool,
 ) -> Drive:
-    """Plan what a base drives; see `planning.plan`."""
+    """Plan the drive of a base; see `planning.plan`."""
     begin = time.monotonic()
     kind, radius, reverse = checked_options(of_base)
     columns = base_columns(checker.robot)
@@ -206,7 +206,7 @@ def plan_base(
         better = _shortened(base, path)
         ways = [_merged(better), better, path]
     errors = np.zeros(len(q)) if judge.joint_error is None else judge.joint_error
-    for way in ways:  # what was proven motion by motion is nearly always proven again as a whole
+    for way in ways:  # motions that are proven one by one are nearly always proven as a whole
         drive = replace(
             _drive(checker.robot, base, way, there), iterations=iterations, seconds=time.monotonic() - begin
         )

@@ -1,4 +1,4 @@
-"""Define `Drive`: what a mobile base drives, which is a sequence of arcs, straight lines and turns in place.
+"""Define `Drive`, a sequence of arcs, straight lines and turns in place, for mobile bases.
 
 The engine proves polynomials, and an arc is none. Each piece of an arc becomes the polynomial of degree 7 that agrees
 with it at both ends in position and three derivatives, and the proof covers all configurations that deviate from it by
@@ -36,7 +36,7 @@ REMAINDER = 40320.0 * 256.0
 # Bound on the rounding of courses and of positions on arcs, in units of positions, and of lengths times 1 + turns.
 ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 49, certified.md B70
 
-# Poses of the base's link in the world are those of a base in a plane up to this [m, or a cosine].
+# The base's link moves in a plane up to this [m, or a cosine].
 PLANAR = 1e-9
 
 
@@ -60,7 +60,7 @@ class Arcs(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drive(KeepsReadOnly):
-    """What a base drives: arcs of circles, straight lines and turns in place; made by `plan` with `base`, or by `of`.
+    """Arcs of circles, straight lines and turns in place that a mobile base drives; made by `plan` with `base`, or by `of`.
 
     `CollisionChecker.certify_trajectory` takes it as a curve, and proves the arcs themselves.
 
@@ -72,7 +72,7 @@ class Drive(KeepsReadOnly):
         Configurations at which motions begin, and the last one. Between two of them the base does not move straight:
         use `positions`.
     motions : ndarray, shape (k, 2)
-        Of each motion the length [m], negative backwards, and the turn [rad], positive to the left. An arc has both, a
+        Length of each motion [m], negative backwards, and its turn [rad], positive to the left. An arc has both, a
         straight line no turn, and a turn in place no length.
     columns : tuple of int
         The columns of x, y and theta.
@@ -243,7 +243,7 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
         The pose at which each motion begins, and the one at which its course ends.
     lengths, turns : ndarray, shape (N,)
     gaps : ndarray, shape (N, 3)
-        How far the courses' ends are from those of the motions.
+        How far the ends of the courses and of the motions are apart.
     """
     ways, angles = np.abs(lengths), np.abs(turns)
     count = np.maximum(np.ceil((ways * angles**7 / (REMAINDER * DEVIATION)) ** 0.125), np.ceil(angles / LARGEST_TURN))
@@ -267,10 +267,11 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
         courses[:, once, :2] = pose[:, :2] + sign * along / 7.0
         courses[:, twice, :2] = pose[:, :2] + (sign * (2.0 / 7.0) * along + across / 42.0)
         courses[:, thrice, :2] = pose[:, :2] + (sign * (3.0 / 7.0) * along + across / 14.0 - sign * third / 210.0)
-    turned = np.abs(courses[..., 2]).max(axis=1) + angles[owner]
+    turned = np.abs(courses[..., 2]).max(axis=1) + 2.0 * angles[owner]
     size = np.abs(courses[..., :2]).max(axis=(1, 2)) + ways[owner] * (1.0 + turned)
     off = gaps[owner] + ARC_ROUNDINGS * np.stack([size, size, turned], axis=1)
-    off[:, :2] += (np.abs(length) * np.abs(turn) ** 7 / REMAINDER * (1.0 + 1e-9))[:, None]
+    remainder = np.abs(length) * np.abs(turn) ** 7 / REMAINDER * (1.0 + 1e-9)
+    off[:, :2] += (remainder + gaps[owner, 2] * ways[owner])[:, None]
     return Arcs(courses, off, owner)
 
 

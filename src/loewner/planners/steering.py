@@ -6,7 +6,7 @@ is an arc of a circle, a straight line, or a turn in place.
 References
 ----------
 J. A. Reeds, L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards", Pacific Journal of
-Mathematics 145(2), 1990; numbers such as (8.7) are those of its formulas. L. E. Dubins, "On curves of minimal length
+Mathematics 145(2), 1990; numbers such as (8.7) refer to its formulas. L. E. Dubins, "On curves of minimal length
 with a constraint on average curvature", American Journal of Mathematics 79(3), 1957.
 """
 
@@ -85,7 +85,7 @@ def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
 def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
     """Return the ways of a car from poses a to poses b, shape (N, 3) each.
 
-    With `reverse`, they are all words of Reeds and Shepp, the shortest way among them; otherwise those of Dubins.
+    With `reverse`, they are all words of Reeds and Shepp, the shortest way among them; otherwise Dubins's words.
     """
     x, y, turn = _seen_from(a, b)
     lengths, steered = _words(x / radius, y / radius, turn, reverse)
@@ -178,7 +178,7 @@ def _curves(same: Polar, other: Polar, turn: Floats) -> list[Word]:
 
 
 def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> list[Word]:
-    """Return the words of four motions, the second of which is a quarter of a circle: (8.9) and (8.10)."""
+    """Return the words of four motions whose second one is a quarter of a circle: (8.9) and (8.10)."""
     far = _root(same.distance**2 - 4.0)
     t = _wrapped(same.angle + arctan2(far, -2.0))
     made: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
