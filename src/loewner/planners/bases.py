@@ -38,8 +38,11 @@ from loewner.robots.robot import unlimited
 
 Kind = Literal["differential", "car"]
 
-# Steps of the lattice: the turn of one arc or of a turn in place [rad].
-STEP = math.pi / 8.0
+# Steps of the lattice: the turn of one arc or of a turn in place [rad]; and the longest line, in steps.
+STEP, LONG = math.pi / 8.0, 4.0
+
+# Searches with motions that are this many times finer, one after another where all poses were tried; and their factor.
+LEVELS, FINER = 3, 4.0
 
 # Cells of the lattice: edges in steps, and headings in a whole turn.
 EDGE, HEADINGS = 0.8, 24
@@ -58,7 +61,7 @@ CHANGE = 1.0
 
 # Ways to the goal are tried from the first few poses of a batch for which the distance on the grid is at most this many
 # times the straight one, and two radii.
-MOST_SHOOTING, DETOUR = 4, 1.15
+MOST_SHOOTING, DETOUR, SHOOTING = 4, 1.15, 2
 
 # Shortening: passes over the way, and poses on it.
 PASSES, PLACES = 3, 32
@@ -119,7 +122,7 @@ class Base:
     def lattice(self) -> Floats:
         """Return the lattice's motions, shape (motions, 2)."""
         turn, step = self.step / self.radius, self.step
-        ahead = [[step, 0.0], [step, turn], [step, -turn]]
+        ahead = [[step, 0.0], [step, turn], [step, -turn], [LONG * step, 0.0]]
         back = [[-length, angle] for length, angle in ahead] if self.reverse else []
         return np.array(ahead + back + ([[0.0, STEP], [0.0, -STEP]] if self.kind == "differential" else []))
 
@@ -200,7 +203,7 @@ def plan_base(
     model = model_of(judge.ready) if proof else None
     base = _base(judge, kind, radius, reverse, columns, q, goals, names)
     here, there = q[list(columns)], goals[0, list(columns)]
-    path, iterations = _search(base, here, there, max_iterations, begin + timeout)
+    path, iterations = _found(base, here, there, max_iterations, begin + timeout)
     ways = [path]
     if simplify:
         better = _shortened(base, path)
@@ -277,15 +280,39 @@ def _reach(robot: Robot, columns: tuple[int, int, int], q: Floats) -> float:
 # -- search -------------------------------------------------------------------------------------
 
 
-def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) -> tuple[Path, int]:
-    """Search the lattice from the start until a way from one of its poses to the goal is proven."""
-    steps, grid = base.lattice(), Grid.of(base, goal)
-    costs = _costs(steps)
+def _found(base: Base, start: Floats, goal: Floats, most: int, until: float) -> tuple[Path, int]:
+    """Search from the end with less room, if the base may reverse, and with finer motions where there is no way."""
+    steps, ends = base.lattice(), np.stack([start, goal])
+    room = base.free(np.repeat(ends, len(steps), axis=0), np.tile(steps, (2, 1))[:, None]).reshape(2, -1).sum(axis=1)
+    swapped = base.reverse and bool(room[1] < room[0])
+    spent, grid = 0, Grid.of(base, ends[1 - swapped])
+    for finest in range(LEVELS):
+        path, taken = _search(base, grid, *(ends[::-1] if swapped else ends), finest, most - spent, until)
+        spent += taken
+        if path is not None:
+            return (_along(start, -path.motions[::-1]) if swapped else path), spent
+        if spent >= most or time.monotonic() > until:
+            break
+    why = (
+        "in time" if time.monotonic() > until else f"from {spent} poses" + ("" if spent >= most else ", which are all")
+    )
+    raise PlanningError(f"expected a way of the base from start to goal, found none {why}")
+
+
+def _search(
+    base: Base, grid: Grid, start: Floats, goal: Floats, finest: int, most: int, until: float
+) -> tuple[Path | None, int]:
+    """Search the lattice from the start until a way from one of its poses to the goal is proven.
+
+    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as others.
+    """
+    fine, coarse = FINER ** np.arange(finest + 1.0), base.lattice()
+    steps, costs = np.concatenate([coarse / scale for scale in fine]), np.tile(_costs(coarse), finest + 1)
+    fine = np.repeat(fine, len(coarse))
     poses, reached, parents, taken = [start], [0.0], [-1], [-1]
     cheapest, closed = {0: 0.0}, set[int]()
-    edge = EDGE * base.step
     keys = [0]
-    queue, iterations = [(0.0, 0)], 0
+    queue, iterations, batches = [(0.0, 0)], 0, 0
     while queue:
         batch: list[int] = []
         while queue and len(batch) < BATCH:
@@ -297,17 +324,21 @@ def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) ->
             break
         iterations += len(batch)
         a = np.array([poses[node] for node in batch])
-        shot = _shot(base, grid, a, goal, np.array([reached[node] for node in batch]))
+        batches += 1
+        shot = None
+        if batches % SHOOTING == 1 or not queue:
+            shot = _shot(base, grid, a, goal, np.array([reached[node] for node in batch]))
         if shot is not None:
-            return _path(base, poses, parents, taken, steps, batch[shot[0]], shot[1]), iterations
+            return _path(poses, parents, taken, steps, batch[shot[0]], shot[1]), iterations
         if iterations >= most or time.monotonic() > until:
             break
         count = len(steps)
         begins, ways = np.repeat(a, count, axis=0), np.tile(steps, (len(a), 1))
         ends = moved(begins, ways[:, 0], ways[:, 1])
-        cells = np.floor((ends[:, :2] - base.lower[:2]) / edge).astype(np.int64)
-        turned = np.rint(ends[:, 2] * (HEADINGS / (2.0 * math.pi))).astype(np.int64) % HEADINGS
-        found = (((cells[:, 0] << 24) + cells[:, 1]) * HEADINGS + turned + 1).tolist()
+        scale = np.tile(fine, len(a))
+        i, j = np.floor((ends[:, :2] - base.lower[:2]).T * (scale / (EDGE * base.step))).astype(np.int64)
+        turned = np.rint(ends[:, 2] * scale * (HEADINGS / (2.0 * math.pi))) % (HEADINGS * scale)
+        found = ((((i << 22) + j << 14) + turned.astype(np.int64) << 5) + scale.astype(np.int64)).tolist()
         wanted, gs = [], []
         for k, key in enumerate(found):
             node, j = batch[k // count], k % count
@@ -333,8 +364,7 @@ def _search(base: Base, start: Floats, goal: Floats, most: int, until: float) ->
                 taken.append(k % count)
                 keys.append(found[k])
                 heapq.heappush(queue, (g + GREED * estimate, len(poses) - 1))
-    why = "in time" if time.monotonic() > until else f"from {iterations} poses" + ("" if queue else ", which are all")
-    raise PlanningError(f"expected a way of the base from start to goal, found none {why}")
+    return None, iterations
 
 
 def _shot(base: Base, grid: Grid, a: Floats, goal: Floats, reached: Floats) -> tuple[int, Floats] | None:
@@ -353,9 +383,7 @@ def _shot(base: Base, grid: Grid, a: Floats, goal: Floats, reached: Floats) -> t
     return (int(at[which[best]]), ways[which[best], way[best]]) if free[best] else None
 
 
-def _path(
-    base: Base, poses: list[Floats], parents: list[int], taken: list[int], steps: Floats, node: int, shot: Floats
-) -> Path:
+def _path(poses: list[Floats], parents: list[int], taken: list[int], steps: Floats, node: int, shot: Floats) -> Path:
     """Return the way from the start to a node, and on to the goal."""
     ways = []
     while parents[node] >= 0:

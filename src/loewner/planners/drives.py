@@ -60,7 +60,7 @@ class Arcs(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drive(KeepsReadOnly):
-    """Arcs of circles, straight lines and turns in place that a mobile base drives; made by `plan` with `base`, or by `of`.
+    """Arcs of circles, lines and turns in place that a mobile base drives; made by `plan` with `base`, or by `of`.
 
     `CollisionChecker.certify_trajectory` takes it as a curve, and proves the arcs themselves.
 
