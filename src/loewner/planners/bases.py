@@ -285,9 +285,10 @@ def _found(base: Base, start: Floats, goal: Floats, most: int, until: float) -> 
     steps, ends = base.lattice(), np.stack([start, goal])
     room = base.free(np.repeat(ends, len(steps), axis=0), np.tile(steps, (2, 1))[:, None]).reshape(2, -1).sum(axis=1)
     swapped = base.reverse and bool(room[1] < room[0])
-    spent, grid = 0, Grid.of(base, ends[1 - swapped])
+    begin, end = (goal, start) if swapped else (start, goal)
+    spent, grid = 0, Grid.of(base, end)
     for finest in range(LEVELS):
-        path, taken = _search(base, grid, *(ends[::-1] if swapped else ends), finest, most - spent, until)
+        path, taken = _search(base, grid, begin, end, finest, most - spent, until)
         spent += taken
         if path is not None:
             return (_along(start, -path.motions[::-1]) if swapped else path), spent
