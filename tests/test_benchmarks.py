@@ -13,6 +13,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 import accuracy
+import bases
 import camera
 import clearance
 import clock
@@ -197,6 +198,13 @@ def test_a_camera_leaves_no_point_of_the_robot(capsys: pytest.CaptureFixture[str
     out = capsys.readouterr().out
     assert "points of the robot that stay: 0; points of boxes lost beyond 0.03 m: 0" in out
     assert "in a cell that no ray has passed: 0" in out
+
+
+@pytest.mark.slow("plans, with proofs and samples")
+def test_drives_are_proven_and_on_their_courses(capsys: pytest.CaptureFixture[str]) -> None:
+    """Trips on a map: each drive is proven, and no sample is off its course or in collision."""
+    assert bases.main(["--trips", "2", "--rival-trips", "0", "--samples", "1000", "--maps", "clutter"]) == 0
+    assert "not proven: 0" in capsys.readouterr().out
 
 
 def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

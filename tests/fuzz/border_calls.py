@@ -1448,12 +1448,12 @@ CALLS: dict[str, Call] = {
     "planners.Drive.of": Call(
         lambda **given: planners.Drive.of(**given),
         {
-            "robot": arg(footprint),
-            "start": array([0.0, 0.5, 0.25]),
-            "motions": array([[0.5, 0.25], [1.0, 0.0]], FINITE),
+            "robot": arg(footprint, "Robot"),
+            "start": array([0.0, 0.5, 0.25], "one 5e-324"),
+            "motions": array([[0.5, 0.25], [1.0, 0.0]], FINITE, "without the first row", "turned over"),
         },
     ),
-    "planners.Drive.positions": Call(on(driven, "positions"), {"t": array([0.0, 0.5, 1.0], FINITE)}),
+    "planners.Drive.positions": Call(on(driven, "positions"), {"t": TIMES}),
     "planners.PoseGoal": Call(
         lambda **given: planners.PoseGoal(**given).configurations(checker(), PATH[0]),
         {

@@ -23,6 +23,7 @@ from loewner._pictures import POINTS, curves, pictured
 from loewner._read_only import KeepsReadOnly
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
+from loewner.planners.joint_limits import expect_robot
 from loewner.planners.steering import driven, moved
 from loewner.robots import Proof, Robot
 from loewner.robots.curves import Curve, form_of
@@ -129,6 +130,7 @@ class Drive(KeepsReadOnly):
             If an argument has the wrong shape or value, a motion neither drives nor turns, or the robot has no planar
             base.
         """
+        expect_robot(robot)
         q, given = robot.checked_one(start, "start"), _validate.finite_array(motions, "motions", ("k", 2))
         if len(given) == 0 or not (given != 0.0).any(axis=1).all():
             raise InputError("motions: expected one or more, each with a length or a turn, found others")
@@ -283,8 +285,6 @@ def base_columns(robot: Robot) -> tuple[int, int, int]:
     InputError
         If there is none.
     """
-    if not isinstance(robot, Robot):
-        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
     tree = robot.tree
     moving = tree.kind != kernel_columns.FIXED
     for link in np.flatnonzero(moving).tolist():

@@ -289,7 +289,8 @@ def plan(
     others = [*(name for name, is_given in given.items() if is_given), *rare]
     if timed:
         _expect_in_time(times, others + ["base"] * driving)
-    if driving or of_base.get("radius") is not None:
+    reverse = _validate.flag(of_base.get("reverse", True), "reverse")
+    if driving or of_base.get("radius") is not None or not reverse:
         _expect_of_base(driving, others + ["joints"] * (joints is not None))
         return bases.plan_base(
             checker, start, goal, of_base, joint_error=joint_error, max_iterations=max_iterations, timeout=timeout,
@@ -359,7 +360,7 @@ def _expect_in_time(times: Times, others: list[str]) -> None:
 def _expect_of_base(driving: bool, others: list[str]) -> None:
     """Check that a base is given, and no arguments of other plans."""
     if not driving:
-        raise InputError("radius: expected base='car' with it, found no base")
+        raise InputError("base: expected it with radius or reverse, found none")
     if others:
         raise InputError(
             f"base: expected no {' or '.join(others)} with it; drives are proven, by a search of their own"
