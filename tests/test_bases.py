@@ -1,6 +1,7 @@
 """Mobile bases: ways of cars are shortest ways, courses hold the arcs, and drives are proven free as driven."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -245,6 +246,10 @@ def test_an_arm_keeps_its_joints():
     checker = CollisionChecker(arm, Scene())
     drive = planners.plan(checker, [-1, 0, 0, 0.5], [1, 0.5, 3, 0.5], base="car", radius=0.5)
     assert (drive.path[:, 3] == 0.5).all()
+    other = drive.path.copy()
+    other[-1, 3] = 0.25
+    with pytest.raises(InputError, match="keep their values"):
+        checker.certify_trajectory(replace(drive, path=other))
     with pytest.raises(InputError, match="turn, which is not among"):
         planners.plan(checker, [-1, 0, 0, 0.5], [1, 0.5, 3, 0.25], base="car", radius=0.5)
 

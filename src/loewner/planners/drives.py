@@ -218,6 +218,8 @@ class Drive(KeepsReadOnly):
 def _form(given: Drive, name: str) -> Curve:
     """Make the curve of polynomials that stand for arcs; see `CollisionChecker.certify_trajectory`."""
     columns = list(given.columns)
+    if (np.delete(given.path, columns, axis=1) != np.delete(given.path[:1], columns, axis=1)).any():
+        raise InputError(f"{name}: expected a drive whose other joints keep their values, found one that moves them")
     arcs = arcs_between(given.path[:, columns], given.motions)
     courses = np.repeat(given.path[arcs.owner, None], 8, axis=1)
     courses[..., columns] = arcs.courses

@@ -522,7 +522,7 @@ class CollisionChecker:
 
         Parameters
         ----------
-        curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
+        curve : PPoly, BPoly, BSpline, planners.Trajectory, ControllerPoints or Drive, or a list of curves
             A continuous piecewise polynomial of time, of degree at most 7, with values of shape (dof,). Subclasses of
             SciPy's types are accepted, such as ``CubicSpline(times, path)``. The columns are in the order of
             `Robot.configuration_names`, unless the curve itself names its columns. Quaternions are scaled to norm 1.

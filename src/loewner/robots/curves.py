@@ -308,8 +308,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         curve = form_of(given, name)
     if curve is None:
         raise InputError(
-            f"{name}: expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or "
-            f"planners.ControllerPoints, found {type(given).__name__}"
+            f"{name}: expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory, "
+            f"planners.ControllerPoints or planners.Drive, found {type(given).__name__}"
         )
     curve = _in_order(robot, curve, name)
     _refuse_faults(robot, curve, name)
