@@ -153,7 +153,7 @@ def rivals(name: str, checker: CollisionChecker, ends: Array, space_name: str, r
             lengths.append(path.length())
         spent.append(time.process_time() - begin)
     drives, own = planned(checker, ends, {"base": "car", "radius": RADIUS, "reverse": reverse, "timeout": LONGEST})
-    own_lengths = [drive.length for drive in drives]
+    own_lengths = [drive.length for drive in drives] or [math.nan]
     theirs = 1e3 * np.array(spent)
     print(
         f"{name:12} {space_name[:-10]:12} {solved:>4}/{len(ends):<3} {np.median(theirs):>11.1f} {theirs.mean():>6.0f} "
