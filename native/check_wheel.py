@@ -59,7 +59,7 @@ def _belongs(name: str) -> bool:
     if rest.startswith("_native/"):
         return rest.endswith((".py", ".so", "built.json", "threads.ptx.z"))
     if rest.startswith(("include/", "share/")):
-        return rest.endswith((".h", ".hpp", ".cmake", ".pc"))
+        return rest.endswith((".h", ".hpp", ".cmake", ".pc", ".schema.json"))
     kinds = (".py", "py.typed", "_kernels/sources.zip")
     return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
 

@@ -29,7 +29,9 @@ def built(kind: str, to: Path, **environment: str) -> subprocess.CompletedProces
 def packaged() -> set[str]:
     """Files of the package, as git would have them."""
     files = [path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src" / "loewner").rglob("*")]
-    return {name for name in files if name.endswith((".py", "/py.typed", ".h", ".hpp", ".cmake", ".pc"))}
+    return {
+        name for name in files if name.endswith((".py", "/py.typed", ".h", ".hpp", ".cmake", ".pc", ".schema.json"))
+    }
 
 
 def required(kind: str, **environment: str) -> list[str]:

@@ -16,8 +16,6 @@ from typing import Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from loewner import _validate
 from loewner._kernels import codes
@@ -436,6 +434,9 @@ class Grid:
     @classmethod
     def of(cls, base: Base, goal: Floats) -> Grid:
         """Compute distances along eight directions; blocked cells count `BLOCKED` times."""
+        from scipy.sparse import csr_matrix  # not needed to plan for arms, nor to build the library
+        from scipy.sparse.csgraph import dijkstra
+
         size = base.upper[:2] - base.lower[:2]
         edge = max(math.sqrt(float(size.prod()) / GRID), float(size.max()) / GRID, 1e-9)
         shape = np.maximum(np.ceil(size / edge), 1.0).astype(np.int64)

@@ -18,6 +18,7 @@ from loewner.bodies.layout import arrays_of
 from loewner.coverage import CoverReport
 from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
+from loewner.robots.pair_ranges import prove_pairs
 from loewner.robots.robot import Robot, answers
 
 Kind = Literal["spheres", "capsules", "boxes", "ellipsoids"]
@@ -55,8 +56,7 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
     made = with_bodies(self, bodies)
     found = new_contacts(self, made)
     pairs = [pair for pair, _, _ in found]
-    rows = self.prove_pairs(pairs, boxes=BOXES).with_verdict("NEVER") if pairs else ()
-    never = frozenset(row.names for row in rows)
+    never = _never(self, pairs)
     always = [f"{a} and {b}" for (a, b), _, share in found if share == 1.0 and (a, b) not in never]
     if always:
         warn(
@@ -99,6 +99,17 @@ def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
         for pair, hits in zip(theirs.checked_pairs, meets.T, strict=True)
     ]
     return [row for row in shares if row[1] > 0]
+
+
+def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
+    """Prove which of some pairs of links never collide."""
+    if not pairs:
+        return frozenset()
+    proven = prove_pairs(
+        robot, pairs, margin=0.0, limits=None, scene=None, boxes=BOXES, cache=True, progress=None, proof=False,
+        only_free=True,
+    )  # fmt: skip
+    return frozenset(row.names for row in proven.with_verdict("NEVER"))
 
 
 def _covered(

@@ -441,8 +441,9 @@ def prove_pairs(
     cache: bool,
     progress: Progress | None,
     proof: bool,
+    only_free: bool = False,
 ) -> ProvenPairs:
-    """Answer `Robot.prove_pairs`, which has the defaults."""
+    """Answer `Robot.prove_pairs`, which has the defaults; `only_free`, least distances of other pairs are left out."""
     cache = _validate.flag(cache, "cache")
     margin = _validate.positive_scalar(margin, "margin", zero=True)
     boxes = _validate.whole_number(boxes, "boxes", 1)
@@ -466,9 +467,9 @@ def prove_pairs(
         else:
             found[names] = _question(self, every, pair, max(margin, scene.margin_of(*names)), given)
     questions = {names: one for names, one in found.items() if isinstance(one, _Question)}
-    _settle(list(questions.values()), boxes, progress)
+    _settle(list(questions.values()), boxes, progress, only_free=only_free)
     found |= {names: question.answer() for names, question in questions.items()}
-    if kept and questions:
+    if kept and questions and not only_free:
         keep(self, (found[names] for names in questions), boxes // len(asked))
     rigid = tuple(names for names, one in found.items() if one is None)
     rows = tuple(one for one in found.values() if one is not None)
@@ -727,7 +728,9 @@ def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: floa
     ).with_poses(standing, 0)  # fmt: skip
 
 
-def _settle(questions: list[_Question], boxes: int, progress: Progress | None, *, search: bool = True) -> None:
+def _settle(
+    questions: list[_Question], boxes: int, progress: Progress | None, *, search: bool = True, only_free: bool = False
+) -> None:
     """Work on all questions, beginning with the shortest, until they are settled or the boxes are used up."""
     order = sorted(questions, key=lambda question: len(question.columns))
     for question in order:
@@ -747,6 +750,7 @@ def _settle(questions: list[_Question], boxes: int, progress: Progress | None, *
         boxes -= question.boxes - before
     if search:
         for question in order:
-            question.descend()  # also for pairs that are proven: contact would be a contradiction
+            if question.proven_free or not only_free:
+                question.descend()  # also for pairs that are proven: contact would be a contradiction
     if progress is not None:
         progress(len(order), len(order))
