@@ -33,19 +33,16 @@ from typing import Any, NamedTuple
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
-sys.path.insert(0, str(SOURCES))
+sys.path[:] = [str(SOURCES), *sys.path, str(HERE)]
+
+import headers  # noqa: E402
 
 from loewner import _ptx  # noqa: E402
-from loewner._kernels import codes, columns, tolerances  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner._threads import processors  # noqa: E402
-from loewner.planners import compiled as compiled_planner  # noqa: E402
-from loewner.planners import joint_limits, judge  # noqa: E402
-from loewner.robots import checker, contacts, motion_tables, robot, watch  # noqa: E402
-from loewner.robots.edges import NEARLY_WHOLE  # noqa: E402
 
 # By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
 # half the width for level 4.
@@ -78,61 +75,10 @@ RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
-# Names of `codes` that the extension knows.
-CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")
-
-# What the extension knows of `codes` and of the steps of a motion: definitions for the C compiler.
-DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEARLY_WHOLE={NEARLY_WHOLE!r}"]
-
-
-# `libloewner`, which programs in C and C++ link with, and the constants of Python that it knows.
+# `libloewner`, which programs in C and C++ link with.
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "gate.c", "pairs.c")
 FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
-API_CODES = (
-    *CODES,
-    "INEXACT",
-    "TOO_LONG",
-    "BY_CARE",
-    "NO_LIMIT",
-    "MOST_POINTS",
-    "MET",
-    "SPENT",
-    "FULL",
-    "SINE_OF",
-    "ARC_COSINE",
-)
-API_COLUMNS = (
-    "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
-    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
-    "BOUNDS",
-)  # fmt: skip
-API_CONSTANTS = {
-    **{name: getattr(columns, name) for name in API_COLUMNS},
-    "KIND_OF": columns.KIND,
-    "LAST_KIND": columns.POINT,
-    "POINT_BLOCK": columns.BLOCK,
-    "LINK_CONSTANTS": columns.CONSTANTS,
-    "STRETCH": motion_tables.STRETCH,
-    "ROUNDED_VALUES": contacts.OFF,
-    "FIRST_LOOK": checker.FIRST_LOOK,
-    "LARGEST_VALUE": watch.LARGEST_VALUE,
-    "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE,
-    "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
-    "ON_LIMIT": joint_limits.ON_LIMIT,
-    "PLAN_TOLERANCE": judge.TOLERANCE,
-    "LONGEST_SHARE": compiled_planner.SHARE,
-    "TREE_CAPACITY": compiled_planner.CAPACITY,
-    "FIRST_ITERATIONS": compiled_planner.FIRST,
-    "MOST_ITERATIONS": compiled_planner.AT_A_TIME,
-    "A_WHILE": compiled_planner.A_WHILE,
-    "USUAL_CUTS": compiled_planner.CUTS,
-    "USUAL_ITERATIONS": compiled_planner.UNLIMITED,
-    "MOST_ROOM": compiled_planner.MOST_ROOM,
-}
-API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + [
-    f"-D{name}=({value!r})" for name, value in API_CONSTANTS.items()
-]
 
 
 # Seconds between words on the progress, and what the first estimate counts for beside the share that is done.
@@ -171,7 +117,7 @@ def architecture() -> str:
 def recipe() -> str:
     """Hash of all that decides what is built, but for the levels."""
     digest = hashlib.sha256(source_hash().encode())
-    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED, API_DEFINED)).encode())
+    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), headers.text())).encode())
     written = [
         HERE / "build.py",
         HERE / "emit.py",
@@ -394,23 +340,28 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     python = (
         ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
     )
-    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
+    compile_c([*(HERE / name for name in EXTENSION), written_header(to.parent), *included, *python], to, flags)
 
 
-def api_flags() -> list[str]:
-    """What the C compiler is told of the library for C.
+def written_header(folder: Path) -> str:
+    """Write `kernels.h` into a folder, and return the option by which the C compiler finds it."""
+    (folder / headers.NAME).write_text(headers.text(), encoding="utf-8")
+    return f"-I{folder}"
+
+
+def api_flags(folder: Path) -> list[str]:
+    """Options of the C compiler for the library for C; `kernels.h` is written into a folder.
 
     No products are fused with sums, so that lengths and fractions are Python's to the last bit.
     """
-    known = [*API_DEFINED, f'-DSOURCES="{source_hash()}"']
-    return [*known, "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
+    return [written_header(folder), "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
 
 
 def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the library for programs in C and C++."""
     sources = [HERE / "capi" / name for name in API]
     name = f"-Wl,-install_name,@rpath/{LIBRARY}" if MAC else f"-Wl,-soname,{LIBRARY}"
-    compile_c([*sources, *api_flags(), name, "-pthread", "-ldl", "-lm"], to, flags)
+    compile_c([*sources, *api_flags(to.parent), name, "-pthread", "-ldl", "-lm"], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:

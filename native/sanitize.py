@@ -63,7 +63,7 @@ def threads_are_clean(to: Path) -> bool:
     clean = True
     for kind in ("thread", "address,undefined"):
         program = to / f"threads-{kind.partition(',')[0]}"
-        told = ["-std=gnu11", "-O1", "-g", f"-fsanitize={kind}", "-fno-sanitize-recover=undefined", *api_flags()]
+        told = ["-std=gnu11", "-O1", "-g", f"-fsanitize={kind}", "-fno-sanitize-recover=undefined", *api_flags(to)]
         compiler = shlex.split(os.environ.get("CC") or "cc")
         subprocess.run([*compiler, *told, *sources, "-o", str(program), "-pthread", "-ldl", "-lm"], check=True)
         for path in kernels.glob("kernels-*.so"):

@@ -5,8 +5,6 @@
 
 #include <string.h>
 
-#define CACHE_LINE 64
-
 static pthread_key_t memory_key; /* of a `Memory`, which is freed when its thread ends; a fork keeps the thread's own */
 
 typedef struct {

@@ -7,15 +7,10 @@
 #ifndef LOEWNER_SINGLE_H
 #define LOEWNER_SINGLE_H
 
-#include "arguments.h"
 #include "call.h"
+#include "kernels.h"
 
 #include <stddef.h>
-
-/* Of `loewner/_kernels/codes.py`; `build.py` says the numbers. */
-enum { FREE = CODE_FREE, COLLIDING = CODE_COLLIDING, AMBIGUOUS = CODE_AMBIGUOUS };
-enum { CERTIFY = CODE_CERTIFY, EXACT = CODE_EXACT };
-enum { OPEN = CODE_OPEN, TIERS = CODE_TIERS };
 
 /* At least `size` bytes for kernels to write to, which belong to this thread; NULL if there are none.
 

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { EXACT = CODE_EXACT, VECTORS = 9 };
+enum { VECTORS = 9 };
 
 #define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
 #define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
@@ -375,44 +375,30 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     return LOEWNER_OK;
 }
 
+/* The brake in a gate, as arguments of kernels. */
+#define BRAKE(gate)                                                                                                    \
+    .times = {gate->times, 1, gate->pieces}, .states = {gate->states, 1, gate->pieces, 3, gate->dof},                  \
+    .counts = {&gate->pieces_made, 1}
+
 /* Brake joint by joint. */
 static loewner_status stop(loewner_gate *gate, const double *q, const double *dq)
 {
-    int64_t dof = gate->dof, nothing;
-    const struct {
-        Array2 q, dq, ddq;
-        Array1 strongest, jerk;
-        Array2 times;
-        Array4 states;
-        Array1 counts;
-    } arguments = {
-        {q, 1, dof}, {dq, 1, dof}, {gate->resting, 1, dof}, {gate->strongest, dof}, {gate->jerk, dof},
-        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1},
-    };
-    return call(kernels()->brakes_by_joint, &arguments, &nothing);
+    int64_t dof = gate->dof;
+    return CALL(brakes_by_joint, NULL, .Q = {q, 1, dof}, .V = {dq, 1, dof}, .A = {gate->resting, 1, dof},
+                .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
 /* Brake from a tick of a chunk; on the path, on as much of it as was known when this brake was proven. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
-    int64_t dof = gate->dof, rows = chunk->ends[tick] + 2, nothing;
+    int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
     if (!gate->on_path)
         return stop(gate, chunk->rows + tick * dof, chunk->rates + tick * dof);
     for (int64_t k = 0; k < rows; k++)
         gate->at[k] = chunk->dt * (double)k;
-    const struct {
-        Array2 rows;
-        Array1 at, begins, strongest, jerk;
-        int64_t beyond;
-        Array2 times;
-        Array4 states;
-        Array1 counts, needed;
-    } arguments = {
-        {chunk->rows - dof, rows, dof}, {gate->at, rows}, {gate->at + tick + 1, 1}, {gate->strongest, dof},
-        {gate->jerk, dof}, 1, {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof},
-        {&gate->pieces_made, 1}, {&gate->rows_needed, 1},
-    };
-    return call(kernels()->brakes_on_path, &arguments, &nothing);
+    return CALL(brakes_on_path, NULL, .rows = {chunk->rows - dof, rows, dof}, .at = {gate->at, rows},
+                .begins = {gate->at + tick + 1, 1}, .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof},
+                .beyond = 1, .needed = {&gate->rows_needed, 1}, BRAKE(gate));
 }
 
 static double stopping_time(const loewner_gate *gate, int64_t c, double v)
@@ -434,19 +420,10 @@ static int64_t steps_of_whole(const loewner_gate *gate)
 static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, int64_t points, double until,
                                   int64_t steps, Proof *proof, int *is_free)
 {
-    int64_t dof = gate->dof, nothing;
+    int64_t dof = gate->dof;
     Proof attempt = {0, -1, proof->work + steps, proof->work, 1};
-    const struct {
-        Array2 times;
-        Array4 states;
-        Array1 counts, until;
-        Array3 courses;
-        Array2 off;
-    } arguments = {
-        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1}, {&until, 1},
-        {gate->courses, 1, points, dof}, {gate->looser, 1, dof},
-    };
-    TRY(call(kernels()->whole_brakes, &arguments, &nothing));
+    TRY(CALL(whole_brakes, NULL, .until = {&until, 1}, .courses = {gate->courses, 1, points, dof},
+             .off = {gate->looser, 1, dof}, BRAKE(gate)));
     for (int64_t c = 0; c < dof; c++)
         gate->looser[c] += gate->widened[c];
     until = fmax(until, gate->times[gate->pieces_made - 1]);
@@ -477,17 +454,8 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
         TRY(prove_whole(gate, begin, dt, points, rests ? stands : 0, steps, proof, &is_free));
     if (is_free)
         return LOEWNER_OK;
-    const struct {
-        Array2 times;
-        Array4 states;
-        Array1 counts;
-        Array3 courses;
-        Array1 seconds;
-    } arguments = {
-        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1},
-        {gate->courses, pieces, points, dof}, {gate->seconds, pieces},
-    };
-    TRY(call(kernels()->courses_of_brakes, &arguments, &made));
+    TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
+             .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL) {
         /* Where a long brake fails, it mostly fails at its end, where no interval has to be halved. */
         double *still = gate->courses + pieces * points * dof;
@@ -684,7 +652,7 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     memcpy(still + gate->dof, q, size);
     TRY(collide(gate->checker, its, HASTY, still, 1, &verdict));
     if (verdict == LOEWNER_AMBIGUOUS)
-        TRY(collide(gate->checker, its, EXACT, still, 1, &verdict));
+        TRY(collide(gate->checker, its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,

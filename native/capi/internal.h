@@ -10,12 +10,10 @@
 
 #include "loewner.h"
 
-#include "../arguments.h"
+#include "kernels.h"
 
 #include <pthread.h>
 #include <stdatomic.h>
-
-#define CACHE_LINE 64
 
 /* Set the text of this thread's last error; returns the status. */
 loewner_status fail(loewner_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
@@ -32,38 +30,8 @@ loewner_status no_memory(void);
 
 typedef int32_t (*Kernel)(const int64_t *, int64_t *);
 
-/* Name, arguments, results. */
-#define ALL_KERNELS(X)                                                                                                 \
-    X(settle_range, SETTLE_TAKES, "b")                                                                                 \
-    X(settle_open, OPEN_TAKES, "")                                                                                     \
-    X(workspace_size, "", "i")                                                                                         \
-    X(distance_range, DISTANCE_TAKES, DISTANCE_GIVES)                                                                  \
-    X(measure_left, LEFT_TAKES, "")                                                                                    \
-    X(memory_of_distances, "", "i")                                                                                    \
-    X(first_fault, FAULT_TAKES, FAULT_GIVES)                                                                           \
-    X(check_configurations, CHECK_TAKES, "")                                                                           \
-    X(memory_size, "i i i", "i")                                                                                       \
-    X(certify_motions, "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", "")                                                          \
-    X(free_motions, "i i i F3 i f i i i I2 B1 i", "")                                                                  \
-    X(motion_memory, "i i i", "i")                                                                                     \
-    X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \
-    X(shorten_path, "i i I1 F1 F2 I1 F2 F2", "i")                                                                      \
-    X(nearest_pairs, "b i i F2 i i i F2 F3 I2 B1", "")                                                                 \
-    X(memory_of_nearest, "i i i", "i")                                                                                 \
-    X(clearances, "b f i i F2 i i i F1 F2", "")                                                                        \
-    X(memory_of_clearances, "i i i", "i")                                                                              \
-    X(pair_gradients, "i i F2 i i i cI2 cF2 cF2 F2", "")                                                               \
-    X(link_poses, "I1 I1 I1 F1 F1 F2 F2 i i F4", "")                                                                   \
-    X(elementary, "i F1 F1 F1", "")                                                                                  \
-    X(brakes_by_joint, "F2 F2 F2 F1 F1 F2 F4 I1", "")                                                                  \
-    X(brakes_on_path, "F2 F1 F1 F1 F1 b F2 F4 I1 I1", "")                                                              \
-    X(courses_of_brakes, "F2 F4 I1 F3 F1", "i")                                                                        \
-    X(whole_brakes, "F2 F4 I1 F1 F3 F2", "")                                                                           \
-    X(measure_moving, "i i i", "")                                                                                     \
-    X(place_static, "i i F1 F2", "i")
-
 typedef struct {
-#define DECLARE(name, takes, gives) Kernel name;
+#define DECLARE(name) Kernel name;
     ALL_KERNELS(DECLARE)
 #undef DECLARE
     void (*release)(void *);
@@ -75,7 +43,7 @@ typedef struct {
 const Kernels *kernels(void);
 
 /* Settle pairs, in mode EXACT also those that the fast searches leave open; whether all poses are rigid. */
-loewner_status settle_all(const SettleArguments *asked, int *are_rigid);
+loewner_status settle_all(const struct settle_range *asked, int *are_rigid);
 
 /* Write result k of n kernels' distances: bounds, values (NaN: none), and vectors, shape (3, n, 3). */
 void write_distance(loewner_distance *found, const double *lower, const double *upper, const double *values,
@@ -84,9 +52,12 @@ void write_distance(loewner_distance *found, const double *lower, const double *
 /* Call a kernel with the address of a struct of slots; kernels fail only where memory is short. */
 loewner_status call(Kernel kernel, const void *arguments, void *results);
 
+/* Call a kernel with its arguments by their names; those that are left out are 0. Without results, pass NULL. */
+#define CALL(name, results, ...) call(kernels()->name, &(const struct name){__VA_ARGS__}, results)
+
 /* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
 
-enum { PACK_ARRAYS = 12, PACK_WORDS = 3 * PACK_ARRAYS };
+enum { PACK_ARRAYS = sizeof(struct pieces) / sizeof(Array2) };
 
 typedef struct {
     int64_t bodies, pieces, numbers, groups, parts; /* `numbers` of `points` */
@@ -115,8 +86,8 @@ static inline int64_t groups_of(int64_t pieces)
     return total;
 }
 
-/* Write the table of addresses to which a handle points. */
-void write_words(const Pack *pack, int64_t words[PACK_WORDS]);
+/* The table of addresses to which a handle points. */
+struct pieces table_of(const Pack *pack);
 
 /* -- files --------------------------------------------------------------------------------------------------------- */
 
@@ -126,7 +97,7 @@ typedef struct {
     const double *multiplier, *offset, *constants;
 } Tree;
 
-enum { SURFACE_ARRAYS = 5, SURFACE_WORDS = 3 * SURFACE_ARRAYS };
+enum { SURFACE_ARRAYS = 5 };
 
 /* Which surfaces are in parts: none, all, or those of static bodies without solids, in small parts. */
 typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
@@ -136,7 +107,7 @@ typedef struct {
     void *map;
     size_t size;
     void *owned[CUTTINGS]; /* copies of layouts, with addresses of surfaces */
-    int64_t *surfaces;     /* tables of their addresses */
+    Array2 *surfaces;      /* SURFACE_ARRAYS of each */
     int64_t dof, links, moving, bodies, pairs;
     int has_cut;
     const char **names; /* of bodies, links and values */
@@ -166,7 +137,11 @@ struct loewner_bodies {
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
-enum { TABLE_ROWS = 24, TABLE_WORDS = 3 * TABLE_ROWS, ORDER_ROW = 10, MOTIONS_AT = 336 };
+/* The tables of a problem: kernels for motions take the address of the second one, too. */
+typedef struct {
+    struct problem problem;
+    struct motion_tables motions;
+} Tables;
 
 typedef struct {
     char *name;
@@ -192,7 +167,7 @@ typedef struct {
 typedef struct {
     Pack pack;
     void *joined; /* memory of the pack, unless it is a file's */
-    int64_t words[PACK_WORDS];
+    struct pieces pieces; /* its table */
     double *ball, *chain, *block;
     int64_t block_words;
     int64_t handle, motions;
@@ -209,7 +184,7 @@ typedef struct {
     Tree tree;      /* with a link for each attached body */
     int64_t *link, *pair_list, *rows, *order, *motion_order, *path_start, *path_link, *group_start, *group_pairs;
     double *margins, *poses;
-    Half halves[CUTTINGS]; /* of words[0] == 0: there is none, and `half_of` returns the first one */
+    Half halves[CUTTINGS]; /* without a block: there is none, and `half_of` returns the first one */
     void *memory[32];
     int memory_count;
 } State;
@@ -229,7 +204,8 @@ struct loewner_checker {
 struct loewner_workspace {
     atomic_flag is_used;
     uint64_t serial; /* of the state that it is prepared for */
-    int64_t table[TABLE_WORDS], pack;
+    Tables tables; /* with the workspace's own order of the pairs */
+    int64_t pack;
     int64_t *order, *hits, seen, next_look;
     char *memory; /* for kernels */
     char *validator;         /* for `free_motions`, which keeps an order of pairs in it from call to call */

@@ -7,9 +7,6 @@
 #include <string.h>
 #include <time.h>
 
-/* Of the state of a search, `columns.py`. */
-enum { ITERATION, STARTS, GOALS, OF_START, OF_GOAL, MOTIONS, RANDOM, STATE = 10 };
-
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
@@ -41,7 +38,7 @@ static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspa
         checker,
         workspace,
         is_off ? joint_error : NULL,
-        {(int64_t)half->words, half->handle, half->motions, (int64_t)workspace->memory, 1,
+        {(int64_t)&half->pieces, half->handle, half->motions, (int64_t)workspace->memory, 1,
          is_off ? (int64_t)joint_error : 0, 0},
         {PLAN_TOLERANCE, 0},
     };
@@ -218,32 +215,12 @@ static loewner_status grow_on(const Judge *judge, const Space *space, Trees *tre
     while (*outcome == CODE_FULL) {
         memcpy(ends, space->start, sizeof(double) * (size_t)dof);
         memcpy(ends + dof, space->start, sizeof(double) * (size_t)dof);
-        struct {
-            int64_t most;
-            Array1 reach, handles, lengths;
-            Array2 joints, limits;
-            Array3 nodes;
-            Array2 parents, domains;
-            Array1 state, gap;
-            Array2 ends, points;
-            Array1 squares;
-        } arguments = {
-            most,
-            {reach, 2},
-            {judge->handles, 7},
-            {judge->lengths, 2},
-            {space->columns, 2, joints},
-            {space->limits, 5, joints},
-            {trees->nodes, 2, joints, trees->capacity},
-            {trees->parents, 2, trees->capacity},
-            {trees->domains, 2, trees->capacity},
-            {state, STATE},
-            {gap, 1},
-            {ends, 2, dof},
-            {points, 4, joints},
-            {trees->squares, trees->capacity},
-        };
-        TRY(call(kernels()->connect_trees, &arguments, outcome));
+        TRY(CALL(connect_trees, outcome, .most = most, .reach = {reach, 2}, .handles = {judge->handles, 7},
+                 .lengths = {judge->lengths, 2}, .joints = {space->columns, 2, joints},
+                 .limits = {space->limits, 5, joints}, .nodes = {trees->nodes, 2, joints, trees->capacity},
+                 .parents = {trees->parents, 2, trees->capacity}, .domains = {trees->domains, 2, trees->capacity},
+                 .state = {state, STATE}, .gap = {gap, 1}, .ends = {ends, 2, dof}, .points = {points, 4, joints},
+                 .squares = {trees->squares, trees->capacity}));
         if (*outcome == CODE_FULL)
             TRY(grow(trees, joints, 2 * trees->capacity));
     }
@@ -378,23 +355,11 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count, int64_t cu
     state[RANDOM] = seed;
     while (done < cuts && *count > 2 && done != state[ITERATION]) {
         done = state[ITERATION];
-        struct {
-            int64_t count, most;
-            Array1 handles, lengths;
-            Array2 path;
-            Array1 state;
-            Array2 ends, points;
-        } arguments = {
-            *count,
-            done + MOST_ITERATIONS < cuts ? done + MOST_ITERATIONS : cuts,
-            {judge->handles, 7},
-            {judge->lengths, 2},
-            {workspace->path, room, dof},
-            {state, STATE},
-            {workspace->courses, 2, dof},
-            {workspace->courses + 2 * dof, 2, dof},
-        };
-        TRY(call(kernels()->shorten_path, &arguments, count));
+        TRY(CALL(shorten_path, count, .count = *count,
+                 .most = done + MOST_ITERATIONS < cuts ? done + MOST_ITERATIONS : cuts,
+                 .handles = {judge->handles, 7}, .lengths = {judge->lengths, 2}, .path = {workspace->path, room, dof},
+                 .state = {state, STATE}, .ends = {workspace->courses, 2, dof},
+                 .points = {workspace->courses + 2 * dof, 2, dof}));
     }
     return LOEWNER_OK;
 }

@@ -502,18 +502,9 @@ static double length_of(const Tree *tree, int64_t link)
 /* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
-    struct {
-        int64_t pack, problem;
-        Array1 block;
-        Array2 poses;
-    } arguments = {
-        (int64_t)half->words,
-        half->handle,
-        {half->block, half->block_words},
-        {state->poses, state->standing, 16},
-    };
-    TRY(call(kernels()->place_static, &arguments, &half->handle));
-    half->motions = half->handle + MOTIONS_AT;
+    TRY(CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
+             .block = {half->block, half->block_words}, .poses = {state->poses, state->standing, 16}));
+    half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     return LOEWNER_OK;
 }
 
@@ -521,13 +512,13 @@ static loewner_status place(const State *state, Half *half)
 static loewner_status measure(const loewner_checker *checker, Half *half, int is_for_motions)
 {
     const Kernels *known = kernels();
-    const int64_t arguments[] = {(int64_t)half->words, half->handle, checker->file->dof};
+    const struct memory_size arguments = {(int64_t)&half->pieces, half->handle, checker->file->dof};
     const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
                             known->motion_memory};
     half->memory = known->settle_memory;
     for (int k = 0; k < 3 + is_for_motions; k++) {
         int64_t size = 0;
-        TRY(call(sizes[k], arguments, &size));
+        TRY(call(sizes[k], &arguments, &size));
         half->memory = size > half->memory ? size : half->memory;
     }
     return LOEWNER_OK;
@@ -541,7 +532,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
         half->pack = checker->file->packs[cutting];
     else
         TRY(join(checker, state, cutting, half));
-    write_words(&half->pack, half->words);
+    half->pieces = table_of(&half->pack);
     int64_t pieces = half->pack.piece_start[bodies] - half->pack.piece_start[state->moving];
     half->ball = room(state, 5 * state->moving, 8);
     half->chain = room(state, 3, 8);
@@ -564,7 +555,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
         bodies * links,   pieces * HOT,         state->standing, 64 * state->groups, state->standing * BOUNDS / 2,
         pieces * HOT / 2, 16 * state->standing,
     };
-    int64_t words = TABLE_WORDS + CACHE_LINE / 8;
+    int64_t next = sizeof(Tables) / 8, words = next + CACHE_LINE / 8;
     double *at[7];
     for (int k = 0; k < 7; k++)
         words += sizes[k];
@@ -574,7 +565,6 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     if (block == NULL)
         return no_memory();
     memset(block, 0, (size_t)words * 8);
-    int64_t next = TABLE_WORDS;
     for (int k = 0; k < 7; k++) {
         at[k] = block + next;
         next += sizes[k];
@@ -582,38 +572,27 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     for (int64_t k = 0; k < sizes[6]; k++)
         at[6][k] = NAN;
     const Tree *tree = &state->tree;
-    const Array2 table[TABLE_ROWS] = {
-        {tree->parent, links, 1},
-        {tree->kind, links, 1},
-        {tree->column, links, 1},
-        {tree->multiplier, links, 1},
-        {tree->offset, links, 1},
-        {tree->constants, links, LINK_CONSTANTS},
-        {state->link, state->moving, 1},
-        {half->ball, state->moving, 5},
-        {state->pair_list, pairs, 2},
-        {state->margins, pairs, 1},
-        {state->order, pairs, 1},
-        {at[4], state->standing, BOUNDS},
-        {at[5], pieces, HOT},
-        {at[6], state->standing, 16},
-        /* of `MotionTables` */
-        {state->path_start, links + 1, 1},
-        {state->path_link, state->path_start[links], 1},
-        {at[0], bodies, links},
-        {at[1], pieces, HOT},
-        {at[2], state->standing, 1},
-        {state->motion_order, pairs, 1},
-        {state->group_start, state->moving + 1, 1},
-        {state->group_pairs, 8 * state->groups, 1},
-        {at[3], 64 * state->groups, 1},
-        {half->chain, 3, 1},
+    const struct problem problem = {
+        .parent = {tree->parent, links, 1}, .kind = {tree->kind, links, 1}, .column = {tree->column, links, 1},
+        .multiplier = {tree->multiplier, links, 1}, .offset = {tree->offset, links, 1},
+        .constants = {tree->constants, links, LINK_CONSTANTS}, .link = {state->link, state->moving, 1},
+        .ball = {half->ball, state->moving, 5}, .pairs = {state->pair_list, pairs, 2},
+        .margins = {state->margins, pairs, 1}, .order = {state->order, pairs, 1},
+        .standing = {at[4], state->standing, BOUNDS}, .standing_rows = {at[5], pieces, HOT},
+        .standing_poses = {at[6], state->standing, 16},
     };
-    memcpy(block, table, sizeof table);
+    const struct motion_tables motions = {
+        .path_start = {state->path_start, links + 1, 1}, .path_link = {state->path_link, state->path_start[links], 1},
+        .reach = {at[0], bodies, links}, .standing_rows = {at[1], pieces, HOT}, .sizes = {at[2], state->standing, 1},
+        .order = {state->motion_order, pairs, 1}, .group_start = {state->group_start, state->moving + 1, 1},
+        .group_pairs = {state->group_pairs, 8 * state->groups, 1}, .groups = {at[3], 64 * state->groups, 1},
+        .chain = {half->chain, 3, 1},
+    };
+    Tables *tables = (Tables *)block;
+    *tables = (Tables){problem, motions};
     half->handle = (int64_t)block;
-    const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + MOTIONS_AT};
-    int64_t nothing;
-    TRY(call(kernels()->measure_moving, arguments, &nothing));
+    TRY(CALL(measure_moving, NULL, .pack = (int64_t)&half->pieces, .problem_handle = half->handle,
+             .tables_handle = (int64_t)&tables->motions));
     TRY(place(state, half));
     return measure(checker, half, is_for_motions);
 }
@@ -704,7 +683,7 @@ static loewner_status renew(loewner_checker *checker)
     } else { /* workspaces stay prepared, since all arrays stay where they are */
         copy_poses(checker, state);
         for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
-            if (half->words[0] != 0)
+            if (half->block != NULL)
                 TRY(place(state, half));
     }
     atomic_store(&checker->is_stale, 0);
@@ -714,7 +693,7 @@ static loewner_status renew(loewner_checker *checker)
 const Half *half_of(const loewner_checker *checker, Cutting cutting)
 {
     const Half *half = checker->state.halves + cutting;
-    return half->words[0] != 0 ? half : checker->state.halves + WHOLE;
+    return half->block != NULL ? half : checker->state.halves + WHOLE;
 }
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
@@ -788,11 +767,11 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         at += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
     }
     /* The order of pairs is the workspace's own: it learns which collide most often. */
-    memcpy(workspace->table, (const void *)state->halves[WHOLE].handle, sizeof workspace->table);
+    memcpy(&workspace->tables, (const void *)state->halves[WHOLE].handle, sizeof workspace->tables);
     memcpy(workspace->order, state->order, 8 * pairs);
     memset(workspace->hits, 0, 8 * pairs);
-    workspace->table[3 * ORDER_ROW] = (int64_t)workspace->order;
-    workspace->pack = (int64_t)state->halves[WHOLE].words;
+    workspace->tables.problem.order.data = workspace->order;
+    workspace->pack = (int64_t)&state->halves[WHOLE].pieces;
     workspace->seen = 0;
     workspace->is_ready = 0;
     workspace->next_look = FIRST_LOOK;
