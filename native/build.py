@@ -4,10 +4,10 @@
     python native/build.py --gpu               the threads' functions as PTX, too; elsewhere a GPU's first use makes it
     python native/build.py --levels all --gpu  for all levels of this architecture, as a wheel has them
     python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
-    python native/build.py --log FILE          go on in the background, and write into a file what is said
+    python native/build.py --log FILE          go on in the background, and write messages into a file
 
 It takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon as
-they are compiled, and whoever asks for others waits for them (`library.py`); files for other machines are built whole.
+they are compiled, and callers of other kernels wait for them (`library.py`); files for other machines are built whole.
 """
 
 import argparse
@@ -44,8 +44,8 @@ from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner._threads import processors  # noqa: E402
 
-# By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
-# half the width for level 4.
+# By architecture: the levels, best first, and LLVM's features for each. Without this one, LLVM uses only half of the
+# width of the registers of level 4.
 LEVELS = {
     "x86_64": {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": ""},
     "arm64": {"arm64": ""},
@@ -54,7 +54,7 @@ CPU_OF = {"arm64": "generic"}
 
 # Entries by module: each group becomes an object file of its own for this machine's level, so that an edit rebuilds few
 # of them, and programs can begin when theirs is there. Functions that several groups call are in each of them, so
-# groups that share much are one. What is built for other machines has one object file for each level, the smallest.
+# groups that share much are one. For other machines there is one object file for each level, which is smallest.
 GROUPS = {
     "bodies": ("fits.", "pieces.", "trees.cuts", "trees.piece_tree", "trees.triangle"),
     "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds", "elementary"),
@@ -69,7 +69,7 @@ GROUPS = {
 FUNCTIONS, FUNCTION, LEVEL, CHECK = 1100, 0.24, 80.0, 2.3
 
 
-# What the C compiler is told of files that people get. The linker of macOS knows no -s; Windows is untried.
+# Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untried.
 MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
 RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
@@ -81,7 +81,7 @@ FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
 
 
-# Seconds between words on the progress, and what the first estimate counts for beside the share that is done.
+# Seconds between lines about the progress, and the weight of the first estimate beside the share that is done.
 EVERY, FIRST_WEIGHT = 10.0, 0.1
 
 KEY = re.compile(r"-[0-9a-f]{32}$")  # how a line ends that names a function
@@ -89,7 +89,7 @@ EARLY = re.compile(r"-\d+\.so$")  # how the name of a file ends that is handed o
 
 
 class Command(NamedTuple):
-    """What is made, arguments of Python, variables of its environment, and the file of what it says."""
+    """Name of the product, arguments of Python, variables of its environment, and the file with its output."""
 
     what: str
     arguments: list[str]
@@ -105,7 +105,7 @@ class Command(NamedTuple):
 
 
 class BuildError(Exception):
-    """Something that a build needs is missing, or failed; the text says what."""
+    """Something that a build needs is missing, or failed, as described by the text."""
 
 
 def architecture() -> str:
@@ -115,7 +115,7 @@ def architecture() -> str:
 
 
 def recipe() -> str:
-    """Hash of all that decides what is built, but for the levels."""
+    """Hash of everything except the levels on which the files depend."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), headers.text())).encode())
     written = [
@@ -132,7 +132,7 @@ def recipe() -> str:
 
 
 def is_built(levels: list[str], home: Path = HOME, gpu: bool = False) -> bool:
-    """Tell whether the library is there for these levels, and for GPUs, and whole."""
+    """Return whether there is a complete library for these levels, and for GPUs."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
         wanted = [f"kernels-{level}.so" for level in levels] + [CALL, *FOR_C, *([_ptx.NAME] if gpu else [])]
@@ -146,12 +146,12 @@ def _sum(path: Path) -> str:
 
 
 def told(level: str) -> dict[str, str]:
-    """Variables by which Numba is told to compile for a level instead of for this processor."""
+    """Variables that make Numba compile for a level instead of for this processor."""
     return {"NUMBA_CPU_NAME": CPU_OF.get(level, level), "NUMBA_CPU_FEATURES": LEVELS[architecture()][level]}
 
 
 def machine_level() -> str:
-    """Level of this machine's processor, asked of the extension that was built, or of one made for this."""
+    """Level of this machine's processor, from the extension that was built, or from one made for this."""
     if known := built_levels():
         return known[0]
     with tempfile.TemporaryDirectory() as folder:
@@ -166,7 +166,7 @@ def machine_level() -> str:
 
 
 def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False) -> list[Path]:
-    """Build for these levels, and for GPUs if asked; what was there is replaced only when all is done.
+    """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
     With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done.
 
@@ -203,7 +203,7 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bo
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
 
         def hand_out(made: list[Path]) -> None:
-            """Link the objects that are there, for those who wait."""
+            """Link the objects that are there, for waiting programs."""
             if in_groups and len(made) < len(objects):
                 (level,) = levels
                 early = work / f"kernels-{level}-{len(made)}.so"
@@ -271,8 +271,8 @@ def build_all(
 ) -> int:
     """Run commands, each in a process of its own, as many at a time as there are processors; count the functions.
 
-    Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, what is being
-    compiled, and how long the rest will take: at first by the speed of the machine, then by what was done so far.
+    Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, the kernels in
+    work, and how long the rest will take: at first by the speed of the machine, then by the progress so far.
     """
     start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
@@ -323,7 +323,7 @@ def build_all(
 
 
 def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
-    """Run Python in a process of its own, or stop with what it said."""
+    """Run Python in a process of its own, or stop with its error output."""
     done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise BuildError(f"{failed}:\n{done.stderr.strip()[-4000:]}")
@@ -365,13 +365,13 @@ def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
-    """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
+    """Link object files and the parts of Numba's run time that they need; no other library than libm may be needed."""
     strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
     compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Call the C compiler: that of the environment, or `cc`; on Windows `clang`."""
+    """Call the C compiler: ``CC`` of the environment, or `cc`; on Windows `clang`."""
     compiler = shlex.split(os.environ.get("CC") or ("clang" if WINDOWS else "cc"))
     strict = ["-std=gnu11", "-Wall", "-Werror=implicit-function-declaration", *([] if WINDOWS else ["-fPIC"])]
     command = [*compiler, *flags, *strict, "-shared", "-o", str(to), *map(str, what)]
@@ -428,7 +428,7 @@ def time_of_processes() -> float:
 
 
 def main() -> int:
-    """Build what is asked for, unless it is there."""
+    """Build the requested files, unless they are there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
     parser.add_argument("--gpu", action="store_true", help="code for NVIDIA's GPUs, too")

@@ -10,10 +10,10 @@
 
 typedef struct {
     PyObject_HEAD
-    PyObject *held; /* whatever owns the memory behind the rest */
+    PyObject *held; /* owners of the memory behind the rest */
     Function check_configurations, check_motion;
     int64_t pack, problem, memory, width, piece_pairs;
-    const double *least, *most; /* of values that nothing has to be said about: `Watch` may move them outwards */
+    const double *least, *most; /* of values without a warning: `Watch` may move them outwards */
     Array1 hits;
 } Configurations;
 
@@ -100,8 +100,8 @@ static double exact_length(const double *a, const double *b, int64_t count)
     return length;
 }
 
-/* In how many steps a motion is divided, as `edges.steps` does it; 0 if that takes the long way. `build.py` says how
-   near to a whole number a quotient may be rounded to either side of it. */
+/* The number of steps of a motion, as in `edges.steps`; 0 if that takes the long way. A quotient within NEARLY_WHOLE
+   of a whole number may have been rounded to the other side of it. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;
@@ -113,7 +113,7 @@ static int64_t steps_of(const double *a, const double *b, int64_t count, double 
     return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
 }
 
-/* Call what gives the fractions of a motion of so many steps; a new reference to an array, or NULL. */
+/* Get from Python the fractions of a motion with `steps` steps; a new reference to an array, or NULL. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
     PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
@@ -124,7 +124,7 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* How many configurations of a motion were looked at, less than 0 if the last ones collide; 0 is the long way. */
+/* The number of configurations of a motion that were checked, negative if the last ones collide; 0 is the long way. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);
@@ -142,10 +142,10 @@ static int64_t looked_at(const Configurations *self, const double *start, const 
     return results.verdict == CODE_COLLIDING ? -results.total : results.total;
 }
 
-/* motion(q0, q1, resolution, order): configurations looked at, less than 0 if they collide; or None.
+/* motion(q0, q1, resolution, order): the number of configurations checked, negative if the last ones collide; or None.
 
-   order(steps) gives the fractions of the way in the order that they are looked at. It is Python's: what it raises, an
-   interrupt for one, goes on to the caller. */
+   order(steps) returns the fractions of the motion in the order in which they are checked. It runs in Python, and its
+   exceptions, such as an interrupt, are passed on to the caller. */
 static PyObject *configurations_motion(Configurations *self, PyObject *const *given, Py_ssize_t count)
 {
     if (count != 4 || !PyFloat_CheckExact(given[2]))

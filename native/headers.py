@@ -1,9 +1,9 @@
-"""Write `kernels.h`, by which the C files take over from Python everything that both must agree on.
+"""Write `kernels.h`, which takes over from Python everything that Python and the C files must agree on.
 
-For each kernel of ``entries.py`` the header declares a struct of its arguments: the types are those of its signature,
-and the fields have the names of its parameters, which are read from its source, since importing it would need Numba. A
-kernel of several results has a struct for these, too. The header also has the kernels' signatures, the tables of arrays
-that kernels take by their address, and constants. The build writes it beside the files that it makes.
+For each kernel of ``entries.py`` the header declares a struct of its arguments. The types come from its signature, and
+the names of its parameters from its source, since importing it would need Numba. A kernel with several results has a
+struct for these, too. The header also has the kernels' signatures, the tables of arrays that kernels take by their
+address, and constants. The build writes it beside the files that it makes.
 """
 
 import ast
@@ -82,8 +82,8 @@ def constants() -> dict[str, str]:
         "FILE_FORMAT": native_files.FORMAT, "FILE_HEADER": native_files.HEADER.size,
         "BEHIND_CHECKSUM": native_files.BEHIND_CHECKSUM,
         **{f"FILE_{name.upper()}": number for number, name in enumerate((*native_files.BEFORE, "packs"))},
-        "STRETCH": motion_tables.STRETCH, "ROUNDED_VALUES": contacts.OFF, "FIRST_LOOK": checker.FIRST_LOOK,
-        "LARGEST_VALUE": watch.LARGEST_VALUE, "NEARLY_WHOLE": NEARLY_WHOLE,
+        "STRETCH": motion_tables.STRETCH, "LANES": motion_tables.LANES, "ROUNDED_VALUES": contacts.OFF,
+        "FIRST_LOOK": checker.FIRST_LOOK, "LARGEST_VALUE": watch.LARGEST_VALUE, "NEARLY_WHOLE": NEARLY_WHOLE,
         "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE, "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
         "ON_LIMIT": joint_limits.ON_LIMIT, "PLAN_TOLERANCE": judge.TOLERANCE, "LONGEST_SHARE": compiled.SHARE,
         "TREE_CAPACITY": compiled.CAPACITY, "FIRST_ITERATIONS": compiled.FIRST, "MOST_ITERATIONS": compiled.AT_A_TIME,

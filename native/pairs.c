@@ -21,7 +21,7 @@ static PyObject *word_exact, *name_packed, *name_handle;
 
 /* One side of a query: a body and where it is. */
 typedef struct {
-    PyObject *packed; /* held, whatever else happens to the body */
+    PyObject *packed; /* a reference of our own, in case the body changes */
     int64_t handle;
     Array3 poses;
 } Side;
@@ -108,7 +108,7 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
         return -1;
-    /* What the fast searches left open is for the fallback. */
+    /* Pairs that the fast searches leave open are for the fallback. */
     return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
@@ -199,9 +199,9 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
         return 1;
     if (!isfinite(number[VALUE]))
         return 0;
-    /* The bounds are proven, the value is computed: where rounding puts it outside, they know better. */
+    /* The bounds are proven and the value is only computed, so it is moved to the nearest bound if it lies outside. */
     number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
-    return number[VALUE] != 0; /* which of two zeros is taken, where their signs differ, is for NumPy to say */
+    return number[VALUE] != 0; /* NumPy decides the sign of a zero */
 }
 
 static PyObject *vector_of(const double *entries)
@@ -213,7 +213,7 @@ static PyObject *vector_of(const double *entries)
     return array;
 }
 
-/* A field of a Distance, by its place; what was not asked for is None. */
+/* A field of a Distance, by its place; None if it was not requested. */
 static PyObject *field_of(const Found *found, int place, int wanted)
 {
     if (place >= VALUE && !wanted)
@@ -221,7 +221,7 @@ static PyObject *field_of(const Found *found, int place, int wanted)
     return place < NUMBERS ? PyFloat_FromDouble(found->number[place]) : vector_of(found->vector[place - NUMBERS]);
 }
 
-/* What the class would make of the fields, which it guards against change, not against being made. */
+/* Make a Distance with these fields. Its class prevents changes of fields, but not their first assignment. */
 static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
 {
     PyObject *made = new_of_object((PyTypeObject *)class, no_arguments, NULL);

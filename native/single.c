@@ -9,7 +9,7 @@ static pthread_key_t memory_key; /* of a `Memory`, which is freed when its threa
 
 typedef struct {
     size_t size;
-    char head[CACHE_LINE - sizeof(size_t)]; /* what follows begins at a cache line */
+    char head[CACHE_LINE - sizeof(size_t)]; /* so that the bytes begin at a cache line */
     char bytes[];
 } Memory;
 

@@ -181,8 +181,7 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
 
 /* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take
- * two. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers each, `room` in all. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -232,7 +231,7 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
     return LOEWNER_OK;
 }
 
-/* Check the trees over the pieces of bodies: those of a body follow each other, and lead to its own pieces only. */
+/* Check the trees over the pieces of bodies: groups of a body follow each other, and lead to its own pieces only. */
 static loewner_status check_trees(const Pack *pack)
 {
     int64_t begin = 0;
@@ -251,10 +250,10 @@ static loewner_status check_trees(const Pack *pack)
                 if (child >= 0) {
                     is_sound &= begin <= child && child < g && !has_parent[child];
                     if (is_sound)
-                        has_parent[child] = 1; /* a tree, not a net of which a walk sees every way */
+                        has_parent[child] = 1; /* a tree; in a net, a walk would follow every way */
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
-                } else /* an unused place says -1 whatever the piece */
+                } else /* an unused place has -1 */
                     is_sound &= child == -1 || (first <= ~child && ~child < last);
                 is_sound = is_sound && height[g] < TREE_LEVELS;
             }

@@ -12,7 +12,7 @@ enum { VECTORS = 9 };
 #define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
 #define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
 
-/* What may change of a body of the scene without making the scene another one. */
+/* The properties of a body of the scene that may change while the scene remains the same. */
 typedef struct {
     double pose[16];
     loewner_bounds bounds;
@@ -250,8 +250,8 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
     return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
 }
 
-/* Range of the ticks of the last chunk at which the robot may be, none behind its proven motions, where a robot that
-   executes the answers is not; whether what was proven of it still holds. */
+/* Write the range of the last chunk's ticks at which the robot may be, and return whether the proofs of the chunk still
+   hold. A robot that executes the answers is never behind the proven motions. */
 static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;
@@ -272,9 +272,9 @@ static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64
     return holds;
 }
 
-/* The ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1 if there
-   are no more. There are several if the robot is slow; the tick of a time that has run on comes first, in a world at rest
-   as well. `off` and `tick` are those of the call before, first -1. */
+/* Return the ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1
+   if there are no more. A slow robot agrees with several. The tick of the present time comes first, even if the world
+   is at rest. `off` and `tick` have the values of the previous call; at the first call both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -434,7 +434,7 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, i
 }
 
 /* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. A robot that is
-   faster by the error goes farther and is at rest later. Joint by joint, `steps` may be spent on the brake as a whole. */
+   faster by the error goes farther and is at rest later. Joint by joint, the brake as a whole may take `steps`. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
                                   Proof *proof)
 {
@@ -537,7 +537,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     return LOEWNER_OK;
 }
 
-/* Find the largest scale of time, of 1/2, 1/4 and 1/8, with which the chunk is proven; 0 if there is none. */
+/* Find the largest scale of time (half, quarter or eighth) with which the chunk is proven; 0 if there is none. */
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
@@ -661,8 +661,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     return LOEWNER_OK;
 }
 
-/* Let the chunk be the last one that may run. If it goes on, the places of now are within the older ones, and new motions
-   are proven for the places of now only. */
+/* Let the chunk be the last one that may run. If it goes on, the present places of bodies are within the older ones, and
+   new motions are proven for the present places only. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;

@@ -206,7 +206,7 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Let the trees grow, for at most so many iterations in all. */
+/* Let the trees grow, until they have had `most` iterations in all. */
 static loewner_status grow_on(const Judge *judge, const Space *space, Trees *trees, double *reach, int64_t *state,
                               double *gap, double *ends, double *points, int64_t most, int64_t *outcome)
 {
@@ -249,32 +249,34 @@ static int64_t length_of_branch(const Trees *trees, int tree, int64_t node)
     return length;
 }
 
+/* Write the values of a node into a row of a path. */
+static void copy_node(const Space *space, const Trees *trees, int tree, int64_t node, double *row)
+{
+    for (int64_t k = 0; k < space->count; k++)
+        row[space->columns[k]] = trees->nodes[(tree * space->count + k) * trees->capacity + node];
+}
+
 /* Write the path through both trees to the workspace. */
 static loewner_status write_path(const Judge *judge, const Space *space, const Trees *trees, const int64_t *state,
                                  int64_t *count)
 {
     int64_t joints = space->count, dof = space->dof, first = length_of_branch(trees, 0, state[OF_START]);
-    int64_t total = first + length_of_branch(trees, 1, state[OF_GOAL]), at = first;
+    int64_t total = first + length_of_branch(trees, 1, state[OF_GOAL]), row = first;
     TRY(make_room(judge->workspace, total, dof));
     double *path = judge->workspace->path;
-    for (int64_t row = 0; row < total; row++)
-        memcpy(path + row * dof, space->start, sizeof(double) * (size_t)dof);
+    for (int64_t k = 0; k < total; k++)
+        memcpy(path + k * dof, space->start, sizeof(double) * (size_t)dof);
     for (int64_t node = state[OF_START]; node >= 0; node = trees->parents[node])
-        for (at--; at >= 0;) {
-            for (int64_t k = 0; k < joints; k++)
-                path[at * dof + space->columns[k]] = trees->nodes[k * trees->capacity + node];
-            break;
-        }
-    at = first;
-    for (int64_t node = state[OF_GOAL]; node >= 0; node = trees->parents[trees->capacity + node], at++)
-        for (int64_t k = 0; k < joints; k++)
-            path[at * dof + space->columns[k]] = trees->nodes[(joints + k) * trees->capacity + node];
+        copy_node(space, trees, 0, node, path + dof * --row);
+    row = first;
+    for (int64_t node = state[OF_GOAL]; node >= 0; node = trees->parents[trees->capacity + node])
+        copy_node(space, trees, 1, node, path + dof * row++);
     int turned = 0;
     for (int64_t k = 0; k < joints; k++) {
         int64_t c = space->columns[k];
         double turns =
             space->columns[joints + k] ? rint((path[first * dof + c] - path[(first - 1) * dof + c]) / (2 * M_PI)) : 0;
-        for (int64_t row = first; turns != 0 && row < total; row++)
+        for (row = first; turns != 0 && row < total; row++)
             path[row * dof + c] -= 2 * M_PI * turns;
         turned |= turns != 0;
     }

@@ -66,7 +66,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
 
 /* -- verdicts ------------------------------------------------------------------------------------------------------ */
 
-/* Poses of all links, those of attached bodies included, at configurations that were checked. */
+/* Poses of all links, including the links of attached bodies, at configurations that were checked. */
 static loewner_status place_links(const Tree *tree, const double *configurations, int64_t n, int64_t dof, double *poses)
 {
     int64_t links = tree->links;
@@ -571,7 +571,7 @@ static loewner_status check_edges(const loewner_checker *checker, const double *
     return LOEWNER_OK;
 }
 
-/* Write the courses of as many motions from the first on as are proven at once, and return how many these are. */
+/* Write the courses of the next batch of motions, which starts at `first`, and return the size of the batch. */
 static size_t write_courses(const loewner_checker *checker, loewner_workspace *workspace, const double *starts,
                             const double *ends, size_t first, size_t n)
 {
@@ -595,7 +595,7 @@ static void write_steps(const loewner_workspace *workspace, const loewner_proof_
         options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
 }
 
-/* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
+/* Prove a block of courses that are in the workspace, and write the requested results. */
 static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t first,
                                   size_t count, int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
                                   double *fractions, int32_t (*bodies)[2])

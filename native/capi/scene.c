@@ -1,5 +1,5 @@
-/* The bodies of a checker, where they are, and which pairs are checked; and what kernels are given of them: what
-   `Problem.of` of `loewner/robots/problem.py` makes, and by the same rules. */
+/* The bodies of a checker, their poses, and the pairs to check, as kernels take them; by the rules of `Problem.of` in
+   `loewner/robots/problem.py`. */
 
 #include "internal.h"
 
@@ -78,7 +78,7 @@ static int64_t rigid_link(const Tree *tree, int64_t link)
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
 }
 
-/* Whether the body at a place stands still, whatever the robot does. */
+/* Whether the body at a place never moves. */
 static int stands(const State *state, int64_t k)
 {
     return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
@@ -371,7 +371,7 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
         }
     }
     *margin = is_lowered ? *margin : fmax(*margin, file->margin);
-    /* The file knows the pairs with a body that moves in it. */
+    /* For a body that moves in the file, the file lists all pairs. */
     if (a < file->moving && b < file->bodies) {
         int64_t pair = listed_pair(file, a, b);
         is = pair >= 0;
@@ -390,7 +390,7 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
     return is && !touches(checker, one, other) && !touches(checker, other, one);
 }
 
-/* Whether the bodies are those of the file, all present, with its pairs. */
+/* Whether the bodies are exactly the bodies of the file, all present, with its pairs. */
 static int is_as_saved(const loewner_checker *checker)
 {
     int is = checker->body_count == checker->file->bodies && checker->rule_count == 0;
@@ -419,6 +419,30 @@ static int64_t choose_pairs(const loewner_checker *checker, const State *state, 
         }
     }
     return count;
+}
+
+/* List the pairs of each moving body with static ones in groups of eight, filled up with repeats: `pairs_in_groups`. */
+static loewner_status list_groups(State *state)
+{
+    int64_t count = state->pairs, at = 0;
+    for (int64_t body = 0, k = 0; body < state->moving; body++) {
+        int64_t filled = 0;
+        for (; k < count && state->rows[k] == body; k++)
+            filled += state->rows[count + k] >= state->moving;
+        state->group_start[body + 1] = state->group_start[body] + (filled + LANES - 1) / LANES;
+    }
+    state->groups = state->group_start[state->moving];
+    state->group_pairs = room(state, LANES * state->groups, 8);
+    if (state->group_pairs == NULL)
+        return no_memory();
+    for (int64_t body = 0, k = 0; body < state->moving; body++) {
+        for (; k < count && state->rows[k] == body; k++)
+            if (state->rows[count + k] >= state->moving)
+                state->group_pairs[at++] = k;
+        for (; at < LANES * state->group_start[body + 1]; at++)
+            state->group_pairs[at] = state->group_pairs[at - 1];
+    }
+    return LOEWNER_OK;
 }
 
 static loewner_status list_pairs(const loewner_checker *checker, State *state)
@@ -455,38 +479,7 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
         for (int64_t k = 0; k < count; k++)
             if (depth_of(state, state->link[state->rows[k]]) == depth)
                 state->motion_order[at++] = k;
-    /* Pairs with static bodies in groups of eight, filled up with repeats: `pairs_in_groups`. */
-    for (int pass = 0; pass < 2; pass++) {
-        int64_t groups = 0;
-        for (int64_t body = 0, k = 0; body < state->moving; body++) {
-            int64_t filled = 0, last = -1;
-            for (; k < count && state->rows[k] == body; k++) {
-                if (state->rows[count + k] < state->moving)
-                    continue;
-                if (pass == 1)
-                    state->group_pairs[8 * groups + filled] = k;
-                filled++;
-                last = k;
-                if (filled % 8 == 0) {
-                    groups++;
-                    filled = 0;
-                }
-            }
-            if (filled > 0) {
-                for (; pass == 1 && filled < 8; filled++)
-                    state->group_pairs[8 * groups + filled] = last;
-                groups++;
-            }
-            state->group_start[body + 1] = groups;
-        }
-        if (pass == 0) {
-            state->groups = groups;
-            state->group_pairs = room(state, 8 * groups, 8);
-            if (state->group_pairs == NULL)
-                return no_memory();
-        }
-    }
-    return LOEWNER_OK;
+    return list_groups(state);
 }
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
@@ -552,7 +545,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     half->chain[2] = bend_of(&state->tree);
     /* Words of the arrays that depend on poses; the last one starts as NaN, which differs from all poses. */
     const int64_t sizes[] = {
-        bodies * links,   pieces * HOT,         state->standing, 64 * state->groups, state->standing * BOUNDS / 2,
+        bodies * links, pieces * HOT, state->standing, 8 * LANES * state->groups, state->standing * BOUNDS / 2,
         pieces * HOT / 2, 16 * state->standing,
     };
     int64_t next = sizeof(Tables) / 8, words = next + CACHE_LINE / 8;
@@ -585,7 +578,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
         .path_start = {state->path_start, links + 1, 1}, .path_link = {state->path_link, state->path_start[links], 1},
         .reach = {at[0], bodies, links}, .standing_rows = {at[1], pieces, HOT}, .sizes = {at[2], state->standing, 1},
         .order = {state->motion_order, pairs, 1}, .group_start = {state->group_start, state->moving + 1, 1},
-        .group_pairs = {state->group_pairs, 8 * state->groups, 1}, .groups = {at[3], 64 * state->groups, 1},
+        .group_pairs = {state->group_pairs, LANES * state->groups, 1}, .groups = {at[3], 8 * LANES * state->groups, 1},
         .chain = {half->chain, 3, 1},
     };
     Tables *tables = (Tables *)block;
@@ -599,7 +592,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
 
 /* -- states -------------------------------------------------------------------------------------------------------- */
 
-/* Put the moving bodies first: those of the robot, then those that are attached; then those that stand. */
+/* Order the bodies: the robot's own, then attached ones, then static ones. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
 {
     int32_t count = checker->body_count;
@@ -1119,7 +1112,7 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
-    /* Pairs are checked unless the file says otherwise; so says a rule of the file for two static bodies. */
+    /* Pairs are checked unless the file excludes them; it may do so by a rule for two static bodies. */
     rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
     return LOEWNER_OK;
